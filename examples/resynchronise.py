@@ -20,7 +20,7 @@ ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator
 
 
 def measured(machine: Unit) -> dict[str, float]:
-    """What the encoders of the motors say, and when."""
+    """Samples of the motors' encoders with their times."""
     left, right = (round(angle / COUNT) * COUNT for angle in machine.get("theta[1]", "theta[2]"))
     return {"measured.theta[1]": left, "measured.theta[2]": right, "measured.time[1]": machine.time, "measured.time[2]": machine.time}
 

@@ -1,4 +1,4 @@
-"""The unit through FMPy's calls, by names of variables: what the examples share that go beyond one `simulate_fmu`."""
+"""The unit through FMPy's calls, by names of variables: shared by the examples that go beyond one `simulate_fmu`."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""Where a machine can go: motor angles for places of the tip, how well it moves there, and maps of its workspace.
+"""Reach of a machine: motor angles for places of the tip, condition number there, and maps of its workspace.
 
 `cargo xtask package` makes unit and scenes; from the root of the repository: target/venv/bin/python examples/workspace.py
 Pictures and tables go to target/workspace/. docs/kinematics.md has conventions and formulas.
@@ -26,7 +26,7 @@ along = machine.inverse(line)
 rates = machine.motor_rates(along.theta, (0.5, 0.0))
 print(f"along y = 0.24 m at 0.5 m/s: motor rates up to {np.abs(rates).max():.3f} rad/s")
 
-# What cannot be reached is said, with the figure.
+# A place out of reach raises ValueError, whose sentence has the figure.
 try:
     machine.inverse((0.5, 0.2))
 except ValueError as sentence:

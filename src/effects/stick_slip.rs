@@ -251,7 +251,7 @@ impl FrictionProblem {
         for i in 0..n {
             torques[i] = self.bounds[i] * x[i];
         }
-        // Where no torques keep all places at rest, those of least squares leave accelerations.
+        // If no torques keep all places at rest, those of least squares leave accelerations.
         let left = self.accelerations(&torques);
         let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
         holds.then_some(torques)

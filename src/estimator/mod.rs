@@ -163,7 +163,7 @@ impl Estimator {
         if !any || self.held {
             return false;
         }
-        // Where several hypotheses are open, the first samples select one before any of them is corrected.
+        // While several hypotheses are open, the first samples select one before any of them is corrected.
         let preferred = self.branches.preferred(linkage, &self.track, &received);
         if let Some(other) = preferred {
             self.branches.swap(&mut self.track, other);

@@ -34,7 +34,7 @@ impl Kkt<COORDINATES, MULTIPLIERS> for Dense {
         let mut xy = SVector::<f64, SIZE>::zeros();
         xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(&b[..]);
         xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(&c[..]);
-        // Where extreme values have made the matrix singular, the caller's check for finite results ends the step.
+        // If extreme values have made the matrix singular, the caller's check for finite results ends the step.
         if !self.lu.solve_mut(&mut xy) {
             xy.fill(f64::NAN);
         }

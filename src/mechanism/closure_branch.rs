@@ -53,7 +53,7 @@ impl ClosureBranch {
             .filter(|(branch, _)| off(branch.apart(q)) <= LARGEST_DEVIATION)
             .min_by(|one, other| one.1.total_cmp(&other.1));
         let &(on, strays) = on?;
-        // Where no other branch is near, the closure itself keeps the rates on this one to the accuracy of the method.
+        // If no other branch is near, the closure itself keeps the rates on this one to the accuracy of the method.
         let decided = near.len() == 1
             || strays <= LARGEST_DEVIATION * fastest
                 && near.iter().all(|(branch, rates)| *branch == on || *rates > LEAST_SEPARATION.max(TIMES * strays));

@@ -203,7 +203,7 @@ impl<'a> AngleSystem<'a> {
         let torques = self.with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
-        // What of the force on a link its acceleration leaves for the joints.
+        // Force on a link less its mass times acceleration: the joints supply the difference.
         let left = applied - self.mechanism.mass_times(&accelerations);
         let mut lambda = Multipliers::ZERO;
         (lambda[TIP_X], lambda[TIP_Y]) = (tip[0], tip[1]);

@@ -208,7 +208,7 @@ def test_pathsim(which: str, fmu: Path, own: Unit, new: New, new_own: New, outpu
     instance = (new if which == "plain" else new_own)().initialise(FALL)
     inputs = {v.name: 0.0 for v in instance.model.modelVariables if v.causality == "input"}
     course = []
-    # It steps at 0 s already, and sets every input, with 0 where nothing is connected.
+    # The master steps at 0 s already, and sets every input, with 0 where nothing is connected.
     for step in range(51):
         instance.set(inputs | {"tau[1]": 0.02})
         instance.slave.doStep(step * size, size)
@@ -250,7 +250,7 @@ def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
 
-    # It begins with 0 at every input, and steps what is pushed after what pushes.
+    # The master begins with 0 at every input, and steps the pushed unit after the pushing one.
     inputs = {v.name: 0.0 for v in own.model.modelVariables if v.causality == "input"}
     plain, mine = new().initialise(FALL | inputs), new_own().initialise(inputs)
     for step in range(steps):

@@ -111,7 +111,7 @@ def test_servo_goes_to_its_reference(new: New) -> None:
 
 
 def test_a_tunable_parameter_acts_from_the_next_step(new: New) -> None:
-    """What a stiffer spring adds to the stored energy is counted as input, so that the balance stays."""
+    """Energy that a stiffer spring adds is counted as input, so that the balance stays."""
     tuned, left = (new().initialise(FLAT | {"spring.enabled": True}) for _ in range(2))
     for instance in (tuned, left):
         instance.steps(100, 1e-3)

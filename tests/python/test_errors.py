@@ -1,4 +1,4 @@
-"""What is refused, and the sentence that says why: variable, value, what is allowed."""
+"""Refusals, and the sentence that says why: variable, value, allowed range."""
 
 import math
 from collections.abc import Callable

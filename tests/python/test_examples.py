@@ -14,7 +14,7 @@ from fivebar.slave import Log, get_values, instantiate, set_values
 
 
 def output(fmu: Path, folder: Path, name: str) -> str:
-    """What examples/`name` prints, run from a folder that has the .fmu where the repository has it."""
+    """Output of examples/`name`, run from a folder that has the .fmu where the repository has it."""
     (folder / "target" / "fmu").mkdir(parents=True)
     shutil.copy(fmu, folder / "target" / "fmu" / "FiveBar.fmu")
     command = [sys.executable, str(REPOSITORY / "examples" / name)]

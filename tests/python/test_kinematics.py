@@ -288,7 +288,7 @@ def test_symmetric_tip_needs_no_lengths() -> None:
                     assert made.condition(made.inverse((half, y), working).theta) == pytest.approx(max(y / half, half / y), rel=1e-9)
 
 
-# What must hold among the functions
+# Relations among the functions
 
 
 def test_the_jacobian_is_the_derivative() -> None:
@@ -350,7 +350,7 @@ def test_the_rim_of_the_reach_is_reached() -> None:
                 assert np.isfinite(made.dexterity(posture.theta)).all()
 
 
-# What cannot be is said
+# Refusals
 
 
 @pytest.mark.parametrize(

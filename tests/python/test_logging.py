@@ -1,4 +1,4 @@
-"""What reaches the logger: warnings and worse always, events when logging is on, nothing once it is switched off."""
+"""The logger's messages: warnings and worse always, events when logging is on, nothing once it is switched off."""
 
 from collections.abc import Callable
 

@@ -25,7 +25,7 @@ def held(made: scene.Scene) -> np.ndarray:
 
 
 def motion(fmu: Path, made: scene.Scene, kind: str | None, **settings: float) -> dict[str, np.ndarray]:
-    """What FMPy records of a scene at its communication points."""
+    """Outputs of a scene at its communication points, by FMPy."""
     result = simulate_fmu(
         str(fmu),
         fmi_type=kind,

@@ -96,7 +96,7 @@ def test_long_runs_have_none() -> None:
 
 
 def test_the_picture_of_the_readme(fmu: Path, scenes: Path, tmp_path: Path) -> None:
-    """It is that of the scene: `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
+    """The picture is that of the scene: `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
     from fivebar import simulate as run
 
     assert run.main(["--fmu", str(fmu), "--scene", str(scenes / "fall_90_120.json"), "--out", str(tmp_path)]) == 0

@@ -29,7 +29,7 @@ def scene() -> dict:
 
 @pytest.fixture(scope="module")
 def values(scene: dict, model: ModelDescription) -> Values:
-    """What the file sets, as calls carry it; the signal with its value at 0 s."""
+    """Values of the file, as calls carry them; the signal with its value at 0 s."""
     items = {v.name: {i.name: int(i.value) for i in v.declaredType.items} for v in model.modelVariables if v.type == "Enumeration"}
     own = {name: items[name][x] if name in items else x for name, x in scene.items() if name not in NOT_VALUES}
     return own | {"tau[1]": scene["signals"]["tau[1]"]["linear"][0][1]}
@@ -137,7 +137,7 @@ def test_two_units_side_by_side_have_no_influence(new: New, new_own: New) -> Non
 
 
 def asked(fmu: Path, *values: str) -> str:
-    """What the packer hears of a unit that it asks for its start, or for another one."""
+    """Answer of a unit that the packer asks for its start, or for another one."""
     command = [sys.executable, str(REPOSITORY / "xtask" / "python" / "start.py"), str(fmu), *values]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

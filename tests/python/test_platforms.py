@@ -63,7 +63,7 @@ on_every_machine = pytest.mark.parametrize("machine", SHIPPED, ids=lambda machin
 
 
 class Bench:
-    """Where programs of all machines run: a driver and a folder of its own for each."""
+    """Folders in which programs of all machines run, each with a driver of its own."""
 
     def __init__(self, folder: Path, libraries: Callable[[Machine], Path], guid: str):
         self.folder, self.libraries, self.guid = folder, libraries, guid
@@ -194,7 +194,7 @@ def followed(bench: Bench, model: ModelDescription, fall: Values) -> dict[str, S
 
 @pytest.fixture(scope="module")
 def motions(bench: Bench, scenes: Path, model: ModelDescription) -> dict[str, Script]:
-    """What every machine has to carry out to its end: the scenes, every method, every effect at once, a machine that is followed."""
+    """Scripts that every machine has to carry out to their end: the scenes, every method, every effect at once, a machine that is followed."""
     named = {}
     for path in sorted(scenes.glob("*.json")):
         scene = read(path).coarser(SIZE, LONGEST)
@@ -214,10 +214,10 @@ def sentence_of_a_discard(model: ModelDescription) -> Script:
 
 @pytest.fixture(scope="module")
 def expected(bench: Bench, motions: dict[str, Script]) -> Printed:
-    """What the library for this machine makes of the motions."""
+    """Lines that the library for this machine prints of the motions."""
     printed = bench.run(HERE, motions)
     for name, (lines,) in printed.items():
-        # Where friction holds the tip, or all, directional derivatives are refused.
+        # Directional derivatives are refused while friction holds the tip, or all.
         refused = "fmi2GetDirectionalDerivative: status 3" if "stick" in name else None
         assert not [line for line in lines if ": status " in line and line != refused], f"{name} does not run to its end"
     return printed
@@ -281,7 +281,7 @@ def check_going_on(bench: Bench, machine: Machine, scripts: dict[str, Script]) -
         here, there = (bench.place(where) / state for where in (HERE, machine))
         assert there.read_bytes() == here.read_bytes(), state
     for name, (lines,) in bench.run(machine, going_on).items():
-        # What it says of its start comes first.
+        # The driver's lines about its start come first.
         said = list(takewhile(lambda line: line.startswith("log "), lines))
         rest = lines[len(said) :]
         assert any(" ready: " in line for line in said)

@@ -1,4 +1,4 @@
-"""What a user gets who changes nothing, against values computed outside this repository; and that references belong to their scenes.
+"""The unit as a user finds it, against values computed outside this repository; references belong to their scenes.
 
 Orders and errors of the methods are proved by tests/integration/accuracy.rs, dop853.rs and effects_reference.rs.
 """
@@ -42,7 +42,7 @@ def deviations(instance: Instance, points: list[tuple[float, float, float]]) -> 
 
 
 def test_default_settings(new: New) -> None:
-    """What a user gets who changes nothing: 1 ms, divided where the local error asks."""
+    """The unit as a user finds it: 1 ms, divided where the local error asks."""
     assert max(deviations(new().initialise(FALL_90_120), reference("fall-90-120.csv"))) < 1e-4
 
 

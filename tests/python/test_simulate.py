@@ -54,7 +54,7 @@ def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str], tmp_path: Path) -> 
     rows = rows_of_curves(picture)
     assert len(rows) == len(outputs) == 16
     assert all(width > 0.85 * 1280 for _, width in rows)
-    # What rests is a line of 1 or 2 pixels: without servos, plane and estimator, the last eight. Sixteen rows leave 8 to the others.
+    # A variable at rest is a line of 1 or 2 pixels: without servos, plane and estimator, the last eight. Sixteen rows leave 8 to the others.
     assert [height > 4 for height, _ in rows] == [True] * 8 + [False] * 8
 
 

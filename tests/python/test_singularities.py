@@ -48,7 +48,7 @@ def passing(rate: float, at: float) -> np.ndarray:
 
 
 def outline(event: Event) -> str:
-    """What was found, without its time; the postures of distal links, left leg and right leg, "-" for none."""
+    """An event without its time; the postures of distal links, left leg and right leg, "-" for none."""
     return f"{event.kind} {event.passage}: {' '.join(posture or '-' for posture in event.postures)}"
 
 

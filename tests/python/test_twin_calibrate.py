@@ -127,7 +127,7 @@ def test_records_of_the_pipeline(tmp_path: Path) -> None:
 
 
 def misused(columns: dict[str, np.ndarray], how: str) -> dict[str, np.ndarray]:
-    """What a user may give by mistake."""
+    """Data that a user may give by mistake."""
     angles = ("measured.theta[1]", "measured.theta[2]")
     if how == "still":
         noise = np.random.default_rng(3).standard_normal((2, len(columns["time"])))

@@ -36,7 +36,7 @@ def test_topics_of_packets() -> None:
 
 
 def test_a_page_that_draws_slowly_gets_the_newest() -> None:
-    """It was 2.3 s behind: everything waited for it. What comes once, as alarms do, it gets nevertheless, and at once."""
+    """A slow page was 2.3 s behind: everything waited for it. Messages that come once, such as alarms, reach it nevertheless, and at once."""
 
     async def told() -> None:
         pace = Pace()
@@ -97,7 +97,7 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
 
 
 async def asked(port: int, *lines: str) -> bytes:
-    """What the server says to a request of those lines."""
+    """Answer of the server to a request of those lines."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write("\r\n".join([*lines, "", ""]).encode())
     content = await asyncio.wait_for(reader.read(), 5)

@@ -49,7 +49,7 @@ def samples(config: Config, library: Library) -> list[Message]:
 
 
 def estimates(twin: Follower, messages: list[Message]) -> list[Message]:
-    """What the twin says to each sample that is not late."""
+    """Answers of the twin to the samples that are not late."""
     return [twin.estimate() for message in messages if twin.meas(message)]
 
 
@@ -366,7 +366,7 @@ def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu:
             wire.send("cmd", encode(Message("cmd", "bench", BEGIN + 1, 1, {}, {"command": "restart"})))
         if i == 200:
             wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
-            # The same order once more is old.
+            # An order that is repeated is old.
             wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
             wire.send("param", encode(Message("param", "bench", BEGIN + 3, 3, {"servo.kp[1]": -1.0})))
         wire.send("meas", encode(source.next()))

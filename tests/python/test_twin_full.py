@@ -64,7 +64,7 @@ class Run:
         return json.loads((self.out / "summary.json").read_text())
 
     def replayed(self, fmu: Path) -> str:
-        """What its replay says, which has to agree."""
+        """Output of its replay, which has to agree."""
         replay = subprocess.run([*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)], capture_output=True, text=True, check=False)
         assert replay.returncode == 0, replay.stdout + replay.stderr
         return replay.stdout
@@ -144,7 +144,7 @@ def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Pa
     assert max(took.values()) < 3, took
     assert summary["restarts"] == dict.fromkeys(summary["restarts"], 1)
     run.replayed(fmu)
-    # What the twin says after each kill is what the machine does: as sure as it says it is.
+    # After each kill the twin's estimates agree with the machine, within their bands.
     story = figures.read(run.folder / "record")
     judged = figures.judge(story)
     known = np.isfinite(judged.error)
@@ -300,7 +300,7 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
     from PIL import Image
 
     class Address:
-        """What `open_browser` asks of a page."""
+        """A page as `open_browser` asks for it."""
 
         def as_uri(self) -> str:
             return live.page
@@ -351,7 +351,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
     ear = Ear(port)
 
     class Address:
-        """What `open_browser` asks of a page."""
+        """A page as `open_browser` asks for it."""
 
         def as_uri(self) -> str:
             return live.page
@@ -396,7 +396,7 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
     """Pill and status stayed green for 4.6 s, on a telephone too."""
 
     class Address:
-        """What `open_browser` asks of a page."""
+        """A page as `open_browser` asks for it."""
 
         def as_uri(self) -> str:
             return live.page
@@ -424,7 +424,7 @@ def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
     """On a processor a twentieth as fast it was 7.3 s behind, and more and more: it leaves out instead."""
 
     class Address:
-        """What `open_browser` asks of a page."""
+        """A page as `open_browser` asks for it."""
 
         def as_uri(self) -> str:
             return live.page

@@ -231,7 +231,7 @@ def sample(seq: int, time: int | None = None) -> Message:
 
 
 def admit(intake: Intake, *messages: Message, now: int | None = None) -> list[str]:
-    """What became of each: new, late, series or refused; at a time of the pipeline's clock, or when each was made."""
+    """Classes of the messages: new, late, series or refused; at a time of the pipeline's clock, or when each was made."""
     results = []
     for message in messages:
         try:

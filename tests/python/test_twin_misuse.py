@@ -83,7 +83,7 @@ def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str
 
 
 def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """It published 1,616 samples, estimated none, and said nothing."""
+    """A run without this refusal published 1,616 samples, estimated none, and said nothing."""
     run = command("run", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30)
     assert run.returncode == 2 and "friction.law = stick is not allowed with estimator.enabled = true" in run.stderr
     assert not (tmp_path / "out").exists()

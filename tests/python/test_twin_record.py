@@ -46,7 +46,7 @@ def test_a_joined_part_takes_the_place_of_others_whether_or_not_they_are_gone(tm
     for number in range(4):
         record.write_part(tmp_path, number, number, rows(number))
     record.write_part(tmp_path, 0, 2, rows(0, 1, 2))
-    # What a kill left behind while it was being written is no part.
+    # A file that a kill left half written is no part.
     (tmp_path / "part-00000004-00000004.writing").write_bytes(b"PAR1 half")
     assert seqs(tmp_path) == [0, 1, 2, 3]
     (tmp_path / "part-00000001-00000001.parquet").unlink()
@@ -105,7 +105,7 @@ def test_what_is_no_record_is_refused_with_a_sentence(tmp_path: Path) -> None:
 
 
 def states(anomalies: Anomalies, alarm: list[tuple[float, float]], until: float) -> list[tuple[float, str]]:
-    """What a watch says while the unit's alarm is on in those intervals, at 200 Hz."""
+    """Messages of a watch while the unit's alarm is on in those intervals, at 200 Hz."""
     said = []
     for i in range(round(until / 0.005)):
         now = 0.005 * i

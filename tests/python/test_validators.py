@@ -20,7 +20,7 @@ import test_package
 
 @dataclass(frozen=True)
 class Break:
-    """What is replaced in modelDescription.xml, once, and whom it must not escape; @ before a name stands for its index."""
+    """Text that is replaced in modelDescription.xml, once, and the validators that must notice; @ before a name stands for its index."""
 
     name: str
     old: str

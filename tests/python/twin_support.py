@@ -1,4 +1,4 @@
-"""What the tests of the twin's pipeline share."""
+"""Helpers of the tests of the twin's pipeline."""
 
 from collections.abc import Callable
 from pathlib import Path

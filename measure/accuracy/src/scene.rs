@@ -68,7 +68,7 @@ const JUDGED: [Judged; 22] = [
     ("fall_90_120", Kind::Whipping, 2.0, "fall_90_120"),
     ("paper_torque", Kind::Whipping, 0.5, "torque"),
     ("paper_torque_gravity", Kind::Whipping, 1.0, "paper_torque_gravity"),
-    // Its symmetry is not stable: by 2 s round-off has grown to 1e-8 m, and which setting stays below 1e-9 m is luck.
+    // The symmetry of this scene is not stable: by 2 s round-off has grown to 1e-8 m, and which setting stays below 1e-9 m is luck.
     ("paper_free_fall", Kind::Whipping, 1.0, "paper_free_fall"),
     ("flat_table", Kind::Whipping, 3.0, "flat_table"),
     ("singular_crossing", Kind::Whipping, 0.4, "singular_crossing"),

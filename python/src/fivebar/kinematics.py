@@ -146,7 +146,7 @@ class Machine:
 
     @property
     def size(self) -> float:
-        """Sum of all lengths, m: what round-off is compared with."""
+        """Sum of all lengths, m, to which round-off is relative."""
         return self.distance + sum(self.lengths)
 
     @property

@@ -1,4 +1,4 @@
-"""Where a machine can go: reach, singular loci, condition number, stops, largest discs and the tip's force, by working mode.
+"""Workspace of a machine: reach, singular loci, condition number, stops, largest discs and the tip's force, by working mode.
 
 `compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures. From a shell, in a checkout in which
 `cargo xtask package` has run: python -m fivebar.workspace SCENE [--out DIR]
@@ -106,7 +106,7 @@ class Mode:
     """1 over the condition number, in [0, 1]."""
 
     force: Floats | None
-    """What the tip at rest holds in every direction, N; None without limits of torque."""
+    """Force that the tip at rest holds in every direction, N; None without limits of torque."""
 
     curves: list[Curve]
     discs: list[Disc]
@@ -275,7 +275,7 @@ def _stop_curves(scene: Scene, machine: Machine, working: Working) -> list[Curve
 
 
 class _Obstacles:
-    """What a disc must not contain: the circles of inverse singularities, and pieces of curves as chains of straight ones."""
+    """Obstacles to a disc: the circles of inverse singularities, and pieces of curves as chains of straight ones."""
 
     def __init__(self, circles: list[Circle], chains: list[Floats]):
         self.circles = circles
@@ -298,7 +298,7 @@ class _Obstacles:
         return nearest
 
     def _from_chains(self, places: Floats) -> Floats:
-        """Distances from the chains: places that are far from each other are divided, each half looks at what is near it."""
+        """Distances from the chains: distant places are divided, and each half searches near itself."""
         if len(places) > 1 and len(places) * len(self.begin) > BLOCK:
             order = np.argsort(places[:, np.argmax(np.ptp(places, axis=0))])
             distances = np.empty(len(places))

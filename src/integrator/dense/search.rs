@@ -204,7 +204,7 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
                 let (value, opposite) = if is_past { (high, &mut low) } else { (low, &mut high) };
                 if last_was_positive == Some(is_past) {
                     let less = 1.0 - here / value;
-                    // Where another guard was dominant at one end, the residuals give no slope; the factor is at least 0.1.
+                    // If another guard was dominant at one end, the residuals give no slope; the factor is at least 0.1.
                     *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
                 }
                 last_was_positive = Some(is_past);

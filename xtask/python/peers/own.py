@@ -1,4 +1,4 @@
-"""This repository's methods, through the packed .fmu, with which the peers are compared."""
+"""Methods of this repository, through the packed .fmu, with which the peers are compared."""
 
 import math
 from functools import partial

@@ -1,4 +1,4 @@
-"""rapier2d in double precision: impulse joints, and multibody joints with the loop closed by an impulse joint."""
+"""A peer, rapier2d in double precision: impulse joints, and multibody joints with the loop closed by an impulse joint."""
 
 import re
 

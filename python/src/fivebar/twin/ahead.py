@@ -37,7 +37,7 @@ class Ahead(Worker):
         self.counts = dict.fromkeys(("forecasts", "left_out"), 0)
         self.order = Newest()
         self.newest: Message | None = None
-        """What the thread has not taken yet."""
+        """Newest stored state that the thread has not taken yet."""
         self.come = threading.Condition()
         self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._work, name="forecast", daemon=True)

@@ -13,7 +13,7 @@ from fivebar.twin.config import Broker
 from fivebar.twin.messages import topic
 
 RELIABLE: Final = ("alarm", "param", "cmd", "state", "whatif")
-"""Kinds that are sent at least once (QoS 1). Samples and what follows from them are sent once (QoS 0): the next one is newer."""
+"""Kinds that are sent at least once (QoS 1). Samples and messages computed from them are sent once (QoS 0): the next one is newer."""
 
 log = logging.getLogger("fivebar")
 
@@ -77,7 +77,7 @@ class Bus:
         try:
             self.handle(message.topic, bytes(message.payload))
         except Exception:
-            # What is not foreseen ends the process: its starter starts it again from the last stored state.
+            # An error that no code foresees ends the process: its starter starts it again from the last stored state.
             log.exception("a message could not be handled")
             os._exit(70)
 

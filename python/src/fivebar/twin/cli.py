@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     for name, command in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=command.help, description=command.help[0].upper() + command.help[1:] + ".")
-        # Only the module of the command that is asked for: processes start at once, and without what others need.
+        # Only the module of the command that is asked for: processes start at once, and without the packages of others.
         if given[:1] == [name]:
             import_module(f"fivebar.twin.{command.module}").arguments(subparser)
     arguments = parser.parse_args(given)
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TwinError as error:
         print(f"fivebar-twin {arguments.command}: {error}", file=sys.stderr)
     except OSError as error:
-        # What the system refuses: a folder that is a file, a disk that is full, a port that is taken.
+        # The system refuses: a folder is a file, a disk is full, a port is taken.
         where = " ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         print(f"fivebar-twin {arguments.command}: {where or 'the system'}: {error.strerror or error}", file=sys.stderr)
     except KeyboardInterrupt:

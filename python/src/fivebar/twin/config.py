@@ -1,4 +1,4 @@
-"""The one configuration file of a run: what every process of it has to know. A starter writes it, the processes read it."""
+"""The one configuration file of a run, common to all of its processes. A starter writes it, the processes read it."""
 
 import ipaddress
 import json
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is, and who asks. Beyond this machine only with user, password and TLS."""
+    """Address of the broker, and credentials. Beyond this machine only with user, password and TLS."""
 
     host: str = "127.0.0.1"
     port: int = 1883
@@ -33,7 +33,7 @@ class Broker:
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong on purpose between the machine and its broker: shares of the samples. All 0 in a default run."""
+    """Faults made on purpose between the machine and its broker: shares of the samples. All 0 in a default run."""
 
     lost: float = 0.0
     doubled: float = 0.0
@@ -45,7 +45,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class Machine:
-    """The stand-in: what the real machine has and the twin does not know, and its encoders."""
+    """The stand-in: properties of the real machine that the twin does not know, and its encoders."""
 
     hidden: dict[str, float | int | bool] = field(default_factory=dict)
     """Start values that differ from the scene's."""
@@ -74,14 +74,14 @@ class Config:
     """Everything. Times in s, angles in rad."""
 
     folder: str
-    """Where the run keeps what it writes."""
+    """Folder of all files that the run writes."""
 
     fmu: str
     scene: str
     """A scene as `cargo xtask package` writes it to target/scenes/."""
 
     unit: str = "bench"
-    """What the machine is called in topics."""
+    """Name of the machine in topics."""
 
     broker: Broker = field(default_factory=Broker)
     machine: Machine = field(default_factory=Machine)
@@ -158,7 +158,7 @@ def read_json(file: Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
 
 
 def check(config: Config) -> None:
-    """Refuses what cannot work or must not."""
+    """Refuses settings that cannot work or must not."""
     if UNIT_NAME.fullmatch(config.unit) is None:
         raise TwinError(f"unit is {config.unit!r:.80}; letters, digits, - and _ are allowed, at most 64")
     for name, value, lowest, highest in (

@@ -46,7 +46,7 @@ SKIPPED: Final = ("meas", "est", "forecast")
 """Kinds of which a page that is slow gets the newest only."""
 
 KEPT: Final = 8
-"""Of each of these kinds while a page draws: what comes between two pictures of a fast one."""
+"""Messages of each of these kinds that wait while a page draws: as many as come between two pictures of a fast page."""
 
 WAITING: Final = 1000
 """Other packets that may wait for a page that takes nothing; then it is left."""
@@ -58,7 +58,7 @@ log = logging.getLogger("fivebar")
 
 
 def about(config: Config) -> dict[str, Any]:
-    """What the page has to know: names, geometry, what the tip or the links may run against."""
+    """First message to a page: names, geometry, and the stops and planes that tip or links may run against."""
     content = scene.read(Path(config.scene))
     library = Library(Path(config.fmu))
 
@@ -162,7 +162,7 @@ class Server:
 
 
 class Pace:
-    """What a page gets next: packets in their order, of what is skipped the newest."""
+    """Queue of a page: packets in their order, and of skipped kinds the newest."""
 
     def __init__(self) -> None:
         self.come = asyncio.Event()
@@ -194,7 +194,7 @@ class Pace:
         self.come.set()
 
     async def next(self) -> bytes:
-        """What is to be sent now, as soon as there is something."""
+        """The next packet, as soon as there is one."""
         while True:
             self.come.clear()
             taken = list(self.others)
@@ -265,7 +265,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def quiet() -> None:
-    """What websockets says of a page that it refuses is one line, without where in the code."""
+    """Makes the log of websockets about a refused page one line, without a traceback."""
     of_library = logging.getLogger("websockets")
     of_library.setLevel(logging.WARNING)
     of_library.propagate = False

@@ -1,4 +1,4 @@
-"""What can go wrong on the user's side: each is one sentence that names what, its value, and what is allowed."""
+"""Errors on the user's side: one sentence that names the object, its value, and the allowed ones."""
 
 
 class TwinError(Exception):

@@ -1,4 +1,4 @@
-"""The figures of a run, from its record and from what its processes counted."""
+"""Figures of a run, from its record and the counters of its processes."""
 
 import math
 from array import array
@@ -44,7 +44,7 @@ class Table:
         self.columns = {name: array("d") for name in self.names}
 
     def add(self, row: dict[str, float]) -> None:
-        """A row; what is missing is NaN."""
+        """A row; missing values are NaN."""
         for name, column in self.columns.items():
             column.append(row.get(name, math.nan))
 
@@ -66,7 +66,7 @@ class Gap(NamedTuple):
 
 @dataclass
 class Story:
-    """What a record tells: times in s after its first message."""
+    """Series from a record: times in s after its first message."""
 
     origin: int = 0
     measured: Table = field(default_factory=lambda: Table(("time", *TRACKED)))
@@ -117,7 +117,7 @@ def _forecast(story: Story, extra: dict[str, Any], time: float) -> None:
 
 @dataclass
 class Judged:
-    """Estimates and forecasts beside what really was; NaN where nobody saw it."""
+    """Estimates and forecasts beside the true motion; NaN where nobody saw it."""
 
     error: np.ndarray
     """Of the estimated tip, m."""
@@ -173,7 +173,7 @@ def _mean(values: np.ndarray) -> float:
 def summarise(
     config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Every figure, in nested objects. What cannot be told is null. `troubles` are what processes had to tell."""
+    """Every figure, in nested objects; unknown ones are null. `troubles` are the processes' messages."""
 
     def total(process: str, name: str) -> int:
         return sum(int(life.get(name, 0)) for life in status.get(process, []))
@@ -243,7 +243,7 @@ def summarise(
 
 
 def missed(content: dict[str, Any]) -> list[str]:
-    """Which promises about forecasts a run has not kept, in words."""
+    """Promises about forecasts that a run has not kept, in words."""
     forecasts, scene = content["forecasts"], content["scene"]
     covered, width = forecasts["coverage95"], forecasts["halfwidth_mm"]["median"]
     found = []

@@ -116,7 +116,7 @@ class Twin(Worker):
         self.orders.taken(message)
 
     def _answer(self, order: Message, sentence: str, now: int) -> None:
-        """What has become of an order, for whoever gave it and for the record."""
+        """Answers an order, for whoever gave it and for the record."""
         log.info("%s", sentence)
         extra = {"state": "taken", "cause": "order", "from": self.name, "sentence": sentence[:1000], "order": order.time}
         self.publish(Message("alarm", "", now, order.seq, {}, extra))

@@ -44,20 +44,20 @@ ESTIMATED: Final = (
 
 @dataclass(frozen=True)
 class Book:
-    """What has to be known beside the unit's own state."""
+    """State of following beside the unit's own state."""
 
     offset: int
-    """What the machine's clock shows when the unit's shows 0, ns."""
+    """Reading of the machine's clock at the unit's time 0, ns."""
 
     time: int
     """Of the newest sample, on the machine's clock, ns."""
 
     seq: int
     told: dict[str, float]
-    """What the drives were told at the newest sample."""
+    """Commands of the drives at the newest sample."""
 
     on_plan: bool
-    """Whether that is what the plan says."""
+    """Whether the commands are those of the plan."""
 
     assembly: int
     measured: dict[str, float] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Book:
 
 
 class Stored(NamedTuple):
-    """What a message `state` or `ahead` has."""
+    """Content of a message `state` or `ahead`."""
 
     content: bytes
     """The unit's own."""
@@ -92,7 +92,7 @@ def stored(message: Message) -> Stored:
 
 
 class Rider:
-    """A unit that is led along what its drives are told."""
+    """A unit that is led along the commands of its drives."""
 
     def __init__(self, library: Library, setup: Setup, name: str):
         self.setup = setup
@@ -100,7 +100,7 @@ class Rider:
         self.references = {name: library.variable(name).valueReference for name in INPUTS}
 
     def hold(self, book: Book) -> None:
-        """Tells the drives what holds at the unit's time: each sample's value, going on at its rate to the next sample."""
+        """Sets the commands at the unit's time: each sample's value, going on at its rate to the next sample."""
         setup, unit = self.setup, self.unit
         passed = max(0, math.floor((unit.time - book.clock) / setup.period + 1e-6))
         since = unit.time - book.clock - passed * setup.period
@@ -130,7 +130,7 @@ class Rider:
 
 
 class _Done(NamedTuple):
-    """An input, and what was before it."""
+    """An input, and the state before it."""
 
     message: Message
     book: Book
@@ -148,7 +148,7 @@ class Follower(Rider):
         self.parameters: dict[str, float] = {}
         """Set by `param`, and kept when the unit starts anew."""
         self.inputs: list[list[Any]] = []
-        """What was taken since the last estimate: kind, seq, time."""
+        """Messages taken since the last estimate: kind, seq, time."""
         self.after = -1
         """The sample of the last estimate; -1 before the first."""
         self.failure = ""
@@ -308,7 +308,7 @@ class Follower(Rider):
         self.unit.step_to(following.clock + self.setup.step)
 
     def _late(self, message: Message) -> None:
-        """Back to where the sample belongs, and forward again over what came since."""
+        """Goes back to the sample's time, and forward again over all later inputs."""
         places = [i for i, done in enumerate(self.done) if done.message.kind == "meas" and done.message.seq > message.seq]
         if not places:
             return

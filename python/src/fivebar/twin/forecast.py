@@ -43,7 +43,7 @@ def inside(cov: tuple[float, float, float], dx: float, dy: float) -> bool:
 
 
 def crossing(before: float, after: float) -> float | None:
-    """Where between two values the sign changes, from 0 to 1."""
+    """Fraction of the interval between two values at which the sign changes, from 0 to 1."""
     if before * after < 0 or (after == 0 and before != 0):
         return before / (before - after)
     return None

@@ -1,4 +1,4 @@
-"""Which samples the twin takes: new ones, and late ones that still find their place; all others are refused with a sentence.
+"""Intake of samples: the twin takes new ones, and late ones that still find their place; all others are refused with a sentence.
 
 A series of samples counts on, whatever its clock does. A machine that begins to count anew is believed after `CONSISTENT` samples that
 follow each other, newer than those that were taken, at times near the pipeline's own or near where the series' clock would be by now: one
@@ -21,7 +21,7 @@ FORGOTTEN: Final = 60_000_000_000
 """Nanoseconds of silence after which a series no longer says which times are plausible."""
 
 QUIET: Final = 1_000_000_000
-"""Nanoseconds without anything newer after which older is taken of what the pipeline itself sends."""
+"""Nanoseconds without a newer message after which an older one of the pipeline itself is taken."""
 
 LONGEST_LEAP: Final = 20
 """Samples that may be missing where the times do not say so too."""
@@ -35,7 +35,7 @@ class _Series:
 
 
 class Intake:
-    """Remembers where the series is. `admit` says what a sample is; `taken` are those of the last `window` that came."""
+    """Remembers where the series is. `admit` classifies a sample; `taken` are those of the last `window` that came."""
 
     def __init__(self, period: float, window: int = 64):
         self.period_ns = round(1e9 * period)
@@ -50,7 +50,7 @@ class Intake:
         """Samples of the series that never came, so far as one can tell: a late one counts back."""
 
     def admit(self, message: Message, now: int) -> Literal["new", "late", "series"]:
-        """What the sample is, which came at a time of the pipeline's clock, ns; `Refused` if it is not to be taken."""
+        """Class of a sample that came at `now` of the pipeline's clock, ns; `Refused` if it is not to be taken."""
         if self.series is None:
             if abs(message.time - now) > NEAR:
                 return self._else(message, f"meas {message.seq} is from a time that {_apart(message.time, now)}", now)
@@ -122,7 +122,7 @@ class Intake:
 
     def _step(self, message: Message, now: int) -> None:
         self.series, self.candidate, self.arrived = _Series(message.seq, message.time), None, now
-        # A clock that was set back far is followed: what it showed before is no time of its any more.
+        # A clock that was set back far is followed: its earlier times count no more.
         followed = self.newest_time > max(now, message.time) + NEAR
         self.newest_time = message.time if followed else max(self.newest_time, message.time)
         self.came.add(message.seq)
@@ -131,7 +131,7 @@ class Intake:
 
 
 class Newest:
-    """The newest of what the pipeline itself sends: what is older by number and time is refused, until nothing newer has come for a while."""
+    """The newest message of the pipeline itself: messages older by number and time are refused, until no newer one has come for a while."""
 
     def __init__(self) -> None:
         self.newest: tuple[int, int] | None = None
@@ -147,7 +147,7 @@ class Newest:
 
 
 class Orders:
-    """Which orders are taken: each newer than the last one, given at a time near the pipeline's own."""
+    """Intake of orders: each must be newer than the last one, and given at a time near the pipeline's own."""
 
     def __init__(self) -> None:
         self.newest = -1

@@ -87,7 +87,7 @@ def _cpu(broker: psutil.Process | None) -> float:
 
 
 def _measure(host: str, port: int, machines: int, seconds: float) -> tuple[int, np.ndarray]:
-    """Messages sent, and what those that came took, s."""
+    """Messages sent, and latencies of those that came, s."""
     latencies: list[float] = []
     subscribed = threading.Event()
     listener = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)

@@ -1,4 +1,4 @@
-"""The machine's stand-in: a unit with what the twin does not know, encoders, and drives that follow a scene; publishes `meas`.
+"""The machine's stand-in: a unit with properties that the twin does not know, encoders, and drives that follow a scene; publishes `meas`.
 
 It is a machine: it does not stop when its connection does, and when this process is started again the machine is where it would have
 been. A real one takes its place by publishing the same message; docs/pipeline.md has the ten lines of Python.
@@ -79,7 +79,7 @@ class StandIn:
         period = self.config.period
         book = Book(0, round(1e9 * period) * self.seq, self.seq, told, True, 1)
         self.rider.hold(book)
-        # What the scene does to the machine beside its drives, such as a hand's force, nobody tells the twin.
+        # The twin is not told of inputs beside those of the drives, such as a hand's force.
         if self.surroundings:
             begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
             references = list(self.surroundings.values())
@@ -112,7 +112,7 @@ class StandIn:
 
 
 class Recording:
-    """The samples of a CSV: columns time (s), measured.theta[1], measured.theta[2], and what else `meas` may have."""
+    """The samples of a CSV: columns time (s), measured.theta[1], measured.theta[2], and further fields of `meas`."""
 
     def __init__(self, config: Config):
         self.config, self.seq, self.start_ns = config, 0, 0
@@ -159,14 +159,14 @@ class Recording:
 
 
 class Mangler:
-    """What may go wrong on the way, on purpose: from one sample to the payloads that are sent."""
+    """Faults of the transport, made on purpose: from one sample to the payloads that are sent."""
 
     def __init__(self, faults: Faults, seed: int):
         self.faults, self.chance = faults, random.Random(f"faults {seed}")
         self.held: deque[tuple[int, bytes]] = deque()
 
     def send(self, message: Message) -> list[bytes]:
-        """What is sent in the place of the sample."""
+        """Payloads that are sent in the place of the sample."""
         faults, chance = self.faults, self.chance
         if faults.clock_jump and message.seq >= 2000:
             message = replace(message, time=max(0, message.time + round(1e9 * faults.clock_jump)))
@@ -212,7 +212,7 @@ def run(arguments: argparse.Namespace) -> int:
     delay, period = round(1e9 * config.machine.delay), round(1e9 * config.period)
     if file.is_file():
         source.go_on_from(file)
-        # What has passed since the stored state has happened without being seen.
+        # The motion since the stored state has not been seen by anyone.
         while source.start_ns + source.seq * period + delay < time.time_ns() and source.next() is not None:
             pass
         log.info("going on with sample %d", source.seq)
@@ -221,7 +221,7 @@ def run(arguments: argparse.Namespace) -> int:
         process.replace_file(file, source.store(), safe=True)
     published = 0
     while not stop.event.is_set():
-        # Ready before its time, so that it is sent in time: what the unit computes does not delay the sample.
+        # Ready before its time, so that it is sent in time: the unit's computation does not delay the sample.
         message = source.next()
         if message is None:
             break

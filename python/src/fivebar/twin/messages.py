@@ -35,12 +35,12 @@ SCHEMA_FILE: Final = Path(__file__).with_name("messages.schema.json")
 SCHEMA: Final[dict[str, Any]] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 
 INPUTS: Final = tuple(f"{name}[{i}]" for name in ("servo.theta", "servo.omega", "tau") for i in (1, 2))
-"""What drives are told: fields of `meas` that the twin hands to its unit."""
+"""Commands of the drives: fields of `meas` that the twin hands to its unit."""
 
 MEASURED: Final = ("measured.theta[1]", "measured.theta[2]")
 
 TRACKED: Final = ("tip.x", "tip.y")
-"""What a tracker outside the machine may see of the tip: recorded and compared with, never used by the twin."""
+"""Tip as a tracker outside the machine may see it: recorded and compared with, never used by the twin."""
 
 MEAS_FIELDS: Final = (*MEASURED, *INPUTS, *TRACKED)
 """Fields that `meas` may have: rad, rad/s, N.m, m."""
@@ -48,7 +48,7 @@ MEAS_FIELDS: Final = (*MEASURED, *INPUTS, *TRACKED)
 
 @dataclass(frozen=True)
 class Message:
-    """A message that has been checked. `extra` has what is not a scalar of the unit: path of a forecast, cause of an alarm."""
+    """A message that has been checked. `extra` has values that are no scalar of the unit: path of a forecast, cause of an alarm."""
 
     kind: str
     unit: str
@@ -59,7 +59,7 @@ class Message:
 
 
 def topic(unit: str, kind: str) -> str:
-    """Where messages of that kind go."""
+    """Topic of messages of a kind."""
     return f"fivebar/{unit}/{kind}"
 
 
@@ -86,7 +86,7 @@ def decode(from_topic: str, payload: bytes) -> Message:
     _check(kind, content)
     _require(content["tags"]["unit"] == unit, f"tags are {_show(content['tags'])}; the unit of this topic is {unit!r}")
     for name in ("time", "seq"):
-        # To JSON Schema 1.0 is an integer, to what counts with it here it is not.
+        # JSON Schema takes 1.0 for an integer, the code that counts with it does not.
         _require(isinstance(content[name], int), f"{name} is {_show(content[name])}, not an integer")
     fields = {name: float(value) for name, value in content["fields"].items()}
     extra = {name: value for name, value in content.items() if name not in ("measurement", "time", "seq", "tags", "fields")}
@@ -129,7 +129,7 @@ def _check(kind: str, content: dict[str, Any]) -> None:
 
 
 def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
-    """What is wrong: where, the value, and what is allowed."""
+    """Sentence of an error: the field, its value, and the allowed values."""
     name = error.name.removeprefix("data").removeprefix(".").removeprefix("fields.")[:80] or "the message"
     name = "".join(each if each.isprintable() else "?" for each in name)
     value, rule, allowed = error.value, error.rule, error.rule_definition
@@ -155,7 +155,7 @@ def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
 
 
 def _show(value: Any) -> str:
-    """What was found, in a line's length whatever it is."""
+    """Text of a value, never longer than a line."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**40:
         return "an integer of very many digits"
     text = repr(value)

@@ -1,4 +1,4 @@
-"""Which processes of a run go first where cores are few: the way from a sample to its estimate is short only if nobody waits for a core.
+"""Priorities of a run's processes where cores are few: the way from a sample to its estimate is short only if nobody waits for a core.
 
 Broker, machine, twin and watch compute for some tens of microseconds and sleep again. Where the system allows it (root, or a limit for
 real-time priorities) they have one of the lowest of these; elsewhere they ask Linux for short turns, in return for being woken at once.
@@ -38,12 +38,12 @@ class _Attributes(ctypes.Structure):
 
 
 def hurry(pid: int) -> None:
-    """A process that has just been started may load what it needs before others go on, but not before those that go first."""
+    """A process that has just been started may load its packages before others go on, but not before those that go first."""
     _real_time(pid, 0)
 
 
 def take(name: str) -> None:
-    """This process takes the place of its name; threads that it makes afterwards inherit it."""
+    """Gives the calling process the priority of its name; threads that it makes afterwards inherit it."""
     allowed = _real_time(0, int(name in FIRST))
     if name in FIRST and not allowed:
         _short_turns()

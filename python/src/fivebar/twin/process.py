@@ -1,4 +1,4 @@
-"""What the processes of a run have in common: signals, log, connection, a status file, an end when the starter is gone."""
+"""Frame of every process of a run: signals, log, connection, a status file, an end when the starter is gone."""
 
 import argparse
 import contextlib
@@ -39,7 +39,7 @@ class Worker(ABC):
 
     name: ClassVar[str]
     kinds: ClassVar[tuple[str, ...]] = ()
-    """What it listens to."""
+    """Kinds of messages that the worker listens to."""
 
     def __init__(self, config: Config):
         self.config = config
@@ -94,7 +94,7 @@ class Worker(ABC):
         """Called some twenty times a second, with the time in ns."""
 
     def write(self) -> None:
-        """Called after each `tick`, while messages may be handled: for what a disk has to do."""
+        """Called after each `tick`, while messages may be handled: for work of the disk."""
 
     def status(self) -> dict[str, Any]:
         """Figures of this life of the process, all of fixed size."""
@@ -140,7 +140,7 @@ class Stop:
 
 
 class Disk:
-    """Writes files in a thread of its own: what is in a hurry never waits for a disk. Of each file the newest content counts."""
+    """Writes files in a thread of its own: urgent work never waits for a disk. Of each file the newest content counts."""
 
     def __init__(self) -> None:
         self.waiting: dict[Path, tuple[bytes, bool]] = {}
@@ -236,14 +236,14 @@ def serve(worker: Worker) -> int:
 
 
 def spare_collector() -> None:
-    """What lives now lives to the end, and what follows has no cycles: the collector looks rarely, and not at what is old."""
+    """Spares the garbage collector: objects of now live to the end, later ones have no cycles, so that it runs rarely and skips the old."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
 
 
 def memory_kb() -> int:
-    """What the process holds in memory, kB; 0 where the system does not say."""
+    """Resident memory of the process, kB; 0 where the system does not say."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except (OSError, IndexError, ValueError):
@@ -269,6 +269,6 @@ def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
 
 
 def read_config(arguments: argparse.Namespace) -> Config:
-    """The configuration that a process was given. What the process writes from then on is its owner's alone."""
+    """The configuration that a process was given. Files that the process writes from then on are its owner's alone."""
     os.umask(0o077)
     return configuration.read(arguments.config)

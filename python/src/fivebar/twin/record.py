@@ -24,7 +24,7 @@ LARGEST_RECORD: Final = 64_000_000_000
 COLUMNS: Final = {"topic": (pa.types.is_string, pa.types.is_large_string), "time": (pa.types.is_integer,), "seq": (pa.types.is_integer,)} | {
     "payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)
 }
-"""What the columns may hold."""
+"""Types of Arrow that each column may have."""
 
 
 class Row(NamedTuple):
@@ -79,7 +79,7 @@ def parts(record: Path) -> list[Path]:
 
 
 def setup(record: Path) -> Message:
-    """What the run was that the record is of: the recorder writes it first."""
+    """The message about the recorded run: the recorder writes it first."""
     for message in messages(record, "setup", refused=lambda _: None):
         return message
     raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
@@ -99,7 +99,7 @@ def rows(record: Path) -> Iterator[Row]:
         try:
             for batch in file.iter_batches(batch_size=4096, columns=SCHEMA.names):
                 for topic, time, seq, payload in zip(*(column.to_pylist() for column in batch.columns), strict=True):
-                    # What is not there is no message, which whoever decodes it says.
+                    # A missing payload is no message, as whoever decodes it says.
                     payload = payload.encode() if isinstance(payload, str) else payload or b""
                     yield Row(topic or "", time or 0, seq or 0, payload)
         except (OSError, pa.ArrowException) as error:

@@ -22,7 +22,7 @@ FLUSH_EVERY: Final = 0.4
 """Seconds between two parts: less than this and the time of writing is lost by SIGKILL."""
 
 MOST_WAITING: Final = 20_000
-"""Rows that wait for the disk at most; what comes then is lost and said so."""
+"""Rows that wait for the disk at most; further ones are lost and reported."""
 
 JOINED: Final = 64
 """Parts that become one."""
@@ -34,7 +34,7 @@ log = logging.getLogger("fivebar")
 
 
 class Gaps:
-    """Which numbers of a kind never came, told once `PATIENCE` is over."""
+    """Numbers of a kind that never came, reported once `PATIENCE` is over."""
 
     def __init__(self, kind: str):
         self.kind, self.newest = kind, -1
@@ -71,7 +71,7 @@ class Recorder(Worker):
         self.folder = config.record
         self.rows: list[Row] = []
         self.taken: list[Row] = []
-        """What is to be written next."""
+        """Rows to be written next."""
         self.flushed = time.monotonic()
         self.number = 0
         self.parts: list[tuple[int, int, Path]] = []
@@ -79,7 +79,7 @@ class Recorder(Worker):
         self.counts = dict.fromkeys(("recorded", "written", "gaps", "overrun"), 0)
         self.about: Message | None = None
         self.failing, self.failed, self.why = False, 0.0, ""
-        """Whether the disk takes nothing, since when it was tried last, s, and what it says."""
+        """Whether the disk takes nothing, when it was tried last, s, and its error."""
         self.lost: dict[str, tuple[int, int]] = {}
         """First and last number of each kind that were not recorded because nothing could wait any more."""
         self.now = 0
@@ -129,7 +129,7 @@ class Recorder(Worker):
         self.taken, self.rows = [*self.taken, *self.rows], []
 
     def write(self) -> None:
-        """Writes what has come; what the disk does not take waits, and is tried again with what comes next."""
+        """Writes the rows that have come; those that the disk does not take wait, and are tried again with the next ones."""
         rows = self.taken
         if not rows or (self.failing and time.monotonic() - self.failed < FLUSH_EVERY):
             return
@@ -164,7 +164,7 @@ class Recorder(Worker):
         for _, _, path in self.parts:
             path.unlink(missing_ok=True)
         self.parts = []
-        # What joining took goes back to the system.
+        # Memory of the join goes back to the system.
         del table
         pa.default_memory_pool().release_unused()
 
@@ -180,7 +180,7 @@ class Recorder(Worker):
 
 
 def guid(fmu: Path) -> str:
-    """What tells the unit from every other; read without FMPy, whose loading would delay the first part."""
+    """GUID of the unit; read without FMPy, whose loading would delay the first part."""
     try:
         with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as stream:
             return str(next(ElementTree.iterparse(stream, events=["start"]))[1].attrib["guid"])

@@ -26,12 +26,12 @@ TOLD: Final = 5
 """Differences, gaps and rows that are no messages that are shown."""
 
 MOSTLY_LEFT_OUT: Final = 3
-"""The exit code where what was compared is the same, and is less than half."""
+"""The exit code where all compared estimates agree, and are less than half."""
 
 
 @dataclass
 class Result:
-    """What came of a replay."""
+    """Result of a replay."""
 
     compared: int = 0
     differing: list[str] = field(default_factory=list)
@@ -42,7 +42,7 @@ class Result:
     """Estimates before `since`."""
 
     gaps: list[str] = field(default_factory=list)
-    """What the recorder says is missing."""
+    """Gaps that the recorder has reported."""
 
     bad: list[str] = field(default_factory=list)
     """Why rows are no messages."""

@@ -1,4 +1,4 @@
-"""Scenes as `cargo xtask package` writes them to target/scenes/: start values, and what the drives are told over time."""
+"""Scenes as `cargo xtask package` writes them to target/scenes/: start values, and commands of the drives over time."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ class Scene:
         }
 
     def told(self, time: float) -> dict[str, float]:
-        """What the drives are told at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
+        """Commands of the drives at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
         return {name: self.at(name, time) for name in self.signals if name in INPUTS}
 
     def at(self, name: str, time: float) -> float:

@@ -1,4 +1,4 @@
-"""What has to be known to compute a twin's estimates: the unit, its start values, the plan of the drives, the sampling period."""
+"""Setup of a twin, from which its estimates follow: the unit, its start values, the plan of the drives, the sampling period."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,7 +10,7 @@ from fivebar.twin.messages import Message
 from fivebar.twin.scene import Scene, parse
 
 CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
-"""What makes a unit a twin."""
+"""Start values with which a unit follows a machine."""
 
 MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.errorTolerance": 1e-6}
 """automatic, where the scene has nothing else, at a hundredth of a step of a 16-bit encoder, rad: inputs change with every sample, which costs
@@ -19,7 +19,7 @@ it less than i3alp, and leaves a two-hundredth of the error."""
 
 @dataclass(frozen=True)
 class Setup:
-    """The same setup and the same messages give the same estimates to the bit."""
+    """Data that determine the estimates to the bit, together with the messages."""
 
     guid: str
     scene: Scene

@@ -31,7 +31,7 @@ LOOKS: Final = 20
 
 
 class Wire:
-    """Brings what one worker sends to those that listen to it, at once."""
+    """Brings the messages of one worker to those that listen to it, at once."""
 
     def __init__(self, config: Config, *workers: Worker):
         self.config, self.workers = config, workers
@@ -51,7 +51,7 @@ class Wire:
         return True
 
     def tick(self) -> None:
-        """What else the workers have to do."""
+        """Periodic work of the workers."""
         for worker in self.workers:
             worker.tick(self.now)
             worker.write()

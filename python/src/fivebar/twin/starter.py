@@ -1,4 +1,4 @@
-"""`fivebar-twin run`: starts the processes of a twin in their order, starts again what dies, shows progress, ends all, sums up."""
+"""`fivebar-twin run`: starts the processes of a twin in their order, restarts those that die, shows progress, ends all, sums up."""
 
 import argparse
 import contextlib
@@ -47,7 +47,7 @@ LARGEST_LOG: Final = 1_000_000
 """Bytes of a process' log after which it begins anew; the one before it stays, as `.log.1`."""
 
 TROUBLES: Final = 1000
-"""What processes had to tell that is remembered for the summary."""
+"""Messages of processes that are kept for the summary."""
 
 ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
 """The watch first, or it would take the end for silence."""
@@ -61,7 +61,7 @@ class Child:
     command: list[str]
     log: Path
     say: Callable[[str], None]
-    """Takes what the process has to tell, a line at a time."""
+    """Takes the messages of the process, a line at a time."""
 
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
@@ -77,7 +77,7 @@ class Child:
         threading.Thread(target=self._listen, args=(self.process,), name=self.name, daemon=True).start()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Standard output is for people, and needs no disk: one that is full is among what there is to tell."""
+        """Standard output is for people, and needs no disk: a full disk is among the messages."""
         assert process.stdout is not None
         with process.stdout as lines:
             for line in lines:
@@ -151,19 +151,19 @@ class Run:
         self._wait_for(list(self.children))
 
     def look(self) -> bool:
-        """Starts again what has died; whether the machine has come to its end."""
+        """Restarts processes that have died; returns whether the machine has come to its end."""
         ended = [name for name, child in self.children.items() if child.look()]
         for child in self.children.values():
             child.rotate()
         return "machine" in ended
 
     def say(self, line: str) -> None:
-        """Shows what a process has to tell."""
+        """Shows a message of a process."""
         self.troubles.append(line)
         print(clear() + line, flush=True)
 
     def end(self) -> None:
-        """Ends all: first what sends, then what receives, each when all has arrived."""
+        """Ends all: first the senders, then the receivers, each when all has arrived."""
         for name in ENDING:
             if name in ("follow", "record"):
                 self._settle()
@@ -171,7 +171,7 @@ class Run:
                 self.children[name].end()
 
     def _settle(self) -> None:
-        """Until nothing arrives at the recorder any more: what was sent last may still be on its way where cores are busy."""
+        """Waits until nothing arrives at the recorder any more: the last messages may still be on their way where cores are busy."""
         begin, changed, before = time.monotonic(), time.monotonic(), -1
         while time.monotonic() - begin < SETTLED_WITHIN:
             lives = self.status()
@@ -204,7 +204,7 @@ class Run:
 
 
 def clear() -> str:
-    """What makes room for a line on a terminal."""
+    """Escape sequence that clears a line of a terminal."""
     return "\r\x1b[K" if sys.stdout.isatty() else ""
 
 
@@ -214,7 +214,7 @@ def total(lives: list[dict[str, Any]], name: str) -> int:
 
 
 def hidden(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
-    """What the stand-in has and the twin does not know: masses up to 5 % off, a fifth more payload, friction in its bearings."""
+    """Properties of the stand-in that the twin does not know: masses up to 5 % off, a fifth more payload, friction in its bearings."""
 
     def value(name: str) -> float:
         return float(values.get(name, library.variable(name).start))
@@ -370,7 +370,7 @@ def run(arguments: argparse.Namespace) -> int:
         with contextlib.suppress(OSError):
             # A disk that is full has room for this, mostly; else the run looks like one under way, and stays.
             (folder / "finished").touch()
-    # What draws is loaded when nothing is in a hurry any more.
+    # Packages that draw are loaded when no message is urgent any more.
     from fivebar.twin import summary
 
     return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, arguments.out, list(run.troubles))

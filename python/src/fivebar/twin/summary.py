@@ -1,4 +1,4 @@
-"""What a run ends with: summary.json, pictures, one self-contained page, and a few lines on the terminal."""
+"""Summary of a run: summary.json, pictures, one self-contained page, and a few lines on the terminal."""
 
 import html
 import io
@@ -28,7 +28,7 @@ MOST_POINTS: Final = 3000
 """Of a line in a picture."""
 
 USUAL, SHOWN = 0.95, 1.5
-"""What a picture shows: so many times the value below which that share of all is."""
+"""Range of a picture: `SHOWN` times the value below which the share `USUAL` of all values lies."""
 
 TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
@@ -109,7 +109,7 @@ def _tell(content: dict[str, Any], out: Path) -> None:
 
 
 def _gaps(gaps: list[dict[str, Any]]) -> str:
-    """What the record lacks."""
+    """Gaps of the record, in words."""
     said = [f"{gap['of']} {gap['first']} to {gap['last']}" + (f" ({gap['why']})" if gap["why"] else "") for gap in gaps]
     return "; ".join(said[:3]) + (f" and {len(said) - 3} more gaps" if len(said) > 3 else "") or "nothing"
 
@@ -208,7 +208,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
-    """Shows what is usual; the few that are far beyond, as the first forecast of a run may be, are arrows at the edge with their values."""
+    """Shows the usual range; the few that are far beyond, as the first forecast of a run may be, are arrows at the edge with their values."""
     known = values[np.isfinite(values)]
     if not len(known):
         return

@@ -21,7 +21,7 @@ class UnitError(TwinError):
 
 
 class Library:
-    """An extracted .fmu; `close` removes what was extracted."""
+    """An extracted .fmu; `close` removes the extracted files."""
 
     def __init__(self, fmu: Path):
         if not fmu.is_file():
@@ -33,7 +33,7 @@ class Library:
 
     @property
     def guid(self) -> str:
-        """What tells this unit from every other."""
+        """GUID of the unit."""
         return str(self.model.guid)
 
     def variable(self, name: str) -> ScalarVariable:
@@ -155,7 +155,7 @@ class Unit:
         return bytes(self._call("serializeFMUstate", stored[0]))
 
     def from_bytes(self, content: bytes, time: float) -> None:
-        """Goes on from bytes that `to_bytes` gave; the unit refuses what was changed, or comes from another unit."""
+        """Goes on from bytes that `to_bytes` gave; the unit refuses bytes that were changed, or come from another unit."""
         stored = self._call("deSerializeFMUstate", content), time
         try:
             self.restore(stored)

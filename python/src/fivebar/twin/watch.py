@@ -33,13 +33,13 @@ class Settings:
     """Times in s."""
 
     on: float = 0.04
-    """A cause lasts so long before it is an anomaly."""
+    """Time that a cause lasts before it is an anomaly, s."""
 
     off: float = 0.5
-    """It is gone for so long before the anomaly is over."""
+    """Time for which the cause is gone before the anomaly is over, s."""
 
     calibrating: float = 2.0
-    """What is gathered afterwards, for a calibration."""
+    """Time of samples gathered afterwards for a calibration, s."""
 
     cooling: float = 5.0
     """No further alarm for so long."""
@@ -60,7 +60,7 @@ class Cause:
     most: float = 0.0
 
     def see(self, there: bool, value: float, now: float, on: float, off: float) -> None:
-        """It is there, or not: one that has not lasted is gone at once, one that has lasted when it has been away for a while."""
+        """Updates the cause: one that has not lasted is gone at once, one that has lasted when it has been away for a while."""
         if there:
             if math.isnan(self.since):
                 self.since, self.most = now, 0.0
@@ -93,7 +93,7 @@ class Anomalies:
     def see(self, fields: dict[str, float], now: float) -> list[dict[str, Any]]:
         """An estimate; the alarms that it leads to."""
         if math.isnan(self.last):
-            # What was before had another clock, perhaps.
+            # Earlier samples had another clock, perhaps.
             self.causes["silence"] = Cause("silence")
         if math.isnan(self.last) or now < self.last or now - self.last > self.settings.silence:
             if self.state in ("starting", "listening"):

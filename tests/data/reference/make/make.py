@@ -39,7 +39,7 @@ SCENES = {
     "singular_crossing": 4,  # to before its vertex, at 0.5 s
 }
 
-# The same of scenes with friction that sticks, which sticking.c alone knows.
+# Steps per millisecond of scenes with friction that sticks, which sticking.c alone knows.
 STICKING = {
     "friction_fall_stick": 10,
     "run_down_stick": 10,
@@ -96,7 +96,7 @@ def make_sticking(scene: str, sticking: Path) -> None:
 
 
 def scene_text(scene: str, tenths: int) -> str:
-    """What the programs read: values of variables, then the inputs that change by the millisecond."""
+    """Input of the programs: values of variables, then the inputs that change by the millisecond."""
     own = own_values(scene)
     signals = own.get("signals", {})
     items = enumeration_items()
@@ -153,7 +153,7 @@ def enumeration_items() -> dict[str, dict[str, int]]:
 
 
 def own_values(scene: str) -> dict[str, float | bool | str | dict]:
-    """What the scene sets; enumerations by the names of their items, and its signals."""
+    """Values that the scene sets; enumerations by the names of their items, and its signals."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
     own = {name: value for name, value in content.items() if name in {"signals", *start_values()}}
     items = enumeration_items()

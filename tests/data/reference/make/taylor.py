@@ -238,7 +238,7 @@ def integrator(scene: Scene, state: list[mpmath.mpf], held: list, time):
     machine = Machine(scene)
     accelerations = machine.accelerations()
     system = list(zip(machine.theta, machine.omega)) + list(zip(machine.omega, accelerations))
-    # Which side each switch is on, in double precision: no scene starts on a switch.
+    # Side of each switch in double precision: no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
     sides = [float(hy.cfunc([g], list((*machine.theta, *machine.omega)))(np.array(list(names.values())))[0]) for g in machine.switches]
     inputs = len(scene.changing)

@@ -1,4 +1,4 @@
-"""`fivebar-twin calibrate FILE`: what the machine is, from what its encoders saw."""
+"""`fivebar-twin calibrate FILE`: parameters of the machine from samples of its encoders."""
 
 import argparse
 import json
@@ -44,10 +44,10 @@ WELL_TOLD: Final = 0.05
 """Standard deviation in sizes."""
 
 WRONG: Final = 0.05
-"""rad: residuals of a machine that is not the scene's; encoders and what a model leaves out are far below."""
+"""rad: residuals of a machine that is not the scene's; noise of encoders and unmodelled effects are far below."""
 
 ODD: Final = 10.0
-"""How many times what encoders show residuals may be without a warning, if they are above `SMALL`."""
+"""Ratio of residuals to the noise of the encoders up to which there is no warning; residuals below `SMALL` never cause one."""
 
 SMALL: Final = 1e-3
 """rad."""
@@ -67,12 +67,12 @@ class Result:
     """Why values may be off by more than their bars, or ""."""
 
     def refused(self) -> list[int]:
-        """Which unknowns the record does not tell."""
+        """Indices of the unknowns that the record does not identify."""
         return [k for k, known in enumerate(self.judgement.identified) if not known]
 
 
 def calibrate(machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf) -> Result:
-    """Fits; then once more with what is not told kept as the scene has it."""
+    """Fits; then once more with the unknowns that are not identified held at the scene's values."""
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
     fit = fitter.run()
@@ -81,7 +81,7 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
     for _ in range(2):
         told = len(pins)
         pins = _pins(judgement, len(sought))
-        # What was believed before moves nothing that is told this well.
+        # The prior moves no unknown that is identified this well.
         if len(pins) == told and (told or float(np.max(judgement.sigma)) < WELL_TOLD):
             break
         if len(pins):
@@ -108,7 +108,7 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
 
 
 def _both(before: Judgement, later: Judgement) -> Judgement:
-    """What is told by the later fit, and was by the earlier."""
+    """Judgement of the later fit, with an unknown identified only if both fits identify it."""
     identified = [a and b for a, b in zip(before.identified, later.identified, strict=True)]
     combinations = max(later.combinations, before.combinations, key=len)
     return replace(later, identified=identified, combinations=combinations)
@@ -170,14 +170,14 @@ def _show(text: str) -> None:
 
 
 def usual(scene: Values) -> list[str]:
-    """What is sought if nothing is said: what the scene has."""
+    """Names of the default unknowns: those of `USUAL` that the scene has."""
     left_out = [] if scene.get("payload.enabled", False) else ["payload.mass"]
     left_out += [] if scene.get("gravity.enabled", True) else ["gravity.direction"]
     return [name for name in USUAL if name not in left_out]
 
 
 def fitted_values(result: Result, scene: Values, library: Library) -> Values:
-    """Start values with what was found; what is not told alone stays as the scene has it."""
+    """Start values with the estimates; unknowns that are not identified alone keep the scene's values."""
     kept = [k for k, parameter in enumerate(result.sought) if result.judgement.identified[k] or abs(result.fit.x[k] - parameter.origin) > 1e-3]
     return assemble(scene, library, [result.sought[k] for k in kept], [float(result.fit.x[k]) for k in kept])
 
@@ -192,7 +192,7 @@ def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.
     values = fitted_values(result, scene, library)
     values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
     values["init.assembly"] = first.assembly
-    # What the drives were told at first: without a master the machine stays there.
+    # First commands of the drives as start values: without a master the machine stays there.
     values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
     scenes.write(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library)
 

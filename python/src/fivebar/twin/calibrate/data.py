@@ -1,4 +1,4 @@
-"""What was measured: angles of the encoders and what the drives were told, from a record (Parquet) or a table (CSV)."""
+"""Measured series: angles of the encoders and commands of the drives, from a record (Parquet) or a table (CSV)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ LARGEST_CSV: Final = 1_000_000_000
 """Bytes of a table that is read at most."""
 
 GAP: Final = 5.5
-"""Usual distances of two samples after which a series ends: what the drives were told in a longer gap is not known."""
+"""Usual distances of two samples after which a series ends: commands of the drives in a longer gap are not known."""
 
 SLOW: Final = 0.5
 """s a sample: nothing that moves is sampled as slowly to be calibrated, but ms that are taken for s look so."""
@@ -33,7 +33,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Samples:
-    """A series: times in s from its first sample, rising; angles in rad, NaN where an encoder said nothing; what drives were told."""
+    """A series: times in s from its first sample, rising; angles in rad, NaN where an encoder has no sample; commands of the drives."""
 
     time: Array
     """(n)."""
@@ -42,7 +42,7 @@ class Samples:
     """(n, 2)."""
 
     commands: Array
-    """(n, m), no NaN: what was not told again stays."""
+    """(n, m), no NaN: a command stays until the next one."""
 
     names: tuple[str, ...]
     """The m inputs of the unit."""
@@ -57,7 +57,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Data:
-    """Series without gaps, and what is to be said about how they came to be."""
+    """Series without gaps, and notes on how they were made."""
 
     series: list[Samples]
     notes: list[str]
@@ -87,7 +87,7 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
 
 
 def _check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
-    """Refuses what looks like milliseconds and degrees."""
+    """Refuses times that look like milliseconds and angles that look like degrees."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if step >= SLOW:
         what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
@@ -102,7 +102,7 @@ def _check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
 
 
 def check(data: Data) -> None:
-    """Refuses what no machine can be found from: too short, at rest though it is told to move, with its encoders in the places of each other."""
+    """Refuses data from which no machine can be found: too short, at rest though it is told to move, with its encoders in the places of each other."""
     span = sum(float(series.time[-1] - series.time[0]) for series in data.series)
     if span < SHORTEST:
         raise TwinError(f"the record has {span:.3g} s; {SHORTEST:g} s or more are needed")
@@ -147,13 +147,13 @@ def split(time: Array, table: dict[str, Array], notes: list[str]) -> Data:
 
 
 def _stays(column: Array) -> Array:
-    """Where nothing was told, what was told last; before the first, the first."""
+    """Column with each NaN replaced by the last number before it, or by the first number of all."""
     known = np.flatnonzero(np.isfinite(column))
     return column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]]
 
 
 def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
-    """Samples in the order of their count; what came twice counts once, what is no message is counted."""
+    """Samples in the order of their count; a repeated sample counts once, rows that are no messages are counted."""
     found: dict[int, tuple[int, dict[str, float]]] = {}
     refused = doubled = restarts = 0
     units: set[str] = set()
@@ -169,7 +169,7 @@ def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
             continue
         units.add(of)
         if message.seq < highest - 1000:
-            # The machine counts anew: what follows comes after all that was.
+            # The machine counts anew: later samples are put after all earlier ones.
             base, highest, restarts = max(found) + 1000, -1, restarts + 1
         highest = max(highest, message.seq)
         if base + message.seq in found:

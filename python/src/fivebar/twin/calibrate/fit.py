@@ -25,7 +25,7 @@ MOVED: Final = 1e-3
 """rad: by how much the step of a derivative may move a trajectory."""
 
 TIGHT: Final = 1e-11
-"""rad: error per step of the runs that count, below what unknowns do to them by orders of magnitude, so that differences can be taken."""
+"""rad: error per step of the runs that count, below the effect of unknowns on them by orders of magnitude, so that differences can be taken."""
 
 LOOSE: Final = 1e-8
 """rad: of the runs on the way there."""
@@ -40,10 +40,10 @@ LEVELS: Final = (0.5, 2.0)
 """s: pieces of the first fits; those of the last are whole series, or `longest`."""
 
 BELIEVED: Final = 1.0
-"""Standard deviation, in sizes of each unknown, of what is believed before while it is not known what the record tells."""
+"""Standard deviation, in sizes of each unknown, of the prior in the first fit, before it is known which unknowns the record identifies."""
 
 WEAK: Final = 10.0
-"""The same once that is known: nothing to speak of."""
+"""Standard deviation of the prior, in sizes of each unknown, in later fits: too wide to move an estimate."""
 
 OUTLIER: Final = 5.0
 """Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
@@ -69,7 +69,7 @@ class Piece:
 
 @dataclass
 class Fit:
-    """What came out. `jacobian` is of what encoders show, rad per unknown, for rows that are compared; columns are unknowns, then starts."""
+    """Result of a fit. `jacobian` is of the encoders' angles, rad per unknown, for rows that are compared; columns are unknowns, then starts."""
 
     machine: Machine
     pieces: list[Piece]
@@ -105,7 +105,7 @@ class Fitter:
         self.patience, self.ends = patience, time.process_time() + patience
         self.noise = least_noise(data)
         self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
-        """Of which fit, where, and what the derivatives were."""
+        """Derivatives that have been computed: of which fit, at which point, and their values."""
         self.delayed = any(p.name == DELAY for p in self.sought)
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class Fitter:
         return pieces
 
     def in_sight(self, pieces: list[Piece], z: Array) -> bool:
-        """Whether the motion stays near what was measured over whole series too."""
+        """Whether the motion stays near the measured one over whole series too."""
         p = len(self.sought)
         longer = self.joined(unpack(z, pieces, p), z[:p], self.longest)
         return float(np.max(spread(self.gaps(longer, pack(z[:p], longer)), longer))) < IN_SIGHT
@@ -164,7 +164,7 @@ class Fitter:
         return found
 
     def compared(self, samples: Samples) -> Array:
-        """Which angles are compared: those that there are; not the last of a piece that another one begins with."""
+        """Mask of the angles that are compared: all finite ones but the last of a piece with which another piece begins."""
         mask = np.isfinite(samples.angles)
         ends = {series.time[-1] for series in self.data.series}
         if samples.time[-1] not in ends:
@@ -176,7 +176,7 @@ class Fitter:
     # --- residuals and derivatives ----------------------------------------------------------------------------------------------
 
     def motion(self, piece: Piece, x: Array, state: Array) -> Array:
-        """What encoders would show of a piece, (n, 2)."""
+        """Angles that the encoders would show over a piece, rad, (n, 2)."""
         if time.process_time() > self.ends:
             raise TwinError(
                 f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
@@ -196,7 +196,7 @@ class Fitter:
         return found
 
     def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
-        """d(what encoders show)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
+        """d(angles of the encoders)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
         p = len(self.sought)
         self.evaluations += (2 if central else 1) * (p + 4)
         found = []
@@ -210,7 +210,7 @@ class Fitter:
                 for sign in (1.0, -1.0) if central else (1.0,):
                     x, s = z[:p].copy(), state.copy()
                     if j < p:
-                        # At the bound of an unknown just inside of it, for the unit refuses what is outside.
+                        # At the bound of an unknown just inside of it, for the unit refuses values outside.
                         x[j] = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) + sign * step
                     else:
                         s[j - p] += sign * step
@@ -286,7 +286,7 @@ class Fitter:
         return self.finish(pieces, z, outliers, rms_before)
 
     def settle(self, pieces: list[Piece], z: Array, final: bool, pinned: Array | None) -> tuple[Array, int]:
-        """Fits until the residuals, and with them what counts as an outlier, stay what they are; how many outliers there are."""
+        """Fits until residuals and outliers stay as they are; returns the number of outliers."""
         before, left_out = np.full(2, np.inf), -1
         for _ in range(8):
             gaps = self.gaps(pieces, z)
@@ -355,7 +355,7 @@ class Fitter:
         # A leap among leaps is the fit's fault, not a sample's.
         alone = [leap / np.maximum(usual, np.nan_to_num(around(leap, 10))) for leap in leaps]
         leapt = beyond(usable, alone, np.full(2, OUTLIER))
-        # What is far off counts once residuals are down to what third differences of the samples show.
+        # Large residuals mark outliers once the residuals are near the noise that third differences of the samples show.
         reached = bool(np.all(sigma < 50 * self.noise))
         far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma if reached else np.full(2, np.inf))
         for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
@@ -368,7 +368,7 @@ class Fitter:
 
 
 def least_noise(data: Data) -> Array:
-    """The least standard deviation to believe in, rad: a tenth of what third differences show of each encoder, and not 0."""
+    """The least standard deviation to believe in, rad: a tenth of the noise that third differences of each encoder show, and not 0."""
     found = []
     for i in (0, 1):
         thirds = np.concatenate([np.diff(s.angles[:, i], 3) for s in data.series])
@@ -378,7 +378,7 @@ def least_noise(data: Data) -> Array:
 
 
 def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array]:
-    """Which samples are beyond their encoder's limit: the furthest ones only, if these are more than `FEW` of all.
+    """Masks of the samples beyond their encoder's limit: the furthest ones only, if these are more than `FEW` of all.
 
     Where many are, the fit is not there yet, or the machine is another one.
     """
@@ -393,7 +393,7 @@ def around(gap: Array, reach: int = 4) -> Array:
     padded = np.pad(gap, ((reach, reach), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
     with warnings.catch_warnings():
-        # Where nothing was measured there is no median.
+        # A window without a sample has no median.
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmedian(windows, axis=2))
 
@@ -439,5 +439,5 @@ def spread(gaps: list[Array], pieces: list[Piece]) -> Array:
 
 
 def wrapped(angle: Array) -> Array:
-    """The same angle within half a turn."""
+    """Angle less its whole turns, rad, within half a turn of 0."""
     return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

@@ -1,4 +1,4 @@
-"""What a record says of each unknown: error bars, the Cramér-Rao bound, correlations, and combinations of which it says nothing.
+"""Identifiability: error bars of the unknowns, the Cramér-Rao bound, correlations, and combinations that a record does not identify.
 
 The bound is that of white noise with the standard deviation of the residuals: (JᵀJ)⁻¹σ², starts of the series included. Error bars
 are the same where residuals are white, and wider where they hang together (a resting encoder, a machine that is not as the scene has
@@ -17,13 +17,13 @@ from fivebar.twin.calibrate.fit import WEAK, Fit
 from fivebar.twin.calibrate.parameters import Parameter
 
 LIMIT: Final = 0.5
-"""Standard deviation, in sizes of an unknown, from which on it counts as not identified: half of what the scene says."""
+"""Standard deviation, in sizes of an unknown, from which on it counts as not identified: half of the scene's value."""
 
 COMES_AGAIN: Final = 0.3
 """Correlation from which on residuals count as the same ones again."""
 
 DOUBTED: Final = 10.0
-"""How many times the derivatives' own error what is told by them has to be."""
+"""Ratio of a combination's effect to the error of the derivatives above which the derivatives are believed."""
 
 WEIGHT: Final = 0.1
 """Of an unknown in a combination, from which on it is named."""
@@ -42,7 +42,7 @@ class Combination:
 
     def sentence(self, sought: list[Parameter]) -> str:
         """The combination in words."""
-        # Of a factor what counts is its change against what it is.
+        # A factor is judged by its change relative to its value.
         scale = np.array([max(abs(x), 1e-3) if p.factor else 1.0 for p, x in zip(sought, self.at, strict=True)])
         weights = self.weights / scale
         weights = weights / np.linalg.norm(weights)
@@ -76,7 +76,7 @@ class Judgement:
 
 
 def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
-    """What the record says of each unknown."""
+    """Error bars of the unknowns, and which of them the record identifies."""
     p = len(sought)
     weights = 1 / fit.sigma[fit.rows[:, 2]]
     jacobian = fit.jacobian * weights[:, None]
@@ -101,7 +101,7 @@ def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
 
 
 def without_starts(jacobian: Array, p: int) -> Array:
-    """The unknowns' columns, less what starts of the series could do as well."""
+    """The unknowns' columns, less their projection on the columns of the series' starts."""
     starts = jacobian[:, p:]
     scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
     q, r = np.linalg.qr(starts / scale)
@@ -125,7 +125,7 @@ class Together:
 
 
 def together(fit: Fit, scores: Array) -> Together:
-    """From the autocorrelation of the residuals: summed up to Sokal's window, and looked through for what comes again."""
+    """From the autocorrelation of the residuals: summed up to Sokal's window, and searched for a period."""
     series = [scores[(fit.rows[:, 0] == n) & (fit.rows[:, 2] == e)] for n in range(len(fit.residuals)) for e in (0, 1)]
     series = [s for s in series if len(s) > 40]
     if not series:
@@ -135,7 +135,7 @@ def together(fit: Fit, scores: Array) -> Together:
     for s in series:
         spectrum = np.abs(np.fft.rfft(s, 2 * len(s))) ** 2
         part = np.fft.irfft(spectrum)[: min(len(s), longest) // 2]
-        # As many products for each lag: what comes again looks as large as it is.
+        # As many products for each lag, so that a periodic part has its true size.
         products[: len(part)] += part * len(s) / (len(s) - np.arange(len(part)))
     count = sum(map(len, series))
     products /= products[0]
@@ -145,7 +145,7 @@ def together(fit: Fit, scores: Array) -> Together:
     total = float(sums[window])
     beyond = products[2 * window :] if len(products) > 2 * window else np.zeros(1)
     again = 2 * window + int(np.argmax(beyond)) if float(beyond.max()) > COMES_AGAIN else 0
-    # What white noise shows by chance: products have a standard deviation of 1/sqrt(count) each.
+    # A sum that white noise reaches by chance: products have a standard deviation of 1/sqrt(count) each.
     if total - 1.0 < 6.0 * math.sqrt(window / count):
         window, total = 0, 1.0
     return Together(2 * window, again, total * (longest / again if again else 1.0))
@@ -179,7 +179,7 @@ def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array,
     _, _, directions = np.linalg.svd(projected, full_matrices=False)
     for direction in directions:
         with_it = jacobian[:, :p] @ direction
-        # What the starts do at the same time, so that little is seen of it.
+        # Change of the starts that hides most of the direction's effect.
         answer = -np.linalg.lstsq(starts / scale, with_it, rcond=1e-9)[0] / scale
         seen = float(np.linalg.norm(with_it + starts @ answer))
         errs = float(np.linalg.norm(doubt @ np.concatenate([direction, answer])))

@@ -1,4 +1,4 @@
-"""Runs of the unit along what the drives were told: the motion that an encoder would have seen, for given unknowns and a given start."""
+"""Runs of the unit along the commands of the drives: the motion that an encoder would have seen, for given unknowns and a given start."""
 
 from collections.abc import Sequence
 from ctypes import c_double
@@ -19,15 +19,15 @@ METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
 
 SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 LOST: Final = 1e3
-"""rad: what a run shows that could not go on."""
+"""Angle in the place of those of a run that could not go on, rad."""
 
 Between = Literal["rate", "linear", "hold"]
-"""What drives do between two samples: servo.theta goes on at servo.omega, as the twin has it; straight lines; or all is held."""
+"""Commands between two samples: servo.theta goes on at servo.omega, as in the twin; straight lines; or all are held."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a series begins: angles, rad; rates, rad/s; the side of the tip."""
+    """Start of a series: angles, rad; rates, rad/s; the side of the tip."""
 
     state: Array
     """(4): theta[1], theta[2], omega[1], omega[2]."""
@@ -36,7 +36,7 @@ class Start:
 
 
 class Path:
-    """What the drives are told along a series, ready for calls: at each sample, and where samples were lost at the times of these."""
+    """Commands of the drives along a series, ready for calls: at each sample, and at the times of lost samples."""
 
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
@@ -67,7 +67,7 @@ def with_lost(time: Array, period: float) -> tuple[Array, Array]:
 
 
 def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
-    """What drives were told at other times too: angles of servos on cubics through angles and rates, all else on straight lines."""
+    """Commands at other times: angles of servos on cubics through angles and rates, all else on straight lines."""
     if len(knots) == len(time):
         return commands
     found = np.column_stack([np.interp(knots, time, column) for column in commands.T]) if len(names) else np.empty((len(knots), 0))
@@ -123,7 +123,7 @@ class Machine:
         return out, assembly if assembly in (1, 2) else start.assembly
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
-        """What encoders show of that motion at the samples' times, (n, 2): late, and with their offsets."""
+        """Angles of the encoders at the samples' times, rad, (n, 2): with their delay and offsets."""
         added = {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
         angles = late(path.knots, motion, added.get(DELAY, 0.0))
         return angles[path.rows] + np.array([added.get(name, 0.0) for name in OFFSETS])

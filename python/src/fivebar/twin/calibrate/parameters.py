@@ -1,4 +1,4 @@
-"""What is sought: parameters of the unit by name, several of them in one proportion, and what encoders add.
+"""Unknowns of a calibration: parameters of the unit by name, several of them in one proportion, and offsets and delay of encoders.
 
 `link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a number of size 1, `x`, that is 1 (a factor) or 0 (an
 addition) where the machine is as the scene says. With a link's mass its inertia goes in proportion, with its length its centre of
@@ -18,13 +18,13 @@ Values = dict[str, float | int | bool]
 OFFSETS: Final = ("encoder.offset[1]", "encoder.offset[2]")
 DELAY: Final = "encoder.delay"
 ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
-"""What is not of the unit, but between it and what is measured: unit, and a size that would be much."""
+"""Unknowns of the measurement, which are no parameters of the unit: SI unit, and a size that would be much."""
 
 MUCH_ANGLE: Final = 0.2
 """rad; a size that would be much for an angle that is not known."""
 
 SWITCHES: Final = {"payload": "payload.enabled", "viscous": "viscous.enabled", "friction": "friction.enabled", "spring": "spring.enabled", "rotor": "rotor.enabled"}
-"""What has to be on for parameters that begin so."""
+"""Switch that has to be on, by the first word of a parameter's name."""
 
 USUAL: Final = (
     "payload.mass",
@@ -38,7 +38,7 @@ USUAL: Final = (
     "gravity.direction",
     *OFFSETS,
 )
-"""What is sought if nothing is said."""
+"""Default unknowns."""
 
 BRACKETS: Final = re.compile(r"\[([\d,]+)\]")
 
@@ -50,14 +50,14 @@ class Parameter:
     name: str
     unit: str
     members: tuple[str, ...]
-    """Variables of the unit; none for what encoders add."""
+    """Variables of the unit; none for offsets and delay of encoders."""
 
     base: tuple[float, ...]
     """Their values where x is 1 (factor), or 0 (addition)."""
 
     factor: bool
     size: float
-    """Of an addition: what x = 1 adds. Of a factor 1."""
+    """Amount that x = 1 adds, for an addition; 1 for a factor."""
 
     lowest: float
     """The least x."""
@@ -66,7 +66,7 @@ class Parameter:
     """x where the fit begins."""
 
     def value(self, x: float) -> tuple[float, ...]:
-        """Of each member (of what encoders add: the only one)."""
+        """Of each member (offsets and delay of encoders have one)."""
         return tuple(base * x if self.factor else base + self.size * x for base in self.base)
 
     def bar(self, sigma: float) -> tuple[float, ...]:
@@ -104,7 +104,7 @@ def _parameter(name: str, library: Library, scene: Values) -> Parameter:
     switch = SWITCHES.get(name.partition(".")[0])
     off = switch is not None and not scene.get(switch, False)
     if off or not any(base):
-        # Nothing to be a factor of: what the unit starts with says how much would be much.
+        # A factor of 0 is nothing: the unit's own start value gives the size that would be much.
         size = max((abs(float(library.variable(member).start)) for member in members), default=0.0) or 1.0
         return Parameter(name, unit, members, (0.0,) * len(members), False, size, 0.0, 0.1)
     rigid = name.endswith((".mass", ".length", ".distance", ".inertia")) and not name.startswith("payload")

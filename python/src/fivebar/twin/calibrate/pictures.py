@@ -1,4 +1,4 @@
-"""The pictures of a calibration: residuals, and what the record says of each unknown."""
+"""Pictures of a calibration: residuals, and error bars of the unknowns."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ def draw(out: Path, fit: Fit, judgement: Judgement, sought: Sequence[Parameter])
 
 
 def _residuals(fit: Fit) -> Figure:
-    """Measured minus computed, of both encoders, with what was left out, and how values spread."""
+    """Residuals of both encoders, measured minus computed, with the outliers, and their distribution."""
     figure, rows = plt.subplots(2, 2, figsize=(11, 5.6), width_ratios=(4, 1), sharex="col")
     for i, colour in enumerate((LEFT, RIGHT)):
         axes, side = rows[i]

@@ -1,4 +1,4 @@
-"""A motion that tells what a record did not: of some motions the one with which the unknowns' error bars become least.
+"""A motion that identifies unknowns which a record did not: of some motions the one with which the unknowns' error bars become least.
 
 Each motion is run with the unknowns as they were found; its information is added to the record's. Motors are led on sums of two sines
 by the servos that the scene has, or else soft ones of 2 N.m/rad and 0.02 N.m.s/rad.
@@ -29,18 +29,18 @@ NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.ome
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion, and what is expected of a record of it together with the present one."""
+    """A motion, and the error bars expected of a record of it together with the present one."""
 
     amplitude: float
     frequency: float
     values: Values
-    """What the scene of it has beside the unknowns."""
+    """Start values of its scene beside the unknowns."""
 
     sigma: Array
     """Standard deviations of the unknowns, in sizes."""
 
     def told(self, refused: Sequence[int]) -> list[int]:
-        """Which of those unknowns it would tell."""
+        """Those of the refused unknowns that a record of the motion would identify."""
         return [k for k in refused if self.sigma[k] < LIMIT]
 
     def signals(self) -> dict[str, Any]:
@@ -51,7 +51,7 @@ class Motion:
 
 
 def references(motion: Motion) -> tuple[Array, Array]:
-    """Times, s, and what both motors are led along, rad. Both begin at rest where the machine does."""
+    """Times, s, and references of both motors, rad. Both begin at rest where the machine does."""
     time = np.arange(0.0, SECONDS + STEP / 2, STEP)
     turn = 2 * math.pi * motion.frequency
     # A second of growing, so that the machine is not jerked.
@@ -109,7 +109,7 @@ def _tried(machine: Machine, fit: Fit, sought: list[Parameter], information: Arr
     rate = STEP / fitter_period(fit)
     total = information + rate * told.T @ told
     sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(total, rcond=1e-13)), 0.0))
-    # What a pseudo-inverse leaves out is not known, but would look so.
+    # Directions that a pseudo-inverse drops are not identified, but would have a bar of 0.
     values, vectors = np.linalg.eigh(total)
     lost = vectors[:, values < max(values.max() * 1e-12, 1 / LIMIT**2)]
     sigma[np.sum(lost**2, axis=1) > 0.01] = np.inf

@@ -15,11 +15,11 @@ RESERVED: Final = ("description", "experiment", "signals", "overlay")
 """Keys of a scene's file that are no variables."""
 
 KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
-"""What says how one computes, and not what the machine is."""
+"""First words of variables that set the computation, and not the machine."""
 
 
 def start_values(given: Path | None, data: Path, library: Library) -> tuple[Values, str]:
-    """What the machine is taken for before: a file of scenes/ or target/scenes/, or what the record says of its run; and where from."""
+    """Start values assumed of the machine, and their source: a file of scenes/ or target/scenes/, or the record's message about its run."""
     if given is not None:
         file = found(given)
         return read(file, library), str(file)

@@ -57,7 +57,7 @@ NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.ome
 
 @dataclass(frozen=True)
 class Bench:
-    """A machine, what its drives are told, and its encoders."""
+    """A machine, the commands of its drives, and its encoders."""
 
     values: Values
     begin: tuple[float, float] = BEGIN
@@ -121,7 +121,7 @@ def away(bench: Bench) -> bool:
 
 
 def path(seconds: float = 5.0, bench: Bench = ONE) -> tuple[Array, Array]:
-    """Times, s, and what the drives are told (`NAMES`)."""
+    """Times, s, and commands of the drives (`NAMES`)."""
     time = np.arange(0.0, seconds + PERIOD / 2, PERIOD)
     turn = 2 * math.pi * bench.tempo * time
     angles = np.column_stack([
@@ -142,7 +142,7 @@ def made(machine: Machine, x: Array, chance: np.random.Generator, seconds: float
 
 
 def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:
-    """A trial: how far off it is, what it says of itself, and the bound, in sizes of the unknowns; seconds of CPU."""
+    """A trial: error, standard deviation that it claims, and the bound, in sizes of the unknowns; seconds of CPU."""
     chance = np.random.Generator(np.random.Philox(key=key))
     bench = ONE if machines == "one" else any_bench(np.random.Generator(np.random.Philox(key=key).jumped()), library)
     sought = parameters(SOUGHT, library, bench.values)
@@ -174,7 +174,7 @@ def done(file: Path, guid: str, machines: str = "one") -> dict[int, dict[str, An
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 if the bars of each unknown hold the truth as often as they should, within what chance does in so many trials."""
+    """0 if the bars of each unknown hold the truth as often as they should, within the chance of so many trials."""
     keys = range(arguments.first, arguments.first + arguments.trials)
     if len(keys) < 1 or keys[0] < 0:
         raise TwinError(f"trials are {arguments.trials}, from number {arguments.first}; at least one is needed, from 0 on")
@@ -203,7 +203,7 @@ def column(rows: list[dict[str, Any]], name: str) -> Array:
 
 
 def inside(rows: list[dict[str, Any]]) -> Array:
-    """Which 95 % bars hold the truth, 1 or 0, NaN where the record was said not to tell the unknown; (trials, unknowns)."""
+    """1 where a 95 % bar holds the truth, else 0, NaN where the unknown was judged not identified; (trials, unknowns)."""
     held = np.abs(column(rows, "off")) <= interval(1.0) * column(rows, "sigma")
     told = np.array([row.get("identified", [True] * held.shape[1]) for row in rows])
     return np.where(told, held, np.nan)

@@ -28,17 +28,17 @@ class UnitOnWorker(WorkerPlugin):  # type: ignore[misc]
         self.fmu, self.plan, self.name = fmu, plan, name
 
     def setup(self, worker: Any) -> None:
-        """Nothing yet: the first task makes what it needs, in its own thread."""
+        """Nothing yet: the first task makes library and runner, in its own thread."""
         self.lock, self.own = threading.Lock(), threading.local()
         self.library: Library | None = None
 
     def teardown(self, worker: Any) -> None:
-        """Removes what was extracted."""
+        """Removes the extracted library."""
         if self.library is not None:
             self.library.close()
 
     def runner(self) -> Runner:
-        """This thread's instance."""
+        """The runner of the calling thread."""
         if not hasattr(self.own, "runner"):
             with self.lock:
                 if self.library is None:

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def plan_of(arguments: argparse.Namespace) -> tuple[bytes, Plan]:
-    """The unit as bytes, and what members have in common; refused is what the unit would refuse on each worker."""
+    """The unit as bytes, and values that all members have in common; refused if the unit would refuse them on each worker."""
     for name, least in (("members", 1), ("points", 1), ("workers", 0), ("seed", 0)):
         if getattr(arguments, name) < least:
             raise TwinError(f"{name} is {getattr(arguments, name)}; {least} or more is allowed")
@@ -96,7 +96,7 @@ def plan_of(arguments: argparse.Namespace) -> tuple[bytes, Plan]:
 
 
 def from_scene(given: Path, library: Library, spread: dict[str, float], common: dict[str, Any]) -> Plan:
-    """Members that begin as a scene does and whose drives are told what it says."""
+    """Members that begin as a scene does and have its commands."""
     file = scenes.found(given)
     values = scenes.read(file, library)
     names, rows, period = (), (), 0.005
@@ -118,7 +118,7 @@ def from_state(file: Path, library: Library, spread: dict[str, float] | None, co
 
 
 def of_state(state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]) -> Plan:
-    """The same from bytes."""
+    """Members that begin at a stored state."""
     unit = Unit(library)
     try:
         unit.from_bytes(state, clock)

@@ -1,4 +1,4 @@
-"""Members of an ensemble, one after the other on an instance of the unit: what a worker does.
+"""Members of an ensemble, one after the other on an instance of the unit: the work of a worker.
 
 A member is its number: what is drawn for it comes from a generator of its own (Philox, keyed with seed and number), so that it is the
 same wherever and whenever it runs. It begins from a stored state of the unit; where it differs in what is fixed after the start, or in
@@ -20,10 +20,10 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library, Reader, Unit, UnitError
 
 STATE: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
-"""Where a run begins; a spread of them is in rad and rad/s."""
+"""Names of a run's start; a spread of them is in rad and rad/s."""
 
 SHOWN: Final = ("tip.x", "tip.y", "theta[1]", "theta[2]")
-"""What is kept of each member at every point of time."""
+"""Values of each member that are kept at every point of time."""
 
 KINDS: Final = ("none", "direct", "inverse, left", "inverse, right")
 """Of the first singularity, by number."""
@@ -91,7 +91,7 @@ class Runner:
         self.times = self._times()
 
     def _switches(self) -> bool:
-        """Whether what is sought switches an effect on."""
+        """Whether an uncertain parameter switches an effect on."""
         return any(self.values.get(name) != value for name, value in assemble(self.plan.values, self.library, self.sought, [p.origin for p in self.sought]).items() if name.endswith(".enabled"))
 
     def _times(self) -> list[tuple[float, float, bool]]:
@@ -111,7 +111,7 @@ class Runner:
         return [float(x) for x in chance.standard_normal(len(self.plan.spreads))]
 
     def start(self, member: int) -> dict[str, float]:
-        """Brings a member to its begin; what it differs in."""
+        """Brings a member to its begin; returns the values in which it differs."""
         plan, unit = self.plan, self.unit
         offs = {name: sigma * x for (name, sigma), x in zip(plan.spreads.items(), self.drawn(member), strict=True)}
         x = [p.origin + offs[name] for p, name in zip(self.sought, self.of_machine, strict=True)]

@@ -30,7 +30,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Story:
-    """What an ensemble says."""
+    """Results of an ensemble."""
 
     time: Array
     bands: dict[str, Array]
@@ -139,7 +139,7 @@ def _singular(story: Story) -> Figure:
     figure, axes = plt.subplots(figsize=(10, 4.6))
     latest = max((float(times.max()) for times in story.singular_times.values() if len(times)), default=0.0)
     met = sum(map(len, story.singular_times.values()))
-    # Where all have met one, what comes later is empty.
+    # Once all members have met a singularity, later bins are empty.
     end = min(float(story.time[-1]), 1.2 * latest) if met + story.failed >= story.members else float(story.time[-1])
     running = max(1, story.members - story.failed)
     edges = np.linspace(0, end, 81)

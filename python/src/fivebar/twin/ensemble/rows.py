@@ -44,7 +44,7 @@ def library_of(fmu: bytes) -> Library:
 
 
 def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """The same without Dask, in this process."""
+    """Tables of the members, computed in this process without Dask."""
     library = library_of(fmu)
     try:
         yield from here(library, plan, members)
@@ -53,7 +53,7 @@ def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
 
 
 def here(library: Library, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """The same with a unit that is extracted."""
+    """Tables of the members by a unit that is extracted."""
     runner = Runner(library, plan)
     try:
         for first in range(0, members, CHUNK):

@@ -1,4 +1,4 @@
-"""`fivebar-twin what-if`: from the running twin's snapshot, what each of some commands would lead to; ranked, and published as `whatif`.
+"""`fivebar-twin what-if`: outcomes of some commands, each from the running twin's snapshot; ranked, and published as `whatif`.
 
 A command is a way of the drives' inputs from the snapshot on. Each is run by some members that differ as much as the twin is uncertain,
 the same members for all commands, so that their outcomes differ by the commands alone. The better one meets a singularity less
@@ -45,7 +45,7 @@ class Candidate:
     knots: dict[str, list[tuple[float, float]]]
 
     def rows(self, told: dict[str, float], names: tuple[str, ...], seconds: float) -> tuple[tuple[float, ...], ...]:
-        """Of those inputs, every `PERIOD`. What has no knots stays as it was told; a servo's rate is that of its angle."""
+        """Of those inputs, every `PERIOD`. An input without knots keeps its value; a servo's rate is that of its angle."""
         times = PERIOD * np.arange(math.ceil(seconds / PERIOD - 1e-9) + 1)
         columns = []
         for name in names:
@@ -104,7 +104,7 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
 
 
 def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list[float] | None) -> dict[str, Any]:
-    """What a command leads to."""
+    """Outcome of a command: probabilities, spread of the tip, score."""
     content = pa.concat_tables(tables)
     x, y = (np.stack(content[name].to_numpy()).astype(float) for name in ("tip.x", "tip.y"))
     ended = np.isfinite(x).all(axis=1)
@@ -128,7 +128,7 @@ def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list
 
 
 def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The best first: probabilities in steps of 5 %, which is what some members can tell, then the score."""
+    """The best first: probabilities in steps of 5 %, the resolution of some members, then the score."""
     order = sorted(outcomes, key=lambda o: (round(20 * o["singular"]["probability"]), o["failed"] > 0, o["score"]))
     return [{"rank": rank} | {k: v for k, v in one.items() if k != "score"} for rank, one in enumerate(order, 1)]
 
