@@ -122,7 +122,7 @@ mod tests {
         assert_ne!(mine.guid(), plain.guid());
         for (mine, plain) in mine.variables.iter().zip(&plain.variables) {
             let expected = match plain.name.full.as_str() {
-                "init.theta[2]" => Kind::Real { start: Some(-2.5e-3), bounds: crate::Bounds { min: None, max: None } },
+                "init.theta[2]" => Kind::Real { start: Some(-2.5e-3), bounds: crate::Bounds { min: Some(-1e5), max: Some(1e5) } },
                 "solver.method" => Kind::Enumeration { start: Some(4) },
                 "gravity.enabled" => Kind::Boolean { start: Some(false) },
                 "tau[1]" => Kind::Real { start: Some(0.25), bounds: crate::Bounds { min: None, max: None } },
