@@ -37,10 +37,10 @@ export class History {
 }
 
 // Curves over time: `curves` has colour, dashes and label of each value; `log` is the smallest and largest power of ten.
-export function drawHistory(canvas, history, curves, colours, log) {
+export function drawHistory(canvas, history, curves, unit, colours, log) {
   const { context, width, height } = sheet(canvas);
   const { samples, seconds } = history;
-  const [left, right, top, bottom] = [log ? 42 : 6, 82, 6, height - 6];
+  const [left, right, top, bottom] = [48, 82, 6, height - 6];
   const end = Math.max(samples.at(-1)?.time ?? 0, seconds);
   const x = (time) => left + ((time - end + seconds) / seconds) * (width - left - right);
   let [low, high] = log ?? [Infinity, -Infinity];
@@ -53,13 +53,10 @@ export function drawHistory(canvas, history, curves, colours, log) {
   context.strokeStyle = colours.grid;
   context.lineWidth = 1;
   context.textBaseline = "middle";
-  const lines = log ? Array.from({ length: Math.floor((high - low) / 3) + 1 }, (_, i) => 10 ** (low + 3 * i)) : low < 0 && high > 0 ? [0] : [];
-  for (const line of lines) {
-    context.beginPath();
-    context.moveTo(left, y(line));
-    context.lineTo(width - right, y(line));
-    context.stroke();
-    if (log) text(context, metres(line), left - 6, y(line), colours.muted, "right");
+  const powers = () => Array.from({ length: Math.floor((high - low) / 3) + 1 }, (_, i) => 10 ** (low + 3 * i));
+  for (const level of log ? powers() : round(low, high)) {
+    line(context, left, y(level), width - right, y(level));
+    text(context, quantity(level, unit), left - 6, y(level), colours.muted, "right");
   }
   if (!samples.length) return;
   const ends = [];
@@ -88,11 +85,20 @@ function text(context, words, x, y, colour, align) {
   context.fillText(words, x, y);
 }
 
-// A length as a person says it.
-export function metres(length) {
-  const units = [[1, "m"], [1e-3, "mm"], [1e-6, "µm"], [1e-9, "nm"], [1e-12, "pm"], [1e-15, "fm"]];
-  const [size, unit] = units.find(([size]) => length >= 0.9995 * size) ?? units.at(-1);
-  return `${Number((length / size).toPrecision(2))} ${unit}`;
+// Two to four round values in a range: multiples of 1, 2 or 5 times a power of ten.
+function round(low, high) {
+  const rough = (high - low) / 3;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, i) => (first + i) * step);
+}
+
+// A quantity as a person says it: 0.2 mJ, 3 nm.
+export function quantity(value, unit) {
+  const prefixes = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"], [1e-15, "f"]];
+  const [size, prefix] = prefixes.find(([size]) => Math.abs(value) >= 0.9995 * size) ?? (value ? prefixes.at(-1) : prefixes[0]);
+  return `${Number((value / size).toPrecision(2))} ${prefix}${unit}`.replace("-", "−");
 }
 
 // Symbols of methods, told apart by form and colour.
@@ -147,7 +153,7 @@ export function drawAccuracy(canvas, points, method, colours) {
   }
   for (let power = Math.ceil(y0 / 3) * 3; power <= y1; power += 3) {
     line(context, left, y(power), width - right, y(power));
-    text(context, metres(10 ** power), left - 5, y(power), colours.muted, "right");
+    text(context, quantity(10 ** power, "m"), left - 5, y(power), colours.muted, "right");
   }
   text(context, "computing time, µs per simulated ms", (left + width - right) / 2, bottom + 25, colours.muted, "center");
   for (const name of Object.keys(SYMBOLS)) {

@@ -125,10 +125,7 @@ export class Controls {
     by("restart").onclick = () => page.restart();
     by("play").onclick = () => page.setPlaying(!page.playing);
     by("step").onclick = (event) => page.stepOnce(event.shiftKey ? 10 : 1);
-    by("twin").onchange = () => {
-      by("apart").hidden = !by("twin").checked;
-      page.setTwin(by("twin").checked);
-    };
+    by("chaos").onchange = () => page.setChaos(by("chaos").checked);
     by("here").onclick = () => {
       if (page.run) page.change(page.run.pose(), true);
     };
@@ -178,6 +175,8 @@ export class Controls {
     const { knob } = METHODS.find(({ name }) => name === method);
     for (const row of by("knob").children) row.hidden = row.dataset.knob !== knob;
     for (const show of this.shows) show(settings);
+    by("chaos").checked = settings.chaos;
+    by("apart").hidden = !settings.chaos;
     this.showPlaying();
     this.showShare();
   }
@@ -203,6 +202,11 @@ export class Controls {
     by("working").textContent = SIDES[settings.written("mode.working", now["mode.working"])];
     by("direct").textContent = counts.direct;
     by("inverse").textContent = counts.inverse;
+  }
+
+  // Of a machine that there is not.
+  showNothing() {
+    for (const id of ["time", "error", "cost", "assembly", "working", "direct", "inverse"]) by(id).textContent = "–";
   }
 
   // What the method costs, over the last frames but for the slowest tenth, in which the computer has done something else.

@@ -6,7 +6,7 @@ import { Settings, SPEEDS } from "./settings.js";
 import { Run } from "./run.js";
 import { View } from "./view.js";
 import { Accuracy } from "./accuracy.js";
-import { History, drawAccuracy, drawHistory, drawSymbol, metres } from "./charts.js";
+import { History, drawAccuracy, drawHistory, drawSymbol, quantity } from "./charts.js";
 import { METHODS } from "./effects.js";
 import { Controls } from "./controls.js";
 
@@ -22,6 +22,13 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 
 const element = (id) => document.getElementById(id);
 
+// Whether a key has a meaning of its own where it is pressed.
+function means(target, key) {
+  if (target.closest("select, dialog")) return true;
+  if (target.closest("[type=range]")) return key.startsWith("Arrow");
+  return Boolean(target.closest("button, input, a")) && (key === " " || key === "Enter");
+}
+
 class Page {
   constructor(library) {
     this.library = library;
@@ -33,7 +40,6 @@ class Page {
     this.controls = new Controls(this);
     this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.refused = this.settings.read(location.hash.slice(1));
-    this.twin = false;
     this.restyle();
     this.listen();
     this.restart();
@@ -74,13 +80,20 @@ class Page {
     this.attempt(() => {
       this.run = new Run(this.library, this.settings, values, start);
       const beside = (values["init.theta[1]"] ?? this.settings.value("init.theta[1]")) + BESIDE;
-      if (this.twin) this.other = new Run(this.library, this.settings, { ...values, "init.theta[1]": beside }, start);
+      if (this.settings.chaos) this.other = new Run(this.library, this.settings, { ...values, "init.theta[1]": beside }, start);
       this.previous = this.shown(this.run);
       this.passes = this.run.passes();
     });
+    if (!this.run) this.forget();
     this.remember();
     this.measure();
     this.controls.show();
+  }
+
+  // Numbers of a machine that is none any more.
+  forget() {
+    for (const name of ["time", "tipX", "tipY", "energyError", "direct", "inverse"]) delete document.body.dataset[name];
+    this.controls.showNothing();
   }
 
   // Something that the unit may refuse; a trap leaves only a fresh memory.
@@ -99,6 +112,7 @@ class Page {
   async trapped(error) {
     this.sentence(`The unit has a defect: ${error.message}. Restart begins anew.`);
     [this.run, this.other, this.accuracy] = [null, null, null];
+    this.forget();
     await this.library.start();
   }
 
@@ -189,7 +203,7 @@ class Page {
     if (this.run) this.move(passed);
     if (this.run) this.report();
     this.draw();
-    this.accuracy?.advance(MEASURED_IN);
+    this.attempt(() => this.accuracy?.advance(MEASURED_IN));
     this.drawPictures(moment);
   }
 
@@ -248,8 +262,8 @@ class Page {
       { label: "dissipated", colour: colours.direct, dash: [2, 3] },
       { label: "input", colour: colours.trace, dash: [9, 3, 2, 3] },
     ];
-    drawHistory(element("energy"), this.energies, curves, colours);
-    if (this.twin) drawHistory(element("apart"), this.distances, [{ label: this.apart(), colour: colours.ghost }], colours, [-9, 0]);
+    drawHistory(element("energy"), this.energies, curves, "J", colours);
+    if (this.settings.chaos) drawHistory(element("apart"), this.distances, [{ label: this.apart(), colour: colours.ghost }], "m", colours, [-9, 0]);
     this.controls.showCost(this.costs, this.lag);
     const points = this.accuracy?.points.length ?? 0;
     if (points !== this.drawnPoints) {
@@ -261,7 +275,7 @@ class Page {
 
   apart() {
     const last = this.distances.samples.at(-1);
-    return last ? `${metres(last.values[0])} apart` : "";
+    return last ? `${quantity(last.values[0], "m")} apart` : "";
   }
 
   listen() {
@@ -292,7 +306,7 @@ class Page {
     window.addEventListener("blur", () => this.pressed.clear());
     window.addEventListener("hashchange", () => {
       if (location.hash.slice(1) === this.settings.link()) return;
-      this.settings.choose(this.settings.scene.name);
+      this.settings = new Settings(this.library.description);
       this.refused = this.settings.read(location.hash.slice(1));
       this.restart();
     });
@@ -301,8 +315,7 @@ class Page {
   }
 
   key(event) {
-    const busy = event.target.closest("input, select, button, dialog, a");
-    if (event.ctrlKey || event.metaKey || event.altKey || (busy && event.key !== "Escape")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || means(event.target, event.key)) return;
     const action = {
       " ": () => this.setPlaying(!this.playing),
       ".": () => this.stepOnce(1),
@@ -330,8 +343,8 @@ class Page {
     this.controls.showPlaying();
   }
 
-  setTwin(on) {
-    this.twin = on;
+  setChaos(on) {
+    this.settings.chaos = on;
     this.distances.clear();
     this.view.traces.length = Math.min(this.view.traces.length, 1);
     this.goOn();

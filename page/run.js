@@ -1,6 +1,6 @@
 // A machine that runs: signals, the hand that drags, one communication step of a millisecond at a time.
 
-import { Machine } from "./unit.js";
+import { Machine, listed } from "./unit.js";
 import { signals, repeats } from "./signals.js";
 
 const REALS = [
@@ -10,13 +10,14 @@ const REALS = [
 const MODES = ["mode.assembly", "mode.working"];
 const PASSES = ["singular.passes.direct", "singular.passes.inverse[1]", "singular.passes.inverse[2]"];
 const TIP = ["tip.x", "tip.y", "tip.vx", "tip.vy"];
+const FORCE = ["tip.fx", "tip.fy"];
 
-// The hand: a spring with a damper between tip and pointer, and the largest force of it.
-const HAND = { stiffness: 40, damping: 0.4, most: 15 };
+// The hand: a spring with a damper between tip and pointer, and the largest force of it. The scenes' machines, of 30 to 80 g at the
+// tip, are at the pointer within two tenths of a second and swing about it hardly.
+const HAND = { stiffness: 60, damping: 2, most: 15 };
 
 // The force that the hand has on the tip.
-export function pull(hand, [x, y, vx, vy]) {
-  if (!hand) return [0, 0];
+function pull(hand, [x, y, vx, vy]) {
   if (hand.force) return hand.force;
   const fx = HAND.stiffness * (hand.x - x) - HAND.damping * vx;
   const fy = HAND.stiffness * (hand.y - y) - HAND.damping * vy;
@@ -28,30 +29,32 @@ export class Run {
   // With the values of settings, changed by `values`, from a time in milliseconds.
   constructor(library, settings, values = {}, start = 0) {
     const given = settings.signals();
-    this.signals = signals(given);
+    const levels = signals(given);
+    this.moves = Object.keys(given).length > 0;
     this.period = repeats(given) ? settings.scene.stopTime : Infinity;
     this.force = [0, 0];
-    this.level = (name) => settings.value(name);
-    this.machine = new Machine(library, { ...settings.all(), ...this.inputs(start * 1e-3, [0, 0]), ...values }, start);
+    // The force on the tip first, then all else that the scene moves.
+    this.driven = listed([...FORCE, ...Object.keys(given).filter((name) => !FORCE.includes(name))]);
+    this.levels = this.driven.map((name) => levels[name] ?? (() => settings.value(name)));
+    const driven = Object.fromEntries(this.inputs(start * 1e-3).map((value, i) => [this.driven[i], value]));
+    this.machine = new Machine(library, { ...settings.all(), ...driven, ...values }, start);
     this.read();
   }
 
-  // Signals at a time, s, and the force of the hand on top of that of the scene.
-  inputs(time, [fx, fy]) {
-    const inputs = {};
-    for (const name in this.signals) inputs[name] = this.signals[name](time % this.period);
-    inputs["tip.fx"] = (inputs["tip.fx"] ?? this.level("tip.fx")) + fx;
-    inputs["tip.fy"] = (inputs["tip.fy"] ?? this.level("tip.fy")) + fy;
-    return inputs;
+  // Values of what is driven at a time, s: signals, and the force of the hand on top of that of the scene.
+  inputs(time) {
+    const values = this.levels.map((level) => level(time % this.period));
+    this.force.forEach((part, i) => (values[i] += part));
+    return values;
   }
 
   // One millisecond, with the hand.
   step(hand) {
     const { machine } = this;
-    if (hand || this.pulled || this.period !== Infinity || Object.keys(this.signals).length) {
-      this.force = pull(hand, machine.get(TIP));
+    if (hand || this.pulled || this.moves) {
+      this.force = hand ? pull(hand, machine.get(TIP)) : [0, 0];
       this.pulled = Boolean(hand);
-      machine.set(this.inputs(machine.time, this.force));
+      machine.put(this.driven, this.inputs(machine.time));
     }
     machine.step();
   }

@@ -2,12 +2,19 @@
 
 export const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
 
+// Booleans as a link has them.
+const SWITCHED = { true: true, false: false };
+
+// The value of a word, undefined for every other word.
+const item = (items, word) => (Object.hasOwn(items, word) ? items[word] : undefined);
+
 export class Settings {
   constructor(description) {
     this.description = description;
     this.scene = this.find("fall_90_120") ?? description.scenes[0];
     this.values = {};
     this.speed = 1;
+    this.chaos = false;
   }
 
   find(name) {
@@ -56,7 +63,8 @@ export class Settings {
   link() {
     const entries = Object.entries(this.values).map(([name, value]) => [name, this.written(name, value)]);
     const speed = this.speed === 1 ? [] : [["speed", this.speed]];
-    return String(new URLSearchParams([["scene", this.scene.name], ...speed, ...entries]));
+    const chaos = this.chaos ? [["chaos", true]] : [];
+    return String(new URLSearchParams([["scene", this.scene.name], ...speed, ...chaos, ...entries]));
   }
 
   // Takes over what a link holds; gives back a sentence about each part that it cannot take.
@@ -69,6 +77,10 @@ export class Settings {
     }
     for (const [name, text] of given) {
       if (name === "scene") continue;
+      if (name === "chaos" && item(SWITCHED, text) !== undefined) {
+        this.chaos = item(SWITCHED, text);
+        continue;
+      }
       if (name === "speed") {
         if (SPEEDS.includes(Number(text))) this.speed = Number(text);
         else refused.push(`The link's speed is ${text}, must be one of ${SPEEDS.join(", ")}.`);
@@ -86,8 +98,8 @@ export class Settings {
     if (!Object.hasOwn(variables, name)) return undefined;
     const { kind, role, items } = variables[name];
     if (role !== "parameter" && role !== "input") return undefined;
-    if (items) return items[text];
-    if (kind === "Boolean") return { true: true, false: false }[text];
+    if (items) return item(items, text);
+    if (kind === "Boolean") return item(SWITCHED, text);
     const value = text.trim() === "" ? NaN : Number(text);
     return Number.isFinite(value) && (kind === "Real" || Number.isInteger(value)) ? value : undefined;
   }

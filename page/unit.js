@@ -96,7 +96,7 @@ export class Library {
     return variable;
   }
 
-  // A list of variables of one kind that is read again and again.
+  // A list of variables of one kind that is read or set again and again.
   reader(names) {
     const kinds = { Real: "Real", Integer: "Integer", Enumeration: "Integer", Boolean: "Boolean" };
     const variables = names.map((name) => this.variable(name));
@@ -140,23 +140,31 @@ export class Machine {
 
   // Sets variables by name.
   set(values) {
-    const { library } = this;
-    for (const [name, value] of Object.entries(values)) {
-      const { kind } = library.variable(name);
-      const reader = library.readerOf(single(name));
-      const buffer = this.exports.memory.buffer;
-      new reader.array(buffer, reader.values, 1)[0] = value;
-      const type = kind === "Enumeration" ? "Integer" : kind;
-      library.call(`fmi2Set${type}`, 1, this.component, reader.references, 1, reader.values);
-    }
+    for (const [name, value] of Object.entries(values)) this.put(listed([name]), [value]);
   }
 
-  // Reads variables of one kind; the values are valid until the next call of this list.
+  // Sets variables of one kind to a list of values.
+  put(names, values) {
+    const reader = this.library.readerOf(names);
+    this.view(reader).set(values);
+    this.call("Set", reader);
+  }
+
+  // Reads variables of one kind; the values are valid until the next use of this list.
   get(names) {
     const reader = this.library.readerOf(names);
-    this.library.call(`fmi2Get${reader.kind}`, 1, this.component, reader.references, names.length, reader.values);
+    this.call("Get", reader);
+    return this.view(reader);
+  }
+
+  call(way, { kind, references, names, values }) {
+    this.library.call(`fmi2${way}${kind}`, 1, this.component, references, names.length, values);
+  }
+
+  // The values of a list; a view of a memory that has grown since is renewed.
+  view(reader) {
     const { buffer } = this.exports.memory;
-    if (reader.view?.buffer !== buffer) reader.view = new reader.array(buffer, reader.values, names.length);
+    if (reader.view?.buffer !== buffer) reader.view = new reader.array(buffer, reader.values, reader.names.length);
     return reader.view;
   }
 
@@ -178,9 +186,10 @@ export class Machine {
   }
 }
 
-// The list of one name, always the same list for a name.
-const singles = new Map();
-function single(name) {
-  if (!singles.has(name)) singles.set(name, [name]);
-  return singles.get(name);
+// A list of names, always the same list for the same names: `readerOf` has a place in memory for each list.
+const lists = new Map();
+export function listed(names) {
+  const key = names.join(" ");
+  if (!lists.has(key)) lists.set(key, names);
+  return lists.get(key);
 }
