@@ -1,9 +1,9 @@
-//! The scenes, and their one reader: values of variables by name, checked against `modelDescription.xml`.
+//! The scenes as Rust programs read them: values of variables by name, checked against `modelDescription.xml`.
 //!
 //! A file is an object: variable name → start value, enumerations by the names of their items, and four keys that are no
 //! variables; `docs/effects.md` describes them. A misspelt name, a value out of bounds or of the wrong type is refused in one
-//! sentence. The library is not needed: programs that link it write the values into its parameters themselves, and Python is given
-//! the file that [`Scene::resolved`] makes.
+//! sentence. The library is not needed: programs that link it write the values into its parameters themselves. Users read scenes by
+//! the package `fivebar`, and `tests/python/test_scene.py` holds both readers to the same answers by [`Scene::resolved`].
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -12,7 +12,7 @@
 //! | `names.rs` | variables by name, and those that a misspelt name may mean |
 //! | `value.rs` | a value of the type that its variable has |
 //! | `signal.rs` | inputs that change with time |
-//! | `resolved.rs` | the form for Python |
+//! | `resolved.rs` | a scene with nothing left to look up |
 
 mod json;
 mod names;

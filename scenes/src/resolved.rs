@@ -1,4 +1,4 @@
-//! Scenes for Python, with every name and unit looked up.
+//! Scenes with every name and unit looked up, as JSON.
 
 use anyhow::Result;
 use serde_json::{Map, Value as Json, json};

@@ -106,7 +106,7 @@ fn values_and_overlays_are_typed() {
 }
 
 #[test]
-fn python_is_given_a_scene_with_nothing_left_to_look_up() {
+fn a_resolved_scene_has_nothing_left_to_look_up() {
     let scene = parse(json!({
         "experiment": { "stopTime": 0.25, "stepSize": 0.1 },
         "init.assembly": "minus",

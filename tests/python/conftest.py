@@ -62,10 +62,8 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Unit:
 
 @pytest.fixture(scope="session")
 def scenes() -> Path:
-    """The folder of the scenes as Python reads them."""
-    folder = REPOSITORY / "target" / "scenes"
-    assert folder.is_dir(), f"there are no scenes in {folder}: run `cargo xtask package`"
-    return folder
+    """The folder of the shipped scenes."""
+    return REPOSITORY / "scenes"
 
 
 def maker(model: ModelDescription, directory: str) -> Iterator[Callable[..., Instance]]:

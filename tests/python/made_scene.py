@@ -1,9 +1,10 @@
-"""Scenes made up for tests, as `cargo xtask package` writes those of scenes/."""
+"""Scenes made up for tests, and written as users write them."""
 
 import json
 from pathlib import Path
 
-from fivebar.scene import Scene, Values, Variant
+from fivebar.scene import Scene, Variant
+from fivebar.variables import Values, of_unit
 
 METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5, "automatic": 6}
 
@@ -14,14 +15,19 @@ def made_scene(values: Values, stop_time: float, step_size: float = 1e-3, *overl
 
 
 def write(path: Path, scene: Scene) -> Path:
-    """Writes a scene, under the name of the file."""
+    """Writes a scene, under the name of the file; signals have a knot at each communication point."""
     content = {
-        "name": path.stem,
         "description": scene.description,
-        "stopTime": scene.stop_time,
-        "stepSize": scene.step_size,
-        "variants": [{"label": variant.label, "values": variant.values} for variant in scene.variants],
-        "signals": {name: values.tolist() for name, values in scene.signals.items()},
+        "experiment": {"stopTime": scene.stop_time, "stepSize": scene.step_size},
+        **_words(scene.values),
+        "overlay": [{"label": variant.label} | _words(variant.values) for variant in scene.variants[1:]],
+        "signals": {name: {"linear": list(zip(scene.time.tolist(), values.tolist()))} for name, values in scene.signals.items()},
     }
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
+
+
+def _words(values: Values) -> dict[str, object]:
+    """Enumerations by the names of their items."""
+    known = of_unit()
+    return {name: known[name].item(int(value)) if known[name].type == "Enumeration" else value for name, value in values.items()}

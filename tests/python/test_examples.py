@@ -122,10 +122,8 @@ def test_optimal_control(fmu: Path, tmp_path: Path) -> None:
     assert (tmp_path / "target" / "optimal_control.svg").stat().st_size > 10_000
 
 
-def test_workspace(fmu: Path, tmp_path: Path, scenes: Path) -> None:
+def test_workspace(fmu: Path, tmp_path: Path) -> None:
     """Motor angles of the docs' example, a refusal with its figure, the robot's disc above the motors, and all files of the map."""
-    (tmp_path / "target").mkdir()
-    (tmp_path / "target" / "scenes").symlink_to(scenes)
     printed = output(fmu, tmp_path, "workspace.py")
     assert "motors at 131.315 and 48.685 deg" in printed and "condition number 2.0444, assembly plus" in printed
     assert "so that it is 0.1185 m too far." in printed

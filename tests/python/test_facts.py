@@ -13,7 +13,8 @@ from fivebar import singularities
 from fivebar import summary
 from conftest import REPOSITORY
 from fivebar.drive import Progress, drive
-from fivebar.scene import read, unit
+from fivebar.scene import read
+from fivebar.variables import unit
 
 EFFECTS = ("gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo")
 

@@ -143,13 +143,6 @@ def elbow_to_tip(made: Machine, posture: Posture) -> np.ndarray:
     return np.abs(np.stack([tip - elbow for elbow in elbows], axis=-1))
 
 
-def test_start_values_are_those_of_the_unit(model: ModelDescription) -> None:
-    start = {v.name: v.start for v in model.modelVariables}
-    for name, value in scenes.START.items():
-        expected = start[name] == "true" if isinstance(value, bool) else float(start[name])
-        assert value == expected, name
-
-
 def test_the_version_is_that_of_the_workspace() -> None:
     cargo = tomllib.loads((REPOSITORY / "Cargo.toml").read_text(encoding="utf-8"))
     assert version("fivebar") == cargo["workspace"]["package"]["version"]
@@ -390,17 +383,16 @@ def test_refusals(call: Callable[[], object], sentence: str) -> None:
     assert str(refusal.value) == sentence
 
 
-def test_scenes_are_read(scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_are_read(scenes: Path, tmp_path: Path) -> None:
     """By name and by file; what cannot be read is named."""
     assert Machine.from_scene(scenes / "haptic.json") == HAPTIC
-    monkeypatch.chdir(scenes.parent)
     assert Machine.from_scene("paper_torque") == PAPER
-    with pytest.raises(ValueError, match="There is no scene 'nonsense'; there are .*haptic"):
+    with pytest.raises(ValueError, match="there is no scene 'nonsense'; there are .*haptic"):
         Machine.from_scene("nonsense")
     (tmp_path / "raw.json").write_text(json.dumps({"base.distance": 1}), encoding="utf-8")
-    with pytest.raises(ValueError, match="is not as `cargo xtask package` writes scenes"):
+    with pytest.raises(ValueError, match="raw.json: it has no text 'description'"):
         Machine.from_scene(tmp_path / "raw.json")
-    with pytest.raises(ValueError, match="There is no file"):
+    with pytest.raises(ValueError, match="nothing.json: it cannot be read: No such file or directory"):
         Machine.from_scene(tmp_path / "nothing.json")
 
 

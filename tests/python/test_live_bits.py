@@ -13,7 +13,9 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
 from conftest import REPOSITORY
+from fivebar.scene import read
 from fivebar.slave import Log, instantiate, set_values
+from fivebar.variables import Variables
 
 pytestmark = pytest.mark.page
 
@@ -39,7 +41,7 @@ def test_the_page_computes_the_bits_of_the_unit(
     scene: str, ran: Path, scenes: Path, model: ModelDescription, directory: str
 ) -> None:
     """All that is computed is equal at each millisecond, and so is the sentence where a method refuses a scene."""
-    content = json.loads((scenes / f"{scene}.json").read_text())
+    content = read(scenes / f"{scene}.json", Variables(model)).resolved()
     names = json.loads((ran / "variables.json").read_text())
     references = {v.name: v.valueReference for v in model.modelVariables}
     real, integer = ([references[name] for name in names[kind]] for kind in ("real", "integer"))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fivebar import moving_picture
+from fivebar import moving_picture, simulate
 from conftest import REPOSITORY
 from fivebar.drive import Run
 from fivebar.scene import Scene
@@ -95,11 +95,9 @@ def test_long_runs_have_none() -> None:
     assert not moving_picture.wanted(run)
 
 
-def test_the_picture_of_the_readme(fmu: Path, scenes: Path, tmp_path: Path) -> None:
+def test_the_picture_of_the_readme(fmu: Path, tmp_path: Path) -> None:
     """The picture is that of the scene: `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
-    from fivebar import simulate as run
-
-    assert run.main(["--fmu", str(fmu), "--scene", str(scenes / "fall_90_120.json"), "--out", str(tmp_path)]) == 0
+    simulate.run("fall_90_120", fmu=fmu).save(tmp_path)
     shown = REPOSITORY / "docs" / "images" / "fall_90_120.svg"
     assert (tmp_path / "animation.svg").stat().st_size < 300_000
     made, stored = (xml.parse(file).getroot() for file in (tmp_path / "animation.svg", shown))

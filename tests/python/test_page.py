@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from fivebar import simulate
 from made_scene import made_scene, write
 
 pytestmark = pytest.mark.full
@@ -17,13 +18,9 @@ FLAGS = (
 
 
 @pytest.fixture(scope="module")
-def page(fmu: Path, scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a shipped scene, made by run.py."""
-    import run
-
-    out = tmp_path_factory.mktemp("page")
-    assert run.main(["--fmu", str(fmu), "--scene", str(scenes / "fall_90_120.json"), "--out", str(out)]) == 0
-    return out / "fall_90_120.html"
+def page(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a shipped scene."""
+    return simulate.run("fall_90_120", fmu=fmu).animate(tmp_path_factory.mktemp("page") / "fall_90_120.html")
 
 
 @pytest.fixture

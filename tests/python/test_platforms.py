@@ -19,7 +19,8 @@ import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from conftest import REPOSITORY, Unit
-from fivebar.scene import Values, communication_points, read
+from fivebar.scene import communication_points, read
+from fivebar.variables import Values
 from fivebar.slave import computed
 
 pytestmark = pytest.mark.platforms

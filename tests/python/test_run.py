@@ -14,8 +14,9 @@ from PIL import Image
 
 from fivebar import summary
 from fivebar.drive import Run
+from fivebar.scene import Scene, Variant
+from fivebar.variables import Values
 from made_scene import METHODS, made_scene, write
-from fivebar.scene import Scene, Values, Variant
 
 PUSH: Values = {"tau[1]": 0.25}
 FINE = Variant("RK4, fine", PUSH | {"solver.method": METHODS["rk4"], "solver.stepSize": 2e-4})
@@ -27,7 +28,7 @@ UNREACHABLE: Values = {"init.theta[1]": math.pi, "init.theta[2]": 0.0}
 def run(fmu: Path, folder: Path, scene: Scene, *options: str) -> subprocess.CompletedProcess[str]:
     """Runs a scene; everything is written to `folder`/out."""
     file = write(folder / "short.json", scene)
-    command = [sys.executable, "-m", "fivebar.simulate", "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out"), *options]
+    command = [sys.executable, "-m", "fivebar", "run", str(file), "--fmu", str(fmu), "--out", str(folder / "out"), *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -154,10 +155,10 @@ def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path)
 
 
 def test_refused(fmu: Path, tmp_path: Path) -> None:
-    """A scene that cannot be started: one sentence, exit code 1, no traceback, nothing written."""
+    """A scene that cannot be started: one sentence, exit code 2, no traceback, nothing written."""
     process = run(fmu, tmp_path, made_scene(UNREACHABLE, 0.2))
-    assert process.returncode == 1
-    assert "0.84" in process.stderr and "Traceback" not in process.stderr
+    assert process.returncode == 2
+    assert "0.84" in process.stderr and process.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -168,5 +169,5 @@ def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
     assert by_name.returncode == 0, by_name.stderr
     assert "200 steps, 200 sub-steps" in by_name.stdout
     unknown = run(fmu, tmp_path, scene, "--method", "euler")
-    assert unknown.returncode == 1 and "Traceback" not in unknown.stderr
-    assert "There is no method euler; solver.method has: i3alp, " in unknown.stderr and "i3alpConserving" in unknown.stderr
+    assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
+    assert "fivebar run: 'solver.method' must be one of i3alp, " in unknown.stderr and 'not "euler"' in unknown.stderr

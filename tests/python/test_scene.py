@@ -1,6 +1,5 @@
-"""Scenes: what Python makes of the files that the crate `scenes` has checked and written, and how a run applies signals."""
+"""Scenes: how files are read, and how a run applies signals."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,37 +7,44 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
+import fivebar
 from fivebar import scene
-from conftest import REPOSITORY
-from fivebar.drive import Progress, Run, drive
+from fivebar.drive import Run, drive
+from fivebar.errors import FiveBarError
+from fivebar.variables import Variables, of_unit
 from made_scene import METHODS, made_scene, write
 
 
 def test_every_shipped_scene_is_read(scenes: Path, model: ModelDescription) -> None:
     """The methods' numbers, which tests use, are those of the FMU."""
     names = {path.stem for path in scenes.glob("*.json")}
-    assert names == {path.stem for path in (REPOSITORY / "scenes").glob("*.json")} >= {"paper_free_fall", "haptic"}
+    assert names == set(fivebar.scenes()) >= {"paper_free_fall", "haptic"}
     for name in names:
-        ready = scene.read(scenes / f"{name}.json")
-        assert ready.name == name and ready.description and ready.variants[0].label == "i3alp"
+        ready = scene.read(name)
+        assert ready.name == name and ready.description == fivebar.scenes()[name] and ready.variants[0].label == "i3alp"
         points = scene.communication_points(ready.stop_time, ready.step_size)
         assert all(len(values) == len(points) for values in ready.signals.values())
-    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
-    assert {item.name: int(item.value) for item in method.declaredType.items} == METHODS
+    assert Variables(model)["solver.method"].items == METHODS
 
 
 def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
-    fine = scene.Variant("fine", {"solver.method": METHODS["rk4"], "solver.stepSize": 1e-5})
+    fine = scene.Variant("fine", {"tau[1]": 1.0, "gravity.enabled": False, "solver.method": METHODS["rk4"], "solver.stepSize": 1e-5})
     made = made_scene({"tau[1]": 1.0, "gravity.enabled": False}, 0.1, 0.05, fine)
-    made = replace(made, signals={"tip.fx": np.array([0.0, 0.1, 1 / 3])})
+    made = replace(made, signals={"tip.fx": np.array([0.0, 0.1, 0.25])})
     ready = scene.read(write(tmp_path / "trial.json", made))
-    assert ready.signals["tip.fx"].tolist() == [0.0, 0.1, 1 / 3]
+    assert ready.signals["tip.fx"].tolist() == [0.0, 0.1, 0.25]
     assert replace(ready, signals={}) == replace(made, signals={})
 
 
-def test_a_scene_as_users_write_it_is_not_taken_for_one(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=re.escape("fall_90_120.json is not as `cargo xtask package` writes scenes")):
-        scene.read(REPOSITORY / "scenes" / "fall_90_120.json")
+def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> None:
+    fine = scene.Variant("fine", {"tau[1]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]})
+    made = made_scene({"tau[1]": 1.0, "gravity.g": 9.0}, 0.1, 0.05, fine)
+    changed = made.changed({"gravity.g": 5.0, "tau[2]": 1, "solver.method": "automatic"}, of_unit())
+    own, overlay = changed.variants
+    assert (own.label, own.values) == ("automatic", {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 5.0, "solver.method": METHODS["automatic"]})
+    assert overlay.values == {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]}
+    with pytest.raises(FiveBarError, match="'tip.fx' is given a signal and a value"):
+        replace(made, signals={"tip.fx": np.zeros(3)}).changed({"tip.fx": 1.0}, of_unit())
 
 
 @pytest.mark.parametrize(
@@ -60,7 +66,7 @@ def test_coarser(step: float, stop: float, expected: tuple[float, float, list[in
 
 def run(ready: scene.Scene, model: ModelDescription, directory: str) -> Run:
     """A run of a scene."""
-    return drive(model, directory, ready, ready.variants[0], Progress("trial", ready.stop_time))
+    return drive(model, directory, ready, ready.variants[0])
 
 
 def test_a_signal_is_held_from_each_communication_point(model: ModelDescription, directory: str) -> None:

@@ -1,6 +1,6 @@
 """Compares two builds of the library: every scene by every method, in bits.
 
-python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after target/fmu/FiveBar.fmu --scenes target/scenes
+python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after target/fmu/FiveBar.fmu --scenes scenes
 """
 
 import argparse
@@ -20,8 +20,9 @@ import numpy as np
 from fmpy.model_description import ModelDescription
 
 from fivebar.drive import Progress, Run, StartRefused, drive
-from fivebar.scene import Scene, Values, Variant, read
+from fivebar.scene import Scene, Variant, read
 from fivebar.summary import tip_distance
+from fivebar.variables import Values, Variables
 
 LONGEST = 2.0
 """Seconds of a scene that are compared."""
@@ -85,13 +86,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Compares two builds of the library, every scene by every method.")
     parser.add_argument("--before", type=Path, required=True, help="the .fmu that is right")
     parser.add_argument("--after", type=Path, required=True, help="the .fmu that is judged")
-    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     options = parser.parse_args(arguments)
     begin = time.perf_counter()
     with _extracted(options.before) as before, _extracted(options.after) as after:
         verdicts: Counter[Verdict] = Counter()
+        known = Variables(after.model)
         for path in sorted(options.scenes.glob("*.json")):
-            scene = read(path).coarser(COARSEST, LONGEST)
+            scene = read(path, known).coarser(COARSEST, LONGEST)
             unknown = {*scene.variants[0].values, *scene.signals} - {v.name for v in before.model.modelVariables}
             if unknown:
                 print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")

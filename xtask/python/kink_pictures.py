@@ -1,6 +1,6 @@
 """The picture of loads with kinks in docs/effects.md: stick and slip, a bounce, a hold.
 
-python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --out docs/images/kinks.svg
+python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out docs/images/kinks.svg
 """
 
 import argparse
@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from fivebar.drawing import FAINT, INK, LEFT, TIP, plane, thinned
 from fivebar.drive import Progress, Run, drive
 from fivebar.scene import Scene, Variant, read
+from fivebar.variables import Variables
 
 LAWS = {"smooth": 1, "stick": 2}
 """The items of `friction.law`."""
@@ -37,16 +38,17 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the scenes and draws them side by side."""
     parser = argparse.ArgumentParser(description="Stick and slip, a bounce, a hold.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
-    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     parser.add_argument("--out", type=Path, required=True, help="the SVG file to write")
     options = parser.parse_args(arguments)
     directory = fmpy.extract(str(options.fmu))
     try:
         model = fmpy.read_model_description(directory, validate=False)
+        known = Variables(model)
         figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
-        draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json")))
-        draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json")))
-        draw_hold(hold, [run(model, directory, held(read(options.scenes / "stick_slip.json"), law)) for law in LAWS])
+        draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json", known)))
+        draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json", known)))
+        draw_hold(hold, [run(model, directory, held(read(options.scenes / "stick_slip.json", known), law)) for law in LAWS])
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """Cost of the effects of each scene against the bare mechanism: seconds in fmi2DoStep and sub-steps, as a table and as CSV.
 
-python prices.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --out target/run/prices.csv
+python prices.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out target/run/prices.csv
 """
 
 import argparse
@@ -15,7 +15,8 @@ import fmpy
 from fmpy.model_description import ModelDescription
 
 from fivebar.drive import Progress, Run, drive
-from fivebar.scene import Scene, Values, Variant, read
+from fivebar.scene import Scene, Variant, read
+from fivebar.variables import Values, Variables
 
 STEP = 0.02
 """Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""
@@ -45,15 +46,16 @@ def main(arguments: list[str] | None = None) -> int:
     """Measures all scenes of a folder."""
     parser = argparse.ArgumentParser(description="What the effects of each scene cost against the bare mechanism.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
-    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     parser.add_argument("--method", help="an item of solver.method for all scenes; without it what each says")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     options = parser.parse_args(arguments)
     directory = fmpy.extract(str(options.fmu))
     try:
         model = fmpy.read_model_description(directory, validate=False)
+        known = Variables(model)
         method = {"solver.method": _number(model, options.method)} if options.method else {}
-        prices = [_price(model, directory, read(path), method) for path in sorted(options.scenes.glob("*.json"))]
+        prices = [_price(model, directory, read(path, known), method) for path in sorted(options.scenes.glob("*.json"))]
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)

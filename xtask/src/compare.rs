@@ -23,7 +23,7 @@ pub(crate) fn compare(revision: &str) -> Result<()> {
             .arg("--after")
             .arg(after)
             .arg("--scenes")
-            .arg(paths::resolved_scenes()),
+            .arg(paths::scenes()),
     )
 }
 

@@ -14,7 +14,7 @@ pub(crate) fn kinks() -> Result<()> {
             .arg("--fmu")
             .arg(fmu)
             .arg("--scenes")
-            .arg(paths::resolved_scenes())
+            .arg(paths::scenes())
             .arg("--out")
             .arg(paths::in_root("docs/images/kinks.svg")),
     )

@@ -32,7 +32,7 @@ pub(crate) fn fmi_sim() -> PathBuf {
     in_root("target/fmi-sim")
 }
 
-/// The folder with one JSON file per scene as Python reads it.
-pub(crate) fn resolved_scenes() -> PathBuf {
-    in_root("target/scenes")
+/// The folder with one JSON file per scene.
+pub(crate) fn scenes() -> PathBuf {
+    in_root("scenes")
 }

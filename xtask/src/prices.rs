@@ -9,7 +9,7 @@ use anyhow::Result;
 pub(crate) fn prices(method: Option<&str>) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     let mut python = venv::python(Packages::Usual)?;
-    python.arg("xtask/python/prices.py").arg("--fmu").arg(fmu).arg("--scenes").arg(paths::resolved_scenes());
+    python.arg("xtask/python/prices.py").arg("--fmu").arg(fmu).arg("--scenes").arg(paths::scenes());
     python.arg("--out").arg(paths::in_root("target/run/prices.csv"));
     if let Some(method) = method {
         python.args(["--method", method]);

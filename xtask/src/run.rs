@@ -1,4 +1,4 @@
-//! `cargo xtask run`: the packed unit, driven through FMPy over a scene.
+//! `cargo xtask run`: packs the unit and calls `fivebar run`.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -13,11 +13,9 @@ pub(crate) fn run(scene: &str, method: Option<&str>) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::run(
         venv::python(Packages::Usual)?
-            .args(["-m", "fivebar.simulate"])
+            .args(["-m", "fivebar", "run", scene])
             .arg("--fmu")
             .arg(fmu)
-            .arg("--scene")
-            .arg(paths::resolved_scenes().join(scene).with_extension("json"))
             .arg("--out")
             .arg(paths::in_root("target/run").join(method.map_or(scene.to_owned(), |method| format!("{scene}-{method}"))))
             .args(method.map(|method| format!("--method={method}"))),

@@ -1,4 +1,4 @@
-//! `cargo xtask twin`: the live twin, from the machine's encoders to the dashboard, in real time.
+//! `cargo xtask twin`: packs the unit and calls `fivebar twin`, the live twin in real time.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -30,11 +30,9 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::become_program(
         venv::python(Packages::Usual)?
-            .args(["-m", "fivebar.twin", "run"])
+            .args(["-m", "fivebar", "twin", "--scene", scene])
             .arg("--fmu")
             .arg(fmu)
-            .arg("--scene")
-            .arg(paths::resolved_scenes().join(scene).with_extension("json"))
             .arg("--out")
             .arg(paths::in_root("target/twin"))
             .arg(format!("--seconds={seconds}"))

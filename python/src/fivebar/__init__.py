@@ -3,7 +3,8 @@
 >>> import fivebar
 >>> fall = fivebar.run("fall_90_120", method="automatic")
 >>> fall["tip.x"][-1], fall.units["tip.x"]
->>> fall.plot("tip.x", "tip.y")
+>>> fall.plot("tip.x", "tip.y").savefig("tip.png")
+>>> fall.animate()
 """
 
 from importlib.metadata import version
@@ -11,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fivebar.scene import Scene, Value
+    from fivebar.scene import Scene
     from fivebar.simulate import Result
+    from fivebar.variables import Value
 
 __version__ = version("fivebar")
 __all__ = ["run", "scenes", "unit"]
@@ -23,7 +25,7 @@ __all__ = ["run", "scenes", "unit"]
 def unit() -> Path:
     """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout that which `cargo xtask package` has packed.
 
-    Raises ValueError if there is none.
+    Raises FiveBarError, a ValueError, if there is none.
     """
     from fivebar import shipped
 
@@ -34,7 +36,7 @@ def scenes() -> dict[str, str]:
     """The shipped scenes: name to description."""
     from fivebar import scene, shipped
 
-    return {name: scene.read(file).description for name, file in shipped.scene_files().items()}
+    return {name: scene.description(file) for name, file in shipped.scene_files().items()}
 
 
 def run(scene: "str | Path | Scene", method: str | None = None, **values: "Value | str") -> "Result":
@@ -44,8 +46,8 @@ def run(scene: "str | Path | Scene", method: str | None = None, **values: "Value
     scene's own; `values` are start values by variable, in the variable's unit, enumerations by the names of their items:
     `run("swing", **{"link[1].mass": 0.02, "viscous.enabled": True})`.
 
-    A step that fails ends the run, and `Result.failure` says why. Raises ValueError, with one sentence, if the scene, the method or a value
-    is refused.
+    A step that fails ends the run, and `Result.failure` says why. Raises FiveBarError, a ValueError of one sentence, if the scene, the method
+    or a value is refused.
     """
     from fivebar import simulate
 

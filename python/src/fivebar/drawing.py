@@ -4,7 +4,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,8 +12,6 @@ from matplotlib.patches import Polygon, Wedge
 from matplotlib.ticker import NullFormatter
 
 from fivebar.drive import Run
-
-matplotlib.use("Agg")  # no display needed
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}

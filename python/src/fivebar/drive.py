@@ -13,8 +13,10 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fivebar.scene import Scene, Variant, communication_points, unit
+from fivebar.errors import FiveBarError
+from fivebar.scene import Scene, Variant, communication_points
 from fivebar.slave import Log, computed, get_values, instantiate, set_values
+from fivebar.variables import unit
 
 
 @dataclass
@@ -55,7 +57,7 @@ class Run:
         return self.failure is not None
 
 
-class StartRefused(Exception):
+class StartRefused(FiveBarError):
     """The FMU refused the start values; the text is its sentence."""
 
 
@@ -140,7 +142,7 @@ class _Signals:
             self.slave.setReal(self.references, self.rows[row])
 
 
-def drive(model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress) -> Run:
+def drive(model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress | None = None) -> Run:
     """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program."""
     begin = time.perf_counter()
     variables = computed(model)
@@ -158,7 +160,8 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
             slave.terminate()
     finally:
         slave.freeInstance()
-        progress.finish()
+        if progress is not None:
+            progress.finish()
     return Run(
         label=variant.label,
         stop_time=scene.stop_time,
@@ -188,7 +191,7 @@ def _initialise(
 
 
 def _step(
-    slave: fmi2.FMU2Slave, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress, log: Log
+    slave: fmi2.FMU2Slave, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress | None, log: Log
 ) -> tuple[list[float], str | None]:
     """Steps through `points`; seconds that each fmi2DoStep took, and the FMU's sentence if a call failed."""
     clock = time.perf_counter
@@ -202,5 +205,6 @@ def _step(
             recorder.record()
         except FMICallException as error:
             return seconds, log.last() or str(error)
-        progress.update(then)
+        if progress is not None:
+            progress.update(then)
     return seconds, None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fivebar import scene as scenes
+from fivebar.variables import of_unit
 
 Sign = Literal["plus", "minus"]
 Working = tuple[Sign, Sign]
@@ -135,7 +136,7 @@ class Machine:
         """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
         if strange := set(values) - set(GEOMETRY):
             raise ValueError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
-        distance, *lengths = (float(values.get(name, scenes.START[name])) for name in GEOMETRY)
+        distance, *lengths = (float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY)
         return cls(distance, tuple(lengths))
 
     @classmethod

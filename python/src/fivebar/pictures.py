@@ -1,6 +1,6 @@
 """The pictures of a scene, one function each; every one draws the scene's own run and, where it helps, its overlays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +53,23 @@ def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]
                 figure.savefig(files[-1], metadata={"Date": None}, **crop)
             plt.close(figure)
     return files
+
+
+def curves(run: Run, names: Sequence[str]) -> Figure:
+    """Columns over time; those of one unit share a picture."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(run.units[name], []).append(name)
+    with plt.rc_context(STYLE):
+        figure = Figure(figsize=(10, 1 + 2.3 * len(groups)))
+        rows = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (unit, group) in zip(rows, groups.items()):
+            for i, name in enumerate(group):
+                axes.plot(*thinned(run.time, run[name]), color=RUN_COLOURS[i % len(RUN_COLOURS)], label=name)
+            axes.set_ylabel(f"({unit})" if len(group) > 1 else f"{group[0]}  ({unit})")
+            axes.legend(loc="best")
+        time_axis(rows[-1], [run])
+    return figure
 
 
 def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:

@@ -6,6 +6,8 @@ import os
 import zipfile
 from pathlib import Path
 
+from fivebar.errors import FiveBarError
+
 FOLDER = Path(__file__).with_name("shipped")
 CHECKOUT = Path(__file__).resolve().parents[3]
 """The root of the checkout, if the package lies in one."""
@@ -14,15 +16,15 @@ CHECKOUT = Path(__file__).resolve().parents[3]
 def unit() -> Path:
     """The .fmu: that of the environment's `FIVEBAR_FMU`, the shipped one, or the one that the checkout has packed.
 
-    Raises ValueError if there is none.
+    Raises FiveBarError if there is none.
     """
     if given := os.environ.get("FIVEBAR_FMU"):
         if not Path(given).is_file():
-            raise ValueError(f"FIVEBAR_FMU is {given!r}, where there is no file.")
+            raise FiveBarError(f"FIVEBAR_FMU is {given!r}, where there is no file")
         return Path(given)
     file = _found("FiveBar.fmu", "target/fmu/FiveBar.fmu")
     if file is None:
-        raise ValueError("This package comes without its unit; in a checkout `cargo xtask package` packs it.")
+        raise FiveBarError("this package comes without its unit; in a checkout `cargo xtask package` packs it")
     return file
 
 

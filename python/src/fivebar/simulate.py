@@ -1,116 +1,186 @@
-"""Runs a scene through FMPy and shows the results: CSV, pictures, an animation and a summary.
+"""Runs a scene through FMPy: `run`, and its `Result` with columns, units, pictures, page and tables."""
 
-python -m fivebar.simulate --fmu target/fmu/FiveBar.fmu --scene target/scenes/paper_free_fall.json --out target/run/paper_free_fall
-"""
-
-import argparse
 import re
 import shutil
-import sys
-from dataclasses import replace
+import tempfile
+import webbrowser
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import fmpy
+import numpy as np
 
-from fivebar import animated_page, moving_picture, pictures, singularities, summary, table
+from fivebar import scene as scenes
+from fivebar import shipped, singularities, summary, table
 from fivebar.drive import Progress, Run, StartRefused, drive
-from fivebar.scene import Scene, Variant, read
+from fivebar.errors import FiveBarError
+from fivebar.scene import Scene
+from fivebar.singularities import Event
+from fivebar.variables import of_unit
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ANIMATION = "animation.svg"
 """Name of the picture that moves."""
 
+SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
+"""What `plot` shows if nothing is named."""
 
-def main(arguments: list[str] | None = None) -> int:
-    """Runs one scene; the exit code: 0 done, 1 the start or a step failed."""
-    parser = argparse.ArgumentParser(description="Runs a scene of the five-bar through FMPy.")
-    parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
-    parser.add_argument("--scene", type=Path, required=True, help="the scene, a file of target/scenes/")
-    parser.add_argument("--out", type=Path, required=True, help="folder for everything that is written")
-    parser.add_argument("--method", help="an item of solver.method, in the place of the scene's own")
-    options = parser.parse_args(arguments)
-    if not options.fmu.is_file():
-        print(f"There is no .fmu at {options.fmu}; `cargo xtask package` makes it.", file=sys.stderr)
-        return 1
-    scene = read(options.scene)
-    directory = fmpy.extract(str(options.fmu))
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a run: a column for everything that the unit computes and for the inputs that change, a row at each communication point.
+
+    `result["tip.x"]` is a column, (n,); `result.units["tip.x"]` its unit.
+    """
+
+    scene: Scene
+    runs: list[Run]
+    """The scene's own run, then those of its overlays, if they were asked for."""
+
+    refused: list[str]
+    """Why overlays did not start."""
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.own.columns:
+            raise KeyError(f"{name}: there is no such column; `names` has all")
+        return self.own[name]
+
+    @property
+    def own(self) -> Run:
+        """The scene's own run, with its parameters, times of calls, and warnings of the unit."""
+        return self.runs[0]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all columns; the first is `time`."""
+        return list(self.own.columns)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name, "1" where there is none."""
+        return self.own.units
+
+    @property
+    def time(self) -> np.ndarray:
+        """Communication points, s: (n,)."""
+        return self.own.time
+
+    @property
+    def failure(self) -> str | None:
+        """The unit's sentence if the run ended before its time."""
+        return self.own.failure
+
+    @cached_property
+    def singularities(self) -> list[Event]:
+        """The singularities that the run met."""
+        return self._events[0]
+
+    @cached_property
+    def _events(self) -> list[list[Event]]:
+        return [singularities.find(run) for run in self.runs]
+
+    def summary(self) -> str:
+        """What the command prints: where the tip ends, steps, times, errors, singularities."""
+        blocks = [f"{self.scene.name}: {self.scene.description}"]
+        for i, run in enumerate(self.runs):
+            lines = [run.label, *summary.lines(run, self._events[i])]
+            blocks.append("\n".join(lines + ([summary.difference(self.own, run)] if i > 0 else [])))
+        return "\n\n".join(blocks + self.refused)
+
+    def plot(self, *names: str) -> "Figure":
+        """Columns over time, those of one unit in one picture; without names tip, motor angles and rates."""
+        from fivebar import pictures
+
+        shown = names or SHOWN
+        for name in shown:
+            if name not in self.own.columns:
+                raise FiveBarError(f"there is no column {name!r}; `names` has all")
+        return pictures.curves(self.own, shown)
+
+    def animate(self, file: str | Path | None = None) -> Path:
+        """Writes a page that animates the mechanism in any browser; without a file into the temporary folder, and opens it."""
+        from fivebar import animated_page
+
+        path = Path(tempfile.mkdtemp(prefix="fivebar-")) / f"{self.scene.name}.html" if file is None else Path(file)
+        animated_page.write(path, self.scene, self.runs, self.singularities)
+        if file is None:
+            webbrowser.open(path.as_uri())
+        return path
+
+    def to_csv(self, file: str | Path) -> Path:
+        """Writes all columns, one row per communication point, in full precision, with units in the header."""
+        table.write(Path(file), self.own)
+        return Path(file)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Writes tables, pictures and page to a folder, and removes what an earlier run of the scene has left there; the files written."""
+        from fivebar import moving_picture, pictures
+
+        out, name = Path(folder), self.scene.name
+        out.mkdir(parents=True, exist_ok=True)
+        _remove_earlier(out, name)
+        files = []
+        for i, run in enumerate(self.runs):
+            files.append(out / (f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"))
+            table.write(files[-1], run)
+        files.append(out / "singularities.csv")
+        singularities.write(files[-1], self.singularities)
+        files += pictures.draw_all(out, self.scene, self.runs, self.singularities)
+        if moving_picture.wanted(self.own):
+            files.append(out / ANIMATION)
+            moving_picture.write(files[-1], self.scene, self.own, self.singularities)
+        return [*files, self.animate(self.page(out))]
+
+    def page(self, folder: str | Path) -> Path:
+        """The file that `save` writes the animated page to."""
+        return Path(folder) / f"{self.scene.name}.html"
+
+
+def run(
+    scene: str | Path | Scene,
+    method: str | None = None,
+    values: Mapping[str, Any] | None = None,
+    fmu: Path | None = None,
+    overlays: bool = False,
+    progress: Callable[[str, float], Progress] | None = None,
+) -> Result:
+    """Runs a scene, by another method or with other start values if they are given; `progress` makes a line for a label and a stop time, s.
+
+    Raises FiveBarError if the scene, the method or a value is refused.
+    """
+    unit = shipped.unit() if fmu is None else fmu
+    variables = of_unit(unit)
+    ready = scene if isinstance(scene, Scene) else scenes.read(scene, variables)
+    given = dict(values or {}) | ({} if method is None else {"solver.method": method})
+    if given:
+        ready = ready.changed(given, variables)
+    directory = fmpy.extract(str(unit))
+    runs: list[Run] = []
+    refused = []
     try:
         model = fmpy.read_model_description(directory, validate=False)
-        if options.method:
-            scene = by_method(scene, model, options.method)
-        runs, refused = _drive_all(model, directory, scene)
-    except (StartRefused, UnknownMethod) as error:
-        print(error, file=sys.stderr)
-        return 1
+        for variant in ready.variants if overlays else ready.variants[:1]:
+            line = progress(f"{ready.name} ({variant.label})", ready.stop_time) if progress else None
+            try:
+                runs.append(drive(model, directory, ready, variant, line))
+            except StartRefused as sentence:
+                if not runs:
+                    raise
+                refused.append(f"{variant.label} did not start: {sentence}")
     finally:
         shutil.rmtree(directory, ignore_errors=True)
-    report(scene, runs, refused, options.out)
-    return 1 if runs[0].failed else 0
+    return Result(ready, runs, refused)
 
 
-class UnknownMethod(Exception):
-    """There is no such item of solver.method."""
-
-
-def by_method(scene: Scene, model: fmpy.model_description.ModelDescription, name: str) -> Scene:
-    """The scene with its own run by another method; its overlays stay."""
-    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
-    numbers = {item.name: int(item.value) for item in method.declaredType.items}
-    if name not in numbers:
-        raise UnknownMethod(f"There is no method {name}; solver.method has: {', '.join(numbers)}.")
-    own, *overlays = scene.variants
-    own = Variant(name, own.values | {"solver.method": numbers[name]})
-    return replace(scene, variants=[own, *overlays])
-
-
-def _drive_all(model: fmpy.model_description.ModelDescription, directory: str, scene: Scene) -> tuple[list[Run], list[str]]:
-    """The scene's own run and its overlays; an overlay that cannot start is a sentence, not an error."""
-    runs: list[Run] = []
-    refused: list[str] = []
-    for variant in scene.variants:
-        label = f"{scene.name} ({variant.label})"
-        try:
-            runs.append(drive(model, directory, scene, variant, Progress(label, scene.stop_time)))
-        except StartRefused as sentence:
-            if not runs:
-                raise
-            refused.append(f"{variant.label} did not start: {sentence}")
-    return runs, refused
-
-
-def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None:
-    """Writes all files of a scene to `out` and prints the summary."""
-    out.mkdir(parents=True, exist_ok=True)
-    remove_earlier(out, scene.name)
-    events = [singularities.find(run) for run in runs]
-    print(f"{scene.name}: {scene.description}")
-    for i, run in enumerate(runs):
-        print(f"\n{run.label}")
-        print("\n".join(summary.lines(run, events[i])))
-        if i > 0:
-            print(summary.difference(runs[0], run))
-    for sentence in refused:
-        print(f"\n{sentence}")
-
-    files = []
-    for i, run in enumerate(runs):
-        files.append(out / (f"{scene.name}.csv" if i == 0 else f"{scene.name}.{slug(run.label)}.csv"))
-        table.write(files[-1], run)
-    files.append(out / "singularities.csv")
-    singularities.write(files[-1], events[0])
-    files += pictures.draw_all(out, scene, runs, events[0])
-    if moving_picture.wanted(runs[0]):
-        files.append(out / ANIMATION)
-        moving_picture.write(files[-1], scene, runs[0], events[0])
-    files.append(out / f"{scene.name}.html")
-    animated_page.write(files[-1], scene, runs, events[0])
-    print("\nWritten:")
-    for file in files:
-        print(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
-
-
-def remove_earlier(out: Path, name: str) -> None:
+def _remove_earlier(out: Path, name: str) -> None:
     """Removes the files that an earlier run of the scene `name` wrote to `out`, and nothing else."""
+    from fivebar import pictures
+
     own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
     fixed = {"singularities.csv", f"{name}.html", ANIMATION, *pictures.FILES}
     for file in out.iterdir():
@@ -118,20 +188,6 @@ def remove_earlier(out: Path, name: str) -> None:
             file.unlink()
 
 
-def slug(label: str) -> str:
+def _slug(label: str) -> str:
     """`label` as a part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
-
-
-def _shown(file: Path) -> Path:
-    """`file` as seen from the current directory, if it lies inside."""
-    file, here = file.resolve(), Path.cwd().resolve()
-    return file.relative_to(here) if file.is_relative_to(here) else file
-
-
-def _size(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.1f} kB"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar import scene as scenes
+from fivebar import shipped
 from fivebar import statics
 from fivebar.kinematics import SIGN, WORKING_MODES, Circle, Machine, Sign, Working, sines
 from fivebar.scene import Scene
@@ -162,7 +163,7 @@ def follow(scene: Scene) -> Path:
     inputs["time"] = scene.time
     for name, values in scene.signals.items():
         inputs[name] = values
-    folder = extract(str(scenes.target("fmu/FiveBar.fmu")))
+    folder = extract(str(shipped.unit()))
     try:
         # FMPy prints that inputs without signals keep their values.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -480,7 +481,7 @@ def summary(survey: Map) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Maps a scene into a folder."""
     parser = argparse.ArgumentParser(prog="python -m fivebar.workspace", description="Maps where the tip of a scene's machine can go.")
-    parser.add_argument("scene", help="name of a scene, or a file of target/scenes/")
+    parser.add_argument("scene", help="name of a scene, or a file")
     parser.add_argument("--out", type=FilePath, metavar="DIR", help="folder of pictures and tables; ./SCENE/ unless told")
     parser.add_argument("--torque", type=float, nargs=2, metavar=("LEFT", "RIGHT"), help="limits of the motors' torques, N·m")
     names = {left + right.capitalize(): (left, right) for left, right in WORKING_MODES}

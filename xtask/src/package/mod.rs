@@ -1,6 +1,5 @@
 //! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes wherever it is built, verified after packing; with
-//! `--all-platforms` one with a library for every machine that is shipped. The scenes, which its documentation lists, are checked and
-//! written to `target/scenes/` for the Python programs that drive it.
+//! `--all-platforms` one with a library for every machine that is shipped. The scenes, which its documentation lists, are checked.
 //!
 //! With `--scene FILE` a unit of one's own: the text of its model description is made first, the library is built with that text
 //! instead of the XML, and the packed unit says itself whether it accepts its start.
@@ -18,7 +17,7 @@ mod verify;
 
 pub(crate) use platform::Scope;
 
-use crate::{paths, scenes};
+use crate::paths;
 use ::scenes::Scene;
 use anyhow::{Context, Result};
 use std::collections::{BTreeMap, HashSet};
@@ -59,7 +58,6 @@ pub(crate) fn web() -> Result<(Vec<u8>, Files)> {
 
 fn pack(unit: &Unit, scope: Scope) -> Result<PathBuf> {
     let scenes = Scene::all()?;
-    scenes::write(&scenes)?;
     let platforms = scope.platforms();
     let mut linked = linked::Linked::read(|| scope.rustc(), &platforms)?;
     let mut files = Files::new();

@@ -1,7 +1,42 @@
-"""`python -m fivebar.twin`: the console command under another name."""
+"""The processes of a twin: `python -m fivebar.twin NAME --config FILE`. `fivebar twin` starts them all."""
 
 import sys
+from importlib import import_module
+from pathlib import Path
 
-from fivebar.twin.cli import main
+from fivebar.twin.errors import TwinError
 
-sys.exit(main())
+PROCESSES = {
+    "broker": "broker",
+    "machine": "machine",
+    "follow": "follow",
+    "forecast": "ahead",
+    "record": "recorder",
+    "watch": "watch",
+    "dashboard": "dashboard",
+}
+"""Their modules by name; docs/pipeline.md says what each does."""
+
+
+def main() -> int:
+    """Runs one of them until it is told to stop."""
+    # By hand, and with the module of this process alone: processes start at once, and without what others need.
+    match sys.argv[1:]:
+        case [name, "--config", file] if name in PROCESSES:
+            pass
+        case _:
+            print(f"python -m fivebar.twin NAME --config FILE, where NAME is one of {', '.join(PROCESSES)}", file=sys.stderr)
+            return 2
+    try:
+        return int(import_module(f"fivebar.twin.{PROCESSES[name]}").run(Path(file)))
+    except TwinError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"{name}: {error.filename or 'the system'}: {error.strerror or error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        return 130
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -3,7 +3,6 @@
 A process of its own, which comes last where cores are few: an estimate never waits for a forecast.
 """
 
-import argparse
 import logging
 import threading
 from pathlib import Path
@@ -87,12 +86,8 @@ class Ahead(Worker):
             self.thread.join(timeout=2)
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    config = process.read_config(arguments)
+def run(file: Path) -> int:
+    config = process.read_config(file)
     library = Library(Path(config.fmu))
     try:
         return process.serve(Ahead(config, library))

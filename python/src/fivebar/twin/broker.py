@@ -1,10 +1,10 @@
 """The broker that comes along: amqtt, on the loopback interface only. Beyond it use one like mosquitto, with users, roles and TLS."""
 
-import argparse
 import asyncio
 import logging
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from amqtt.broker import Broker
@@ -14,13 +14,9 @@ from fivebar.twin.config import Config, is_loopback
 from fivebar.twin.errors import TwinError
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(file: Path) -> int:
     """Serves until told to stop."""
-    config = process.read_config(arguments)
+    config = process.read_config(file)
     if not is_loopback(config.broker.host):
         raise TwinError(f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS")
     process.set_up_log()

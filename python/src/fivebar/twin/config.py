@@ -78,7 +78,7 @@ class Config:
 
     fmu: str
     scene: str
-    """A scene as `cargo xtask package` writes it to target/scenes/."""
+    """The file of the scene as `fivebar.twin.scene.resolve` writes it."""
 
     unit: str = "bench"
     """Name of the machine in topics."""

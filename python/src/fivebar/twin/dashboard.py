@@ -8,7 +8,6 @@ A page of another site must not reach the broker through the user's browser: the
 may load nothing from elsewhere.
 """
 
-import argparse
 import asyncio
 import contextlib
 import json
@@ -253,15 +252,11 @@ async def _to_page(page: ServerConnection, pace: Pace) -> None:
             await page.send(await pace.next())
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(file: Path) -> int:
     """Serves until told to stop."""
     process.set_up_log()
     quiet()
-    return asyncio.run(_serve(process.read_config(arguments)))
+    return asyncio.run(_serve(process.read_config(file)))
 
 
 def quiet() -> None:

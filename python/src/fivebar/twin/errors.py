@@ -1,7 +1,10 @@
 """Errors on the user's side: one sentence that names the object, its value, and the allowed ones."""
 
 
-class TwinError(Exception):
+from fivebar.errors import FiveBarError
+
+
+class TwinError(FiveBarError):
     """Something that the caller can mend: a file, a setting, a broker."""
 
 

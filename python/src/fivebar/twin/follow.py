@@ -1,6 +1,5 @@
 """The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` once."""
 
-import argparse
 import json
 import logging
 import math
@@ -137,12 +136,8 @@ class Twin(Worker):
             self._store(self.follower.book.time)
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    config = process.read_config(arguments)
+def run(file: Path) -> int:
+    config = process.read_config(file)
     library = Library(Path(config.fmu))
     try:
         return process.serve(Twin(config, library))

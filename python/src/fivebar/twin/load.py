@@ -1,6 +1,5 @@
-"""`fivebar-twin load`: how many machines of 200 samples a second a broker carries, from sending to the subscriber; docs/growth.md."""
+"""`fivebar load`: how many machines of 200 samples a second a broker carries, from sending to the subscriber; docs/growth.md."""
 
-import argparse
 import json
 import math
 import subprocess
@@ -29,41 +28,35 @@ LIMIT: Final = 5e-3
 FIELDS: Final = {f"{name}[{i}]": 1.2345678901234567 for name in ("measured.theta", "servo.theta", "servo.omega") for i in (1, 2)}
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--broker", metavar="HOST:PORT", help="any MQTT broker of this machine [default: one that comes along]")
-    parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="of each number of machines [default: 4]")
-    parser.add_argument("--most", type=int, default=64, metavar="N", help="machines at most [default: 64]")
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(at: str | None, seconds: float, most: int) -> int:
     """0 if the broker carries one machine at least."""
     with tempfile.TemporaryDirectory() as folder:
-        if arguments.broker:
-            host, port = configuration.host_and_port(arguments.broker)
+        if at is not None:
+            host, port = configuration.host_and_port(at)
             configuration.check_broker(Broker(host, port, False))
-            return _rise(host, port, _listening(port) if configuration.is_loopback(host) else None, arguments)
+            return _rise(host, port, _listening(port) if configuration.is_loopback(host) else None, seconds, most)
         port = free_port()
         config = replace(Config(folder, "", ""), broker=Broker("127.0.0.1", port, True))
         configuration.write(config, Path(folder) / "twin.json")
         broker = subprocess.Popen([sys.executable, "-m", "fivebar.twin", "broker", "--config", str(Path(folder) / "twin.json")])
         try:
-            return _rise("127.0.0.1", port, psutil.Process(broker.pid), arguments)
+            return _rise("127.0.0.1", port, psutil.Process(broker.pid), seconds, most)
         finally:
             broker.terminate()
             broker.wait(10)
 
 
-def _rise(host: str, port: int, broker: psutil.Process | None, arguments: argparse.Namespace) -> int:
+def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, most: int) -> int:
     carried, machines = 0, 1
     print(f"{'machines':>9} {'messages/s':>11} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'µs of the broker a message':>27}")
-    while machines <= arguments.most:
+    while machines <= most:
         before = _cpu(broker)
-        sent, latencies = _measure(host, port, machines, arguments.seconds)
+        sent, latencies = _measure(host, port, machines, seconds)
         if not len(latencies):
             raise TwinError(f"no message came back from the broker at {host}:{port}")
         p50, p99 = (float(np.quantile(latencies, level)) for level in (0.5, 0.99))
         own = f"{1e6 * (_cpu(broker) - before) / sent:27.0f}" if broker else f"{'-':>27}"
-        print(f"{machines:9} {sent / arguments.seconds:11.0f} {sent - len(latencies):6} {1e3 * p50:8.2f} {1e3 * p99:8.2f} {own}", flush=True)
+        print(f"{machines:9} {sent / seconds:11.0f} {sent - len(latencies):6} {1e3 * p50:8.2f} {1e3 * p99:8.2f} {own}", flush=True)
         if len(latencies) < sent:
             break
         carried = machines if p99 <= LIMIT else carried

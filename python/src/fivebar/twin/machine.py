@@ -4,7 +4,6 @@ It is a machine: it does not stop when its connection does, and when this proces
 been. A real one takes its place by publishing the same message; docs/pipeline.md has the ten lines of Python.
 """
 
-import argparse
 import base64
 import csv
 import json
@@ -103,6 +102,8 @@ class StandIn:
         try:
             self.rider.unit.from_bytes(base64.b64decode(content["state"], validate=True), float(content["clock"]))
             self.seq, self.start_ns = int(content["seq"]), int(content["start"])
+        except TwinError:
+            raise
         except (KeyError, TypeError, ValueError):
             raise TwinError(f"{file} is not a stored state of the machine") from None
 
@@ -190,13 +191,9 @@ class Mangler:
         return [payload, *sent]
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(file: Path) -> int:
     """Publishes samples at their times until told to stop, or until the recording has ended."""
-    config = process.read_config(arguments)
+    config = process.read_config(file)
     process.set_up_log()
     priority.take("machine")
     stop, disk = process.Stop(), process.Disk()

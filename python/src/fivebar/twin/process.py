@@ -1,6 +1,5 @@
 """Frame of every process of a run: signals, log, connection, a status file, an end when the starter is gone."""
 
-import argparse
 import contextlib
 import gc
 import json
@@ -106,11 +105,6 @@ class Worker(ABC):
 
     def end(self) -> None:
         """Stores what has to be stored."""
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """The one argument of every process."""
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="the configuration of the run")
 
 
 def set_up_log() -> None:
@@ -268,7 +262,7 @@ def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
         raise
 
 
-def read_config(arguments: argparse.Namespace) -> Config:
+def read_config(file: Path) -> Config:
     """The configuration that a process was given. Files that the process writes from then on are its owner's alone."""
     os.umask(0o077)
-    return configuration.read(arguments.config)
+    return configuration.read(file)

@@ -1,6 +1,5 @@
 """The recorder's process: everything that is published, into Parquet, in parts that survive whatever ends the process."""
 
-import argparse
 import logging
 import time
 import zipfile
@@ -188,12 +187,8 @@ def guid(fmu: Path) -> str:
         raise TwinError(f"{fmu} is no .fmu: {error}") from None
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    config = process.read_config(arguments)
+def run(file: Path) -> int:
+    config = process.read_config(file)
     recorder = Recorder(config)
     recorder.about = setup.of_run(config, scene.read(Path(config.scene)), guid(Path(config.fmu))).to_message(config.unit, time.time_ns())
     return process.serve(recorder)

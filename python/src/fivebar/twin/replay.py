@@ -1,8 +1,6 @@
-"""`fivebar-twin replay FILE`: computes the estimates of a record again, from its samples, and compares them to the bit."""
+"""`fivebar replay FILE`: computes the estimates of a record again, from its samples, and compares them to the bit."""
 
-import argparse
 import math
-import os
 import time
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -194,21 +192,9 @@ def gap(message: Message) -> str:
     return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (f" ({why})" if why else "")
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="a Parquet file, or the folder of its parts")
-    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--since", type=float, default=-math.inf, metavar="SECONDS", help="only from then on, after the record's first message")
-    parser.add_argument("--until", type=float, default=math.inf, metavar="SECONDS", help="only until then")
-
-
-def default_fmu() -> Path:
-    """The unit that `cargo xtask package` packs."""
-    return Path(os.environ.get("FIVEBAR_FMU", Path(__file__).parents[4] / "target" / "fmu" / "FiveBar.fmu"))
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(file: Path, fmu: Path, since: float, until: float) -> int:
     """0 if every estimate is the same to the bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
-    result = replay(arguments.file, arguments.fmu, arguments.since, arguments.until)
+    result = replay(file, fmu, since, until)
     for what, sentences in (("", result.differing), ("the record lacks ", result.gaps), ("a row is no message: ", result.bad)):
         for sentence in sentences[:TOLD]:
             print(what + sentence)

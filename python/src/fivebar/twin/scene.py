@@ -1,12 +1,15 @@
-"""Scenes as `cargo xtask package` writes them to target/scenes/: start values, and commands of the drives over time."""
+"""The scene of a run, resolved when the run begins: start values, and commands of the drives over time."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fivebar import scene as scenes
 from fivebar.twin import config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS
+from fivebar.variables import Variables
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,19 @@ class Scene:
         return values[below] + (values[above] - values[below]) * min(max(place - below, 0.0), 1.0)
 
 
+def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
+    """Writes a scene, by its name or file, to the folder of a run, with nothing left to look up: processes read it at once."""
+    file = folder / "scene.json"
+    file.write_text(json.dumps(scenes.read(given, variables).resolved()) + "\n", encoding="utf-8")
+    return file
+
+
 def read(file: Path) -> Scene:
-    """The scene in a file of target/scenes/."""
+    """The scene in a file that `resolve` has written."""
     try:
         return parse(config.read_json(file))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
-        raise TwinError(f"{file} is not as `cargo xtask package` writes scenes to target/scenes/") from None
+        raise TwinError(f"{file} is not a scene as a run of this version resolves it") from None
 
 
 def parse(content: dict[str, Any]) -> Scene:

@@ -1,14 +1,14 @@
-"""`fivebar-twin soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
+"""`fivebar soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
 
-import argparse
 import re
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from fivebar.twin import figures, process, replay, scene, starter
+from fivebar.twin import figures, process, scene, starter
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
@@ -62,8 +62,24 @@ class Wire:
             worker.end()
 
 
-def configured(folder: Path, fmu: Path, library: Library, file: Path) -> Config:
+@dataclass(frozen=True)
+class Options:
+    """What is soaked, and for how long."""
+
+    hours: float
+    """Of 200 samples a second."""
+
+    scene: str | Path
+    """The name of a shipped scene, or a file."""
+
+    fmu: Path
+    faults: str
+
+
+def configured(folder: Path, fmu: Path, library: Library, given: str | Path) -> Config:
     """A configuration in which the stand-in differs from its twin as in a default run."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = scene.resolve(given, library.known, folder)
     machine = Machine(hidden=starter.hidden(library, scene.read(file).values))
     return Config(str(folder), str(fmu), str(file), machine=machine)
 
@@ -75,27 +91,20 @@ def machine(config: Config, library: Library) -> StandIn:
     return made
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--hours", type=float, default=1.0, help="of 200 samples a second [default: 1]")
-    parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
-    parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--faults", default="", metavar="NAME=SHARE,...", help="as for `run`")
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """0 if every sample has an estimate and the memory has stopped growing, 3 if forecasts were not as good as promised."""
-    if not 0 < arguments.hours <= 1000:
-        raise TwinError(f"hours are {arguments.hours:g}; more than 0 and at most 1000 are allowed")
-    faults = starter.parse_faults(arguments.faults)
-    library = Library(arguments.fmu)
+    if not 0 < options.hours <= 1000:
+        raise TwinError(f"hours are {options.hours:g}; more than 0 and at most 1000 are allowed")
+    faults = starter.parse_faults(options.faults)
+    library = Library(options.fmu)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            config = configured(Path(folder), arguments.fmu, library, arguments.scene)
+            config = configured(Path(folder), options.fmu, library, options.scene)
             starter.check_followed(config, True)
             twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
             wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
-            samples = round(arguments.hours * 3600 / config.period)
+            samples = round(options.hours * 3600 / config.period)
             memory = []
             begin = time.perf_counter()
             for i in range(samples):
@@ -127,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"error of the estimated tip {content['tip_error_mm']['rms']:.2g} mm (rms)")
     for sentence in content["missed"]:
         print(sentence)
-    lost = 0 if arguments.faults else samples - counts["estimated"]
+    lost = 0 if options.faults else samples - counts["estimated"]
     if lost or (growth > 5 and samples * config.period >= SETTLED):
         return 1
     return figures.MISSED if content["missed"] else 0

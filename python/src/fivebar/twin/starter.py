@@ -1,6 +1,5 @@
-"""`fivebar-twin run`: starts the processes of a twin in their order, restarts those that die, shows progress, ends all, sums up."""
+"""`fivebar twin`: starts the processes of a twin in their order, restarts those that die, shows progress, ends all, sums up."""
 
-import argparse
 import contextlib
 import json
 import math
@@ -10,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import webbrowser
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fivebar.twin import config as configuration
-from fivebar.twin import priority, replay, scene, setup
+from fivebar.twin import priority, scene, setup
 from fivebar.twin.config import Broker, Config, Faults, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import Follower
@@ -51,6 +51,42 @@ TROUBLES: Final = 1000
 
 ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
 """The watch first, or it would take the end for silence."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a twin is run."""
+
+    seconds: float
+    """Of real time; infinite until Ctrl-C."""
+
+    scene: str | Path
+    """The name of a shipped scene, or a file."""
+
+    fmu: Path
+    out: Path
+    """For summary, pictures, page and record."""
+
+    unit: str
+    """What the machine is called in topics."""
+
+    broker: str | None
+    """HOST:PORT of any MQTT broker; without one that comes along."""
+
+    user: str
+    ca_file: str
+    machine: str
+    """`stand-in`, or `none` where a real one publishes."""
+
+    csv: Path | None
+    """A recording that is played in the place of the stand-in."""
+
+    hidden: Path | None
+    """JSON of what the stand-in has and the twin does not know."""
+
+    faults: str
+    open: bool
+    """Whether to show the dashboard and keep running."""
 
 
 @dataclass
@@ -268,50 +304,35 @@ def run_folder(out: Path) -> Path:
     return folder
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=60.0, help="of real time, or inf until Ctrl-C [default: 60]")
-    parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
-    parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--out", type=Path, default=Path("target/twin"), help="for summary, pictures, page and record")
-    parser.add_argument("--unit", default="bench", help="what the machine is called in topics [default: bench]")
-    parser.add_argument("--broker", metavar="HOST:PORT", help="any MQTT broker [default: one that comes along]")
-    parser.add_argument("--user", default="", help="at that broker; its password is read from FIVEBAR_PASSWORD")
-    parser.add_argument("--ca-file", default="", help="certificates for TLS with that broker; `system` for those of the system")
-    parser.add_argument("--machine", choices=("stand-in", "none"), default="stand-in", help="none: a real one publishes meas")
-    parser.add_argument("--csv", type=Path, help="play a recording in the place of the stand-in")
-    parser.add_argument("--hidden", type=Path, metavar="FILE", help="what the stand-in has and the twin does not know: JSON, name to value")
-    parser.add_argument("--faults", default="", metavar="NAME=SHARE,...", help="lose, double, delay samples on purpose, and more")
-    parser.add_argument("--open", action="store_true", help="show the dashboard and keep running until Ctrl-C")
-
-
-def configure(arguments: argparse.Namespace, folder: Path) -> Config:
-    """The configuration of a run, from the command line."""
-    if not arguments.seconds > 0:
-        raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
+def configure(options: Options, folder: Path) -> Config:
+    """The configuration of a run that keeps what it writes in that folder."""
+    if not options.seconds > 0:
+        raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
     password = os.environ.get("FIVEBAR_PASSWORD", "")
-    if arguments.broker:
-        host, port = configuration.host_and_port(arguments.broker)
-        broker = Broker(host, port, False, arguments.user, password, arguments.ca_file)
+    if options.broker:
+        host, port = configuration.host_and_port(options.broker)
+        broker = Broker(host, port, False, options.user, password, options.ca_file)
     else:
         broker = Broker("127.0.0.1", free_port(), True)
-    library = Library(arguments.fmu)
+    library = Library(options.fmu)
     try:
-        values = scene.read(arguments.scene).values
-        if arguments.hidden is not None:
-            secret = configuration.read_json(arguments.hidden)
+        resolved = scene.resolve(options.scene, library.known, folder)
+        values = scene.read(resolved).values
+        if options.hidden is not None:
+            secret = configuration.read_json(options.hidden)
         else:
             secret = hidden(library, values)
         for name in secret:
             library.variable(name)
-        csv = str(arguments.csv.resolve()) if arguments.csv else ""
+        csv = str(options.csv.resolve()) if options.csv else ""
     finally:
         library.close()
-    machine = Machine(hidden=secret, csv=csv, faults=parse_faults(arguments.faults))
+    machine = Machine(hidden=secret, csv=csv, faults=parse_faults(options.faults))
     config = Config(
         folder=str(folder.resolve()),
-        fmu=str(arguments.fmu.resolve()),
-        scene=str(arguments.scene.resolve()),
-        unit=arguments.unit,
+        fmu=str(options.fmu.resolve()),
+        scene=str(resolved.resolve()),
+        unit=options.unit,
         broker=broker,
         machine=machine,
         dashboard_port=free_port(),
@@ -332,7 +353,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
             try:
                 machine = machine or StandIn(config, library)
             except UnitError as error:
-                raise TwinError(f"no machine can move by {config.scene}: {error}") from None
+                raise TwinError(f"no machine can move by {known.name}: {error}") from None
             # The first that tells where the machine is.
             while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
                 pass
@@ -344,27 +365,28 @@ def check_followed(config: Config, stand_in: bool) -> None:
         failure = twin.failure
         twin.close()
         if failure:
-            raise TwinError(f"the twin cannot follow {config.machine.csv or config.scene}: {failure}")
+            raise TwinError(f"the twin cannot follow {config.machine.csv or known.name}: {failure}")
     finally:
         library.close()
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
     # Whatever cannot work is refused before a folder is made.
-    check_followed(configure(arguments, arguments.out), arguments.machine != "none")
-    folder = run_folder(arguments.out)
-    config = configure(arguments, folder)
-    names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or arguments.machine != "none"))
+    with tempfile.TemporaryDirectory() as before:
+        check_followed(configure(options, Path(before)), options.machine != "none")
+    folder = run_folder(options.out)
+    config = configure(options, folder)
+    names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.machine != "none"))
     run = Run(config, names)
     asked = Asked()
     try:
         run.start()
         address = f"http://127.0.0.1:{config.dashboard_port}/"
         print(f"broker at {config.broker.host}:{config.broker.port}, dashboard at {address}, record in {config.record}", flush=True)
-        if arguments.open:
+        if options.open:
             webbrowser.open(address)
-        _watch(run, asked, math.inf if arguments.open else arguments.seconds)
+        _watch(run, asked, math.inf if options.open else options.seconds)
     finally:
         run.end()
         with contextlib.suppress(OSError):
@@ -373,7 +395,7 @@ def run(arguments: argparse.Namespace) -> int:
     # Packages that draw are loaded when no message is urgent any more.
     from fivebar.twin import summary
 
-    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, arguments.out, list(run.troubles))
+    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, options.out, list(run.troubles))
 
 
 class Asked:

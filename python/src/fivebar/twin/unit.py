@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_double, c_int
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fivebar.twin.errors import TwinError
+from fivebar.variables import Variables
 
 Values = Mapping[str, float | int | bool]
 
@@ -30,6 +32,11 @@ class Library:
         self.directory = fmpy.extract(str(fmu))
         self.model: ModelDescription = fmpy.read_model_description(self.directory)
         self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
+
+    @cached_property
+    def known(self) -> Variables:
+        """What scenes may set."""
+        return Variables(self.model)
 
     @property
     def guid(self) -> str:

@@ -4,10 +4,10 @@ It goes through the states of the Incubator's supervisor: listening → anomaly 
 last before it counts, and to be gone before it counts as gone; nothing counts while the twin is still finding its state.
 """
 
-import argparse
 import logging
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from fivebar.twin import process
@@ -247,9 +247,5 @@ class Watch(Worker):
         }
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    return process.serve(Watch(process.read_config(arguments)))
+def run(file: Path) -> int:
+    return process.serve(Watch(process.read_config(file)))

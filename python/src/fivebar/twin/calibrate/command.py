@@ -1,6 +1,5 @@
-"""`fivebar-twin calibrate FILE`: parameters of the machine from samples of its encoders."""
+"""`fivebar calibrate FILE`: parameters of the machine from samples of its encoders."""
 
-import argparse
 import json
 import math
 import sys
@@ -11,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.scene import write as write_scene
 from fivebar.twin.calibrate import data, scenes
 from fivebar.twin.calibrate.fit import Fit, Fitter, Show, least_noise
 from fivebar.twin.calibrate.identify import Judgement, interval, judge
@@ -18,26 +18,45 @@ from fivebar.twin.calibrate.motion import Between, Machine
 from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters
 from fivebar.twin.calibrate.propose import SECONDS, Motion, propose
 from fivebar.twin.errors import TwinError
-from fivebar.twin.replay import default_fmu
 from fivebar.twin.unit import Library
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", nargs="?", help="a record: Parquet, a folder of parts, or CSV (docs/calibration.md)")
-    parser.add_argument("--parameters", nargs="+", metavar="NAME", help=f"what is sought, groups as link[1,4].mass [default: {' '.join(USUAL)}]")
-    parser.add_argument("--scene", type=Path, metavar="NAME|FILE", help="what the machine is taken for before [default: the scene of the record]")
-    parser.add_argument("--from", dest="begin", type=float, default=0.0, metavar="S", help="s after the first sample [default: 0]")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of the record that are used [default: 10]")
-    parser.add_argument("--longest", type=float, default=10.0, metavar="S", help="series longer than this are cut [default: 10]")
-    parser.add_argument("--commands", choices=("rate", "linear", "hold"), default="rate", help="what drives do between samples [default: rate, as the twin]")
-    parser.add_argument("--patience", type=float, default=50.0, metavar="S", help="of CPU after which a fit is given up [default: 50]")
-    parser.add_argument("--unit", default="", help="which machine, if the record has several")
-    parser.add_argument("--no-proposal", action="store_true", help="do not look for a motion that would tell what is not identified")
-    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--out", type=Path, default=Path("target/calibrate"), help="for scene, figures and pictures [default: target/calibrate]")
-    parser.add_argument("--trials", type=int, metavar="N", help="no FILE: calibrate N made records, count what error bars cover")
-    parser.add_argument("--machines", choices=("one", "any"), default="one", help="of trials: one with six unknowns off, or each another one [default: one]")
-    parser.add_argument("--first", type=int, default=100, metavar="K", help="number of the first of these trials [default: 100]")
+@dataclass(frozen=True)
+class Options:
+    """What is calibrated, from what, and how."""
+
+    file: Path
+    """A record: Parquet, a folder of parts, or CSV."""
+
+    parameters: tuple[str, ...]
+    """What is sought; nothing is `USUAL`."""
+
+    scene: str | Path | None
+    """What the machine is taken for before; without one the scene of the record."""
+
+    begin: float
+    """s after the first sample."""
+
+    seconds: float
+    """Of the record that are used."""
+
+    longest: float
+    """s: longer series are cut."""
+
+    commands: Between
+    """What drives do between samples."""
+
+    patience: float
+    """s of CPU after which a fit is given up."""
+
+    unit: str
+    """Which machine, if the record has several."""
+
+    proposal: bool
+    """Whether to look for a motion that would tell what is not identified."""
+
+    fmu: Path
+    out: Path
 
 
 WELL_TOLD: Final = 0.05
@@ -123,44 +142,38 @@ def _pins(judgement: Judgement, count: int) -> np.ndarray:
     return np.array(rows) if rows else np.empty((0, count))
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """0 if at least one unknown is identified, 1 if none is or the record is not of this machine."""
-    if arguments.trials is not None:
-        from fivebar.twin.calibrate import trials
-
-        return trials.run(arguments)
-    if arguments.file is None:
-        raise TwinError("a FILE is needed: a record (Parquet), a folder of its parts, or CSV")
     for name in ("seconds", "longest", "patience"):
-        if not (math.isfinite(getattr(arguments, name)) and getattr(arguments, name) > 0):
-            raise TwinError(f"{name} is {getattr(arguments, name):g}; more than 0 is needed")
+        if not (math.isfinite(getattr(options, name)) and getattr(options, name) > 0):
+            raise TwinError(f"{name} is {getattr(options, name):g}; more than 0 is needed")
     begun = time.process_time()
-    given = data.read(arguments.file, arguments.begin, arguments.seconds, arguments.unit)
+    given = data.read(options.file, options.begin, options.seconds, options.unit)
     data.check(given)
-    library = Library(arguments.fmu)
+    library = Library(options.fmu)
     try:
-        scene, source = scenes.start_values(arguments.scene, arguments.file, library)
-        sought = parameters(arguments.parameters or usual(scene), library, scene)
+        scene, source = scenes.start_values(options.scene, options.file, library)
+        sought = parameters(options.parameters or usual(scene), library, scene)
         machine = Machine(library, scene, sought)
-        result = calibrate(machine, given, arguments.commands, arguments.longest, _show, arguments.patience)
+        result = calibrate(machine, given, options.commands, options.longest, _show, options.patience)
         motion = None
-        if result.refused() and not result.wrong and not arguments.no_proposal:
+        if result.refused() and not result.wrong and options.proposal:
             motion = propose(machine, result.fit, result.refused())
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        report = _report(result, given, source, arguments, time.process_time() - begun, motion)
-        (arguments.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        written = [arguments.out / "calibration.json"]
+        options.out.mkdir(parents=True, exist_ok=True)
+        report = _report(result, given, source, options, time.process_time() - begun, motion)
+        (options.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        written = [options.out / "calibration.json"]
         if not result.wrong:
-            written.insert(0, arguments.out / "calibrated.json")
-            _write_scene(written[0], result, scene, arguments, given, library)
+            written.insert(0, options.out / "calibrated.json")
+            _write_scene(written[0], result, scene, options, given, library)
         if motion is not None:
-            _write_proposal(arguments.out / "proposal.json", result, motion, scene, library)
+            _write_proposal(options.out / "proposal.json", result, motion, scene, library)
         machine.close()
     finally:
         library.close()
     from fivebar.twin.calibrate import pictures
 
-    files = pictures.draw(arguments.out, result.fit, result.judgement, result.sought)
+    files = pictures.draw(options.out, result.fit, result.judgement, result.sought)
     _print(result, report, [*written, *files])
     return 0 if any(result.judgement.identified) else 1
 
@@ -182,10 +195,10 @@ def fitted_values(result: Result, scene: Values, library: Library) -> Values:
     return assemble(scene, library, [result.sought[k] for k in kept], [float(result.fit.x[k]) for k in kept])
 
 
-def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.Namespace, given: data.Data, library: Library) -> None:
+def _write_scene(file: Path, result: Result, scene: Values, options: Options, given: data.Data, library: Library) -> None:
     known = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if identified]
     unknown = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if not identified]
-    text = f"Calibrated from {arguments.file.name}: {scenes.series(known)}."
+    text = f"Calibrated from {options.file.name}: {scenes.series(known)}."
     if unknown:
         text += f" Not identified: {scenes.series(unknown)}."
     first = result.fit.pieces[0].start
@@ -194,17 +207,17 @@ def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.
     values["init.assembly"] = first.assembly
     # First commands of the drives as start values: without a master the machine stays there.
     values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
-    scenes.write(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library)
+    write_scene(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library.known)
 
 
 def _write_proposal(file: Path, result: Result, motion: Motion, scene: Values, library: Library) -> None:
     told = [result.sought[k].name for k in motion.told(result.refused())]
     text = f"A motion that would tell {scenes.series(told)}: motors on sines of {motion.amplitude:g} rad and {motion.frequency:g} Hz."
     values = fitted_values(result, scene, library) | motion.values | {"init.omega[1]": 0.0, "init.omega[2]": 0.0}
-    scenes.write(file, text, values, SECONDS, 1e-3, library, motion.signals())
+    write_scene(file, text, values, SECONDS, 1e-3, library.known, motion.signals())
 
 
-def _report(result: Result, given: data.Data, source: str, arguments: argparse.Namespace, seconds: float, motion: Motion | None) -> dict[str, Any]:
+def _report(result: Result, given: data.Data, source: str, options: Options, seconds: float, motion: Motion | None) -> dict[str, Any]:
     fit, judgement = result.fit, result.judgement
     unknowns = {}
     for k, p in enumerate(result.sought):
@@ -223,11 +236,11 @@ def _report(result: Result, given: data.Data, source: str, arguments: argparse.N
     if motion is not None:
         told = motion.told(result.refused())
         proposal = {
-            "scene": str(arguments.out / "proposal.json"),
+            "scene": str(options.out / "proposal.json"),
             "tells": {result.sought[k].name: float(result.sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
         }
     return {
-        "file": str(arguments.file),
+        "file": str(options.file),
         "refused": result.wrong or None,
         "warning": result.odd or None,
         "begins_from": source,

@@ -1,4 +1,4 @@
-"""How good error bars are: made records of machines that are known, calibrated one after the other; `fivebar-twin calibrate --trials N`.
+"""How good error bars are: made records of machines that are known, calibrated one after the other; `fivebar calibrate --trials N`.
 
 Each machine is the one of `MACHINE` with the six unknowns of `SOUGHT` up to 20 % off; soft servos lead it on sines for 5 s, away from
 singularities, and encoders of 13,824 counts a turn with white noise of 0.1 mrad see it at 200 Hz. Counted is how often the 95 % bars
@@ -6,13 +6,12 @@ hold the truth, and how large errors are against the Cramér-Rao bound. Rules we
 those from it on. Every trial is kept in `trials.jsonl`: a command that was interrupted goes on where it was.
 """
 
-import argparse
 import json
 import math
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any, Final
 
 import numpy as np
@@ -162,7 +161,7 @@ def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:
     return of | {name: values.tolist() for name, values in found.items()} | {"cpu_seconds": spent}
 
 
-def done(file: Path, guid: str, machines: str = "one") -> dict[int, dict[str, Any]]:
+def done(file: FilePath, guid: str, machines: str = "one") -> dict[int, dict[str, Any]]:
     """Trials of this unit and of such machines that were made before, by their keys."""
     if not file.is_file():
         return {}
@@ -173,28 +172,28 @@ def done(file: Path, guid: str, machines: str = "one") -> dict[int, dict[str, An
         raise TwinError(f"{file} is not as this command writes it; delete it to begin anew") from None
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(trials: int, first: int, machines: str, fmu: Path, out: FilePath) -> int:
     """0 if the bars of each unknown hold the truth as often as they should, within the chance of so many trials."""
-    keys = range(arguments.first, arguments.first + arguments.trials)
+    keys = range(first, first + trials)
     if len(keys) < 1 or keys[0] < 0:
-        raise TwinError(f"trials are {arguments.trials}, from number {arguments.first}; at least one is needed, from 0 on")
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    file = arguments.out / "trials.jsonl"
-    library = Library(arguments.fmu)
+        raise TwinError(f"trials are {trials}, from number {first}; at least one is needed, from 0 on")
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "trials.jsonl"
+    library = Library(fmu)
     try:
-        made_before = done(file, library.guid, arguments.machines)
+        made_before = done(file, library.guid, machines)
         rows = [made_before[key] for key in keys if key in made_before]
         for key in keys:
             if key in made_before:
                 continue
-            rows.append(one(library, key, arguments.machines))
+            rows.append(one(library, key, machines))
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(rows[-1]) + "\n")
             print(f"\r{len(rows)} of {len(keys)} trials, {np.nanmean(inside(rows)):.1%} inside", end="", file=sys.stderr, flush=True)
     finally:
         library.close()
     print(file=sys.stderr)
-    return _report(rows, keys, arguments.machines, arguments.out)
+    return _report(rows, keys, machines, out)
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
@@ -209,7 +208,7 @@ def inside(rows: list[dict[str, Any]]) -> Array:
     return np.where(told, held, np.nan)
 
 
-def _report(rows: list[dict[str, Any]], keys: range, machines: str, out: Path) -> int:
+def _report(rows: list[dict[str, Any]], keys: range, machines: str, out: FilePath) -> int:
     ratio = np.sqrt(np.mean((column(rows, "off") / column(rows, "bound")) ** 2, axis=0))
     cover = np.nanmean(inside(rows), axis=0)
     every = float(np.nanmean(inside(rows)))

@@ -1,22 +1,21 @@
-"""`fivebar-twin ensemble`: many runs that differ as much as one does not know, on Dask."""
+"""`fivebar ensemble`: many runs that differ as much as one does not know, on Dask."""
 
-import argparse
 import base64
 import json
 import math
 import sys
 import time
 import uuid
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-
+from fivebar import scene as scenes
 from fivebar.twin import config, scene
-from fivebar.twin.calibrate import scenes
+from fivebar.twin.calibrate.scenes import KEPT_OUT
 from fivebar.twin.calibrate.parameters import Values
 from fivebar.twin.ensemble.member import STATE, Plan, Runner, spreads
 from fivebar.twin.errors import TwinError
-from fivebar.twin.replay import default_fmu
 from fivebar.twin.unit import Library, Unit
 
 USUAL: Final = {"theta[1]": 2e-3, "theta[2]": 2e-3, "link[1,4].mass": 0.01, "link[2,3].mass": 0.01}
@@ -25,41 +24,59 @@ USUAL: Final = {"theta[1]": 2e-3, "theta[2]": 2e-3, "link[1,4].mass": 0.01, "lin
 LARGEST_STATE: Final = 4_000_000
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--members", type=int, default=1000, metavar="N", help="[default: 1000]")
-    start = parser.add_mutually_exclusive_group()
-    start.add_argument("--scene", type=Path, default=Path("fall_90_120"), metavar="NAME|FILE", help="where and how they begin [default: fall_90_120]")
-    start.add_argument("--state", type=Path, metavar="FILE", help="a stored state: bytes of the unit, or a state of the twin (state/twin.json)")
-    parser.add_argument("--vary", nargs="+", default=[], metavar="NAME=SD", help=f"standard deviations, as link[1,4].mass=2%% or theta[1]=0.01 [default: {', '.join(f'{n}={v:g}' for n, v in USUAL.items())}]")
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="of each member [default: 2]")
-    parser.add_argument("--points", type=int, default=100, metavar="N", help="of time that are kept [default: 100]")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes on this machine [default: 2]; 0: none, all in this one")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a scheduler of Dask, in the place of processes on this machine")
-    parser.add_argument("--measure", action="store_true", help="run them in one process as well, and say how efficient the workers are")
-    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--out", type=Path, default=Path("target/ensemble"), help="for results and pictures [default: target/ensemble]")
+@dataclass(frozen=True)
+class Options:
+    """How many members there are, from where, and how they differ."""
+
+    members: int
+    scene: str | Path
+    """Where and how members begin: the name of a shipped scene, or a file."""
+
+    state: Path | None
+    """In the place of a scene: bytes of the unit, or a state of the twin."""
+
+    vary: tuple[str, ...]
+    """Standard deviations as NAME=SD; nothing is `USUAL`."""
+
+    seconds: float
+    """Of each member."""
+
+    points: int
+    """Of time that are kept."""
+
+    seed: int
+    workers: int
+    """Processes on this machine; 0 is none but this one."""
+
+    scheduler: str | None
+    """Address of a scheduler of Dask."""
+
+    measure: bool
+    """Whether to run all in one process as well."""
+
+    fmu: Path
+    out: Path
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """0 if every member came to its end, 1 if some failed."""
     from fivebar.twin.ensemble import results
 
-    fmu, plan = plan_of(arguments)
-    members = arguments.members
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    file = arguments.out / "members.parquet"
+    fmu, plan = plan_of(options)
+    members = options.members
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "members.parquet"
     measured: dict[str, Any] = {}
-    if arguments.measure or not (arguments.workers or arguments.scheduler):
+    if options.measure or not (options.workers or options.scheduler):
         from fivebar.twin.ensemble.rows import alone
 
         begun, cpu = time.perf_counter(), time.process_time()
         results.write(file, plan, alone(fmu, plan, members), Progress("one process", members))
         measured["one_process"] = {"wall_s": time.perf_counter() - begun, "cpu_s": time.process_time() - cpu}
         alone_bytes = file.read_bytes()
-    if arguments.workers or arguments.scheduler:
-        measured["workers"] = _on_workers(arguments, fmu, plan, file)
-        if arguments.measure:
+    if options.workers or options.scheduler:
+        measured["workers"] = _on_workers(options, fmu, plan, file)
+        if options.measure:
             one, many = measured["one_process"], measured["workers"]
             measured["efficiency"] = {
                 "wall": one["wall_s"] / (many["workers"] * many["wall_s"]),
@@ -68,46 +85,41 @@ def run(arguments: argparse.Namespace) -> int:
             }
     story = results.read(file, plan)
     summary = story.summary() | {"seed": plan.seed, "seconds": plan.seconds, "spreads": plan.spreads, "measured": measured, "results": str(file)}
-    (arguments.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    files = [file, arguments.out / "summary.json", *results.draw(arguments.out, story)]
+    (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    files = [file, options.out / "summary.json", *results.draw(options.out, story)]
     _print(summary, files)
     return 1 if story.failed else 0
 
 
-def plan_of(arguments: argparse.Namespace) -> tuple[bytes, Plan]:
+def plan_of(options: Options) -> tuple[bytes, Plan]:
     """The unit as bytes, and values that all members have in common; refused if the unit would refuse them on each worker."""
     for name, least in (("members", 1), ("points", 1), ("workers", 0), ("seed", 0)):
-        if getattr(arguments, name) < least:
-            raise TwinError(f"{name} is {getattr(arguments, name)}; {least} or more is allowed")
-    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
-        raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
-    library = Library(arguments.fmu)
+        if getattr(options, name) < least:
+            raise TwinError(f"{name} is {getattr(options, name)}; {least} or more is allowed")
+    if not (math.isfinite(options.seconds) and options.seconds > 0):
+        raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
+    library = Library(options.fmu)
     try:
-        given = dict(USUAL) if not arguments.vary else spreads(dict(part.partition("=")[::2] for part in arguments.vary))
-        common = {"seconds": arguments.seconds, "points": arguments.points, "seed": arguments.seed}
-        if arguments.state is not None:
-            plan = from_state(arguments.state, library, given if arguments.vary else None, common)
+        given = dict(USUAL) if not options.vary else spreads(dict(part.partition("=")[::2] for part in options.vary))
+        common = {"seconds": options.seconds, "points": options.points, "seed": options.seed}
+        if options.state is not None:
+            plan = from_state(options.state, library, given if options.vary else None, common)
         else:
-            plan = from_scene(arguments.scene, library, given, common)
+            plan = from_scene(options.scene, library, given, common)
         Runner(library, plan).close()
-        return arguments.fmu.read_bytes(), plan
+        return options.fmu.read_bytes(), plan
     finally:
         library.close()
 
 
-def from_scene(given: Path, library: Library, spread: dict[str, float], common: dict[str, Any]) -> Plan:
+def from_scene(given: str | Path, library: Library, spread: dict[str, float], common: dict[str, Any]) -> Plan:
     """Members that begin as a scene does and have its commands."""
-    file = scenes.found(given)
-    values = scenes.read(file, library)
-    names, rows, period = (), (), 0.005
-    content = config.read_json(file)
-    if content.get("signals") and "variants" in content:
-        found = scene.read(file)
-        names = tuple(found.signals)
-        steps = math.ceil(common["seconds"] / period - 1e-9) + 1
-        rows = tuple(tuple(found.at(name, period * k) for name in names) for k in range(steps))
-    elif content.get("signals"):
-        raise TwinError(f"{file} has signals that are not worked out: give one of target/scenes/, which `cargo xtask package` writes")
+    content = scene.parse(scenes.read(given, library.known).resolved())
+    period = 0.005
+    names = tuple(content.signals)
+    steps = math.ceil(common["seconds"] / period - 1e-9) + 1 if names else 0
+    rows = tuple(tuple(content.at(name, period * k) for name in names) for k in range(steps))
+    values = {name: value for name, value in content.values.items() if not name.startswith(KEPT_OUT)}
     return Plan(values=values, spreads=spread, names=names, commands=rows, period=period, **common)
 
 
@@ -128,7 +140,7 @@ def of_state(state: bytes, clock: float, library: Library, spread: dict[str, flo
     finally:
         unit.close()
     # Members look ahead: they correct nothing, and the method is the ensemble's.
-    values = {name: value for name, value in values.items() if not name.startswith(scenes.KEPT_OUT)}
+    values = {name: value for name, value in values.items() if not name.startswith(KEPT_OUT)}
     return Plan(values=values, spreads=spread, state=state, clock=clock, **common)
 
 
@@ -166,16 +178,16 @@ def uncertainty(unit: Unit) -> dict[str, float]:
     return {name: values[other] for name, other in known.items() if math.isfinite(values[other])}
 
 
-def _on_workers(arguments: argparse.Namespace, fmu: bytes, plan: Plan, file: Path) -> dict[str, Any]:
+def _on_workers(options: Options, fmu: bytes, plan: Plan, file: Path) -> dict[str, Any]:
     from fivebar.twin.ensemble import cluster, results
 
     begun = time.perf_counter()
-    client, own = cluster.client(arguments.scheduler, arguments.workers)
+    client, own = cluster.client(options.scheduler, options.workers)
     try:
         client.wait_for_workers(1, timeout=60)
         ready, cpu, before = time.perf_counter(), time.process_time(), client.run(time.process_time)
-        show = Progress("workers", arguments.members)
-        results.write(file, plan, cluster.tables(client, fmu, plan, arguments.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show)
+        show = Progress("workers", options.members)
+        results.write(file, plan, cluster.tables(client, fmu, plan, options.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show)
         wall = time.perf_counter() - ready
         after = client.run(time.process_time)
         # A worker that came later began with 0.

@@ -1,11 +1,10 @@
-"""`fivebar-twin what-if`: outcomes of some commands, each from the running twin's snapshot; ranked, and published as `whatif`.
+"""`fivebar what-if`: outcomes of some commands, each from the running twin's snapshot; ranked, and published as `whatif`.
 
 A command is a way of the drives' inputs from the snapshot on. Each is run by some members that differ as much as the twin is uncertain,
 the same members for all commands, so that their outcomes differ by the commands alone. The better one meets a singularity less
 probably; among equals the one whose 95 % of tips end nearer to the goal, or, without a goal, closer together.
 """
 
-import argparse
 import base64
 import math
 import threading
@@ -19,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from fivebar import shipped
 from fivebar.twin import config as configuration
 from fivebar.twin import process
 from fivebar.twin.bus import Bus
@@ -27,7 +27,6 @@ from fivebar.twin.ensemble.member import Plan
 from fivebar.twin.ensemble.rows import here
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import INPUTS, Message, decode, encode
-from fivebar.twin.replay import default_fmu
 from fivebar.twin.unit import Library
 
 PERIOD: Final = 0.005
@@ -35,6 +34,30 @@ POINTS: Final = 10
 MOST_CANDIDATES: Final = 50
 TURN: Final = 0.15
 """rad: how far the commands go that are compared if none are given."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is compared, and how."""
+
+    config: Path
+    """The configuration of the running twin."""
+
+    candidates: Path | None
+    """Commands to compare, and a goal; without a file staying, and each motor a little to either side."""
+
+    members: int
+    """Of each command."""
+
+    seconds: float
+    """Ahead."""
+
+    seed: int
+    times: int
+    """How many snapshots are answered; 0 is until Ctrl-C."""
+
+    scheduler: str | None
+    """Address of a scheduler of Dask; without one all in this process."""
 
 
 @dataclass(frozen=True)
@@ -133,59 +156,51 @@ def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{"rank": rank} | {k: v for k, v in one.items() if k != "score"} for rank, one in enumerate(order, 1)]
 
 
-def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, arguments: argparse.Namespace) -> dict[str, Any]:
+def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, options: Options) -> dict[str, Any]:
     """The ranked outcomes from a stored state of the twin."""
     begun, spent = time.perf_counter(), time.process_time()
     library = Library(fmu)
     try:
         told = {str(name): float(value) for name, value in state.extra["book"]["told"].items()}
         snapshot = base64.b64decode(state.extra["state"], validate=True)
-        common = {"seconds": arguments.seconds, "points": POINTS, "seed": arguments.seed}
+        common = {"seconds": options.seconds, "points": POINTS, "seed": options.seed}
         plan = of_state(snapshot, float(state.extra["clock"]), library, None, common)
-        chosen = candidates or usual(told, arguments.seconds)
+        chosen = candidates or usual(told, options.seconds)
         names = tuple(name for name in INPUTS if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen))
-        plans = [replace(plan, names=names, commands=c.rows(told, names, arguments.seconds), period=PERIOD) for c in chosen]
-        results = _all(fmu, library, plans, arguments)
+        plans = [replace(plan, names=names, commands=c.rows(told, names, options.seconds), period=PERIOD) for c in chosen]
+        results = _all(fmu, library, plans, options)
         found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, results, strict=True)]
+    except TwinError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError):
         raise TwinError("the twin's state is not as this version writes it") from None
     finally:
         library.close()
-    return {"ahead": arguments.seconds, "members": arguments.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "cpu_s": round(time.process_time() - spent, 4), "candidates": ranked(found)}
+    return {"ahead": options.seconds, "members": options.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "cpu_s": round(time.process_time() - spent, 4), "candidates": ranked(found)}
 
 
-def _all(fmu: Path, library: Library, plans: list[Plan], arguments: argparse.Namespace) -> Iterator[list[pa.Table]]:
+def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> Iterator[list[pa.Table]]:
     """The members of each plan; here, or on workers."""
-    if not arguments.scheduler:
+    if not options.scheduler:
         for plan in plans:
-            yield list(here(library, plan, arguments.members))
+            yield list(here(library, plan, options.members))
         return
     from fivebar.twin.ensemble import cluster
 
-    client, _ = cluster.client(arguments.scheduler, 0)
+    client, _ = cluster.client(options.scheduler, 0)
     try:
         for plan in plans:
-            yield list(cluster.tables(client, fmu.read_bytes(), plan, arguments.members, f"what-if-{uuid.uuid4().hex[:12]}"))
+            yield list(cluster.tables(client, fmu.read_bytes(), plan, options.members, f"what-if-{uuid.uuid4().hex[:12]}"))
     finally:
         client.close()
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    process.arguments(parser)
-    parser.add_argument("--candidates", type=Path, metavar="FILE", help="commands to compare, and a goal [default: stay, and each motor a little to either side]")
-    parser.add_argument("--members", type=int, default=50, metavar="N", help="of each command [default: 50]")
-    parser.add_argument("--seconds", type=float, default=0.5, metavar="S", help="ahead [default: 0.5]")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--times", type=int, default=1, metavar="N", help="how many snapshots are answered; 0: until Ctrl-C [default: 1]")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a scheduler of Dask [default: in this process]")
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """0 if at least one snapshot was answered."""
-    if not (math.isfinite(arguments.seconds) and 0 < arguments.seconds <= 10) or not 1 <= arguments.members <= 10000:
-        raise TwinError(f"{arguments.seconds:g} s and {arguments.members} members; up to 10 s and 1 to 10000 members are allowed")
-    config = process.read_config(arguments)
-    candidates, goal = read(arguments.candidates) if arguments.candidates else (None, None)
+    if not (math.isfinite(options.seconds) and 0 < options.seconds <= 10) or not 1 <= options.members <= 10000:
+        raise TwinError(f"{options.seconds:g} s and {options.members} members; up to 10 s and 1 to 10000 members are allowed")
+    config = process.read_config(options.config)
+    candidates, goal = read(options.candidates) if options.candidates else (None, None)
     newest: list[Message] = []
     arrived = threading.Event()
 
@@ -202,12 +217,12 @@ def run(arguments: argparse.Namespace) -> int:
     stop = process.Stop()
     answered = 0
     try:
-        while (arguments.times == 0 or answered < arguments.times) and not stop.event.is_set():
+        while (options.times == 0 or answered < options.times) and not stop.event.is_set():
             if not arrived.wait(10.0):
                 raise TwinError(f"no state of {config.unit} came from {config.broker.host}:{config.broker.port} within 10 s: is the twin running?")
             arrived.clear()
             state = newest[0]
-            answer = compare(Path(config.fmu) if Path(config.fmu).is_file() else default_fmu(), state, candidates, goal, arguments)
+            answer = compare(Path(config.fmu) if Path(config.fmu).is_file() else shipped.unit(), state, candidates, goal, options)
             bus.publish("whatif", encode(Message("whatif", config.unit, state.time, state.seq, {}, answer)))
             answered += 1
             _print(answer)

@@ -1,0 +1,91 @@
+"""The command `fivebar`: one module of this folder per subcommand.
+
+The modules import nothing at their top but click and what is beside them: packages that compute, draw or are missing are loaded by the
+function of the command that is asked for. Exit codes: 0 done; 1 done, and the outcome is bad (a step failed, a record differs, an error of
+this program); 2 what was asked for is refused. Errors are one sentence on standard error.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from fivebar.commands import calibrate, ensemble, load, page, replay, run, scenes, soak, twin, what_if
+from fivebar.errors import FiveBarError
+
+COMMANDS = (
+    run.run,
+    scenes.scenes,
+    page.page,
+    twin.twin,
+    replay.replay,
+    calibrate.calibrate,
+    ensemble.ensemble,
+    what_if.what_if,
+    soak.soak,
+    load.load,
+)
+"""In the order in which they are listed."""
+
+
+class InOrder(click.Group):
+    """Lists subcommands as they were added: first what one needs first."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
+@click.version_option(package_name="fivebar", message="fivebar %(version)s")
+def fivebar() -> None:
+    """The planar five-bar: run scenes, make units for your tool, follow a machine.
+
+    \b
+    fivebar run fall_90_120 --open     run a scene and watch it in the browser
+    fivebar scenes                     what else there is to run
+    fivebar unit                       FiveBar.fmu for your own master
+    """
+
+
+for command in COMMANDS:
+    fivebar.add_command(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a subcommand and gives its exit code back."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    name = " ".join(["fivebar", *(part for part in given[:1] if part in fivebar.commands)])
+    # Pictures go to files: no window is opened, whatever the machine has.
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    try:
+        return int(fivebar.main(given, prog_name="fivebar", standalone_mode=False) or 0)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.ClickException as error:
+        sentence = " ".join(error.format_message().split()).rstrip(".")
+        return _refused(name, f"{sentence}; `{name} --help` says how it is called")
+    except FiveBarError as error:
+        return _refused(name, str(error))
+    except (click.Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:
+        # Who read the output has had enough; what is still in the buffer goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        # What the system refuses: a folder that is a file, a disk that is full, a port that is taken.
+        where = " ".join(str(part) for part in (error.filename, error.filename2) if part is not None)
+        return _refused(name, f"{where or 'the system'}: {error.strerror or error}")
+    except Exception as error:
+        if os.environ.get("FIVEBAR_TRACEBACK"):
+            raise
+        sentence = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"{name}: an error of this program, {sentence}; with FIVEBAR_TRACEBACK=1 it says where", file=sys.stderr)
+        return 1
+
+
+def _refused(name: str, sentence: str) -> int:
+    print(f"{name}: {sentence}", file=sys.stderr)
+    return 2

@@ -1,0 +1,30 @@
+"""`fivebar replay`: a record's estimates once more."""
+
+import math
+from pathlib import Path
+
+import click
+
+from fivebar.commands import options
+
+
+@click.command()
+@click.argument("file", type=options.FILE)
+@options.fmu()
+@click.option("--since", type=float, default=-math.inf, metavar="SECONDS", help="Only from then on, after the record's first message.")
+@click.option("--until", type=float, default=math.inf, metavar="SECONDS", help="Only until then.")
+def replay(file: Path, fmu: Path | None, since: float, until: float) -> int:
+    """Compute the estimates of a record again and compare them to the bit.
+
+    FILE is what `fivebar twin` has recorded: a Parquet file, or the folder of its parts.
+
+    \b
+    fivebar replay twin/runs/20261124-060000-1234/record
+
+    Exit code 1 if one differs, 3 if more were left out than compared.
+    """
+    options.need("twin")
+    from fivebar import shipped
+    from fivebar.twin import replay as work
+
+    return work.run(file, fmu or shipped.unit(), since, until)

@@ -1,0 +1,52 @@
+"""`fivebar run`: a scene through the unit."""
+
+import webbrowser
+from pathlib import Path
+
+import click
+
+from fivebar.commands import options
+
+
+@click.command()
+@click.argument("scene", metavar="SCENE|FILE")
+@click.option("--set", "changes", multiple=True, metavar="NAME=VALUE", help="Another start value, in the variable's unit; once or more.")
+@click.option("--method", metavar="NAME", help="Another item of solver.method, such as automatic.")
+@options.fmu()
+@options.out("./SCENE/")
+@click.option("--open", "open_page", is_flag=True, help="Show the animated page in the browser.")
+def run(scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | None, out: Path | None, open_page: bool) -> int:
+    """Run a scene: summary, CSV, pictures and an animated page.
+
+    SCENE is one of those that `fivebar scenes` lists; a FILE ends in .json and holds start values by name.
+
+    \b
+    fivebar run fall_90_120 --open
+    fivebar run swing --set link[1].mass=0.02 --set viscous.enabled=true --method automatic
+    fivebar run my_machine.json --out results
+
+    Exit code 1 if a step failed; what there is until then is written.
+    """
+    from fivebar import simulate
+    from fivebar.drive import Progress
+
+    result = simulate.run(scene, method, options.assignments(changes), fmu, overlays=True, progress=Progress)
+    folder = Path(result.scene.name) if out is None else out
+    click.echo(result.summary())
+    files = result.save(folder)
+    click.echo("\nWritten:")
+    for file in files:
+        click.echo(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
+    if open_page:
+        webbrowser.open(result.page(folder).resolve().as_uri())
+    return 1 if result.failure else 0
+
+
+def _shown(file: Path) -> Path:
+    """`file` as seen from the current directory, if it lies inside."""
+    file, here = file.resolve(), Path.cwd().resolve()
+    return file.relative_to(here) if file.is_relative_to(here) else file
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.1f} kB"

@@ -1,0 +1,27 @@
+"""`fivebar soak`: hours of samples."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fivebar.commands import options
+
+
+@click.command()
+@click.option("--hours", type=float, default=1.0, show_default=True, help="Of 200 samples a second.")
+@click.option("--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion.")
+@click.option("--faults", default="", metavar="NAME=SHARE,...", help="As for `fivebar twin`.")
+@options.fmu()
+def soak(fmu: Path | None, **given: Any) -> int:
+    """Let the twin follow hours of samples without broker and clock.
+
+    Nothing may be lost and nothing may grow.
+
+    Exit code 1 if something is, 3 if forecasts were not as good as promised.
+    """
+    options.need("twin")
+    from fivebar import shipped
+    from fivebar.twin import soak as work
+
+    return work.run(work.Options(fmu=fmu or shipped.unit(), **given))

@@ -1,0 +1,186 @@
+"""A scene's file: JSON in which no key stands twice, its keys, runs and experiment, checked against the unit's variables."""
+
+import json
+import math
+import unicodedata
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fivebar import signals
+from fivebar.errors import FiveBarError
+from fivebar.signals import Signal
+from fivebar.variables import Value, Values, Variables, shown, similar
+
+LARGEST = 4_000_000
+"""Bytes of a file, at most."""
+
+MOST_BRACKETS = 8
+"""Brackets that stand in each other, at most: what a scene holds takes five."""
+
+DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = RESERVED = ("description", "experiment", "signals", "overlay")
+"""Keys of a scene that are no variables."""
+
+LABEL = "label"
+"""The key of an overlay that is no variable."""
+
+SECONDS = ("stopTime", "stepSize")
+
+
+class Content:
+    """What a file says, in the terms of the unit."""
+
+    def __init__(self, content: Any, variables: Variables):
+        if not isinstance(content, dict):
+            raise FiveBarError("a scene must be an object of variable names and values")
+        self.values = _values({name: value for name, value in content.items() if name not in RESERVED}, variables, RESERVED)
+        self.stop_time, self.step_size = _experiment(content, variables)
+        self.description = _text(DESCRIPTION, content)
+        self.overlays = list(_overlays(content, self.values, variables))
+        """Labels and values of further runs."""
+        self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
+        check_labels([method(self.values, variables), *(label for label, _ in self.overlays)])
+        check_signals([self.values, *(values for _, values in self.overlays)], [signal.variable.name for signal in self.signals])
+
+
+def text(file: Path) -> str:
+    """What stands in a file of limited size."""
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise FiveBarError(f"it has more than {LARGEST} bytes")
+        return content.decode("utf-8")
+    except OSError as error:
+        raise FiveBarError(f"it cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FiveBarError(f"it cannot be read: it is not UTF-8 from byte {error.start} on") from None
+
+
+def parse(text: str) -> Any:
+    """The JSON of a text; numbers are finite, and no key stands twice in an object."""
+    try:
+        content = json.loads(text, object_pairs_hook=_unique, parse_int=_integer, parse_float=_finite, parse_constant=_none)
+        _check_brackets(content, MOST_BRACKETS)
+        json.dumps(content, ensure_ascii=False).encode()
+    except RecursionError:
+        raise FiveBarError(f"it is not valid JSON: more than {MOST_BRACKETS} brackets stand in each other") from None
+    except UnicodeEncodeError:
+        raise FiveBarError("it is not valid JSON: half of a character stands in a text") from None
+    except FiveBarError:
+        raise
+    except ValueError as error:
+        raise FiveBarError(f"it is not valid JSON: {error}") from None
+    return content
+
+
+def method(values: Mapping[str, Value], variables: Variables) -> str:
+    """The name of the method that a run has."""
+    variable = variables["solver.method"]
+    number = values.get(variable.name, variable.start)
+    assert isinstance(number, int)
+    return variable.item(number)
+
+
+def check_labels(labels: list[str]) -> None:
+    """Refuses two runs of the same label."""
+    for i, label in enumerate(labels):
+        if label in labels[:i]:
+            raise FiveBarError(f"two runs have the label '{label}', but labels must differ")
+
+
+def check_signals(runs: list[Values], signalled: Iterable[str]) -> None:
+    """Refuses a signal and a value of the same variable."""
+    for name in [name for values in (*runs[1:], runs[0]) for name in values]:
+        if name in signalled:
+            raise FiveBarError(f"'{name}' is given a signal and a value, but only one of them can hold")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"'{key}' is given twice")
+        found[key] = value
+    return found
+
+
+def _integer(text: str) -> int | float:
+    # -0 is a Real; whole numbers of more than 64 bits are no Integers, and Python reads no endless ones.
+    if text == "-0" or len(text) > 19:
+        return _finite(text)
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    if math.isinf(value := float(text)):
+        raise ValueError(f"number {text[:40]} is out of range")
+    return value
+
+
+def _none(text: str) -> float:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _check_brackets(content: Any, left: int) -> None:
+    if isinstance(content, (dict, list)):
+        if left == 0:
+            raise ValueError(f"more than {MOST_BRACKETS} brackets stand in each other")
+        for value in content.values() if isinstance(content, dict) else content:
+            _check_brackets(value, left - 1)
+
+
+def _values(given: Mapping[str, Any], variables: Variables, reserved: Iterable[str]) -> Values:
+    return {name: variables.settable(name, reserved).value(value) for name, value in given.items()}
+
+
+def _text(key: str, content: Mapping[str, Any]) -> str:
+    if key not in content:
+        raise FiveBarError(f"it has no text '{key}'")
+    given = content[key]
+    if isinstance(given, str) and any(map(_is_no_text, given)):
+        raise FiveBarError(f"'{key}' must be a text without control characters, not {shown(given)}")
+    if not isinstance(given, str) or not given.strip():
+        raise FiveBarError(f"'{key}' must be a text, not {shown(given)}")
+    return given
+
+
+def _is_no_text(c: str) -> bool:
+    """Whether XML, tables or pages cannot have it in a line (XML 1.0, section 2.2)."""
+    return unicodedata.category(c) == "Cc" or c in "\u2028\u2029\ufffe\uffff"
+
+
+def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float, float]:
+    """Stop time and communication step, s; where they are not given, those of the unit."""
+    given = content.get(EXPERIMENT, {})
+    if not isinstance(given, dict):
+        raise FiveBarError(f"'{EXPERIMENT}' must be an object such as {{\"stopTime\": 2, \"stepSize\": 0.001}}, not {shown(given)}")
+    for key in given:
+        if key not in SECONDS:
+            raise FiveBarError(f"'{EXPERIMENT}' has no key '{key}'{similar(key, SECONDS)}")
+    found = []
+    for key, default in zip(SECONDS, (variables.stop_time, variables.step_size)):
+        value = given.get(key, default)
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not value > 0:
+            raise FiveBarError(f"'{EXPERIMENT}.{key}' must be a positive number of seconds, not {shown(value)}")
+        found.append(float(value))
+    return found[0], found[1]
+
+
+def _overlays(content: Mapping[str, Any], own: Values, variables: Variables) -> Iterable[tuple[str, Values]]:
+    given = content.get(OVERLAY, [])
+    if not isinstance(given, list):
+        raise FiveBarError(f"'{OVERLAY}' must be a list of runs, not {shown(given)}")
+    for number, item in enumerate(given, 1):
+        try:
+            yield _overlay(item, own, variables)
+        except FiveBarError as error:
+            raise FiveBarError(f"overlay {number}: {error}") from None
+
+
+def _overlay(given: Any, own: Values, variables: Variables) -> tuple[str, Values]:
+    if not isinstance(given, dict):
+        raise FiveBarError(f"it must be an object with a '{LABEL}' and the values that replace the scene's, not {shown(given)}")
+    label = _text(LABEL, given)
+    changes = _values({name: value for name, value in given.items() if name != LABEL}, variables, (LABEL,))
+    return label, {name: value for name, value in own.items() if name not in changes} | changes

@@ -1,0 +1,124 @@
+"""Inputs and tunable parameters that change with time, given by a few knots [time in s, value].
+
+`{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in each, by
+10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688, eq. 3);
+`{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the next, and is the
+one that a tunable parameter may have. Before its first and after its last knot a signal is constant.
+"""
+
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fivebar.errors import FiveBarError
+from fivebar.variables import Variable, Variables, shown
+
+LINEAR, MINIMUM_JERK, RATE_OF, STEPS = KINDS = ("linear", "minimumJerk", "rateOf", "steps")
+
+EARLY = 1e-9
+"""s: a step is there a nanosecond early, for times that a master counts together are not quite those that are written."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One variable's way through its knots, or the rate of that way."""
+
+    variable: Variable
+    kind: str
+    """`linear`, `minimumJerk` or `steps`."""
+
+    knots: tuple[tuple[float, float], ...]
+    """Times, s, and values."""
+
+    rate: bool = False
+
+    def at(self, time: float) -> float:
+        """The value at a time, s. The order of operations is that of the crate `scenes`, so that both give the same bits."""
+        segment = min(max(bisect_right(self.knots, time, key=lambda knot: knot[0]) - 1, 0), len(self.knots) - 2)
+        (start, before), (end, after) = self.knots[segment], self.knots[segment + 1]
+        duration, change = end - start, after - before
+        u = (time - start) / duration
+        if not self.rate:
+            return before + change * self._way(min(max(u, 0.0), 1.0))
+        return change / duration * self._slope(u) if 0.0 <= u < 1.0 else 0.0
+
+    def _way(self, u: float) -> float:
+        """From 0 to 1 while u goes from 0 to 1."""
+        if self.kind == LINEAR:
+            return u
+        if self.kind == STEPS:
+            return 0.0 if u < 1.0 else 1.0
+        bend = 10.0 - 15.0 * u + 6.0 * u * u
+        return u * u * u * bend
+
+    def _slope(self, u: float) -> float:
+        """The derivative of the way; a step has no rate."""
+        if self.kind == LINEAR:
+            return 1.0
+        left = 1.0 - u
+        return 30.0 * u * u * left * left
+
+
+def read(given: Any, variables: Variables) -> list[Signal]:
+    """The signals of a file."""
+    if given is None:
+        return []
+    if not isinstance(given, dict):
+        raise FiveBarError(f"'signals' must be an object of names and signals, not {shown(given)}")
+    found = []
+    for name in given:
+        try:
+            found.append(_signal(given, name, variables))
+        except FiveBarError as error:
+            raise FiveBarError(f"signal '{name}': {error}") from None
+    return found
+
+
+def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal:
+    kind, value = _kind(given[name])
+    variable = variables.get(name)
+    if kind != STEPS or variable is None or variable.type != "Real" or variable.variability != "tunable":
+        variable = variables.input(name)
+    if kind == RATE_OF:
+        source = _source(given, value, variables)
+        if source is None or source.kind == STEPS or variable.unit != f"{source.variable.unit}/s":
+            raise FiveBarError(f"'{RATE_OF}' must name a signal with knots whose rate has the unit {variable.unit}, not {shown(value)}")
+        return replace(source, variable=variable, rate=True)
+    if not (isinstance(value, list) and len(value) > 1 and all(_is_knot(knot) for knot in value)):
+        raise FiveBarError(f"'{kind}' must be a list of two or more knots [time in s, value], not {shown(value)}")
+    knots = [(float(time), float(v)) for time, v in value]
+    for (before, _), (after, _) in zip(knots, knots[1:]):
+        if after <= before:
+            raise FiveBarError(f"the knots' times must increase, but {_short(after)} s follows {_short(before)} s")
+    early = EARLY if kind == STEPS else 0.0
+    return Signal(variable, kind, tuple((time - early, v) for time, v in knots))
+
+
+def _source(given: Mapping[str, Any], name: Any, variables: Variables) -> Signal | None:
+    """The signal that a rate is of, if it has knots: one that names itself, or one that names it, would have no end."""
+    if not isinstance(name, str) or name not in given:
+        return None
+    try:
+        if _kind(given[name])[0] == RATE_OF:
+            return None
+    except FiveBarError:
+        return None
+    return _signal(given, name, variables)
+
+
+def _kind(given: Any) -> tuple[str, Any]:
+    """The one key of a signal and its value."""
+    if isinstance(given, dict) and len(given) == 1:
+        [(kind, value)] = given.items()
+        if kind in KINDS:
+            return kind, value
+    raise FiveBarError(f"it must be an object with one key, one of {', '.join(KINDS)}, not {shown(given)}")
+
+
+def _is_knot(knot: Any) -> bool:
+    return isinstance(knot, list) and len(knot) == 2 and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in knot)
+
+
+def _short(number: float) -> str:
+    return repr(number).removesuffix(".0")

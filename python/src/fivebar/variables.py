@@ -1,0 +1,175 @@
+"""The unit's variables by name, from its model description: types, units, start values, bounds, and what a given value has to be."""
+
+import difflib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from fivebar import shipped
+from fivebar.errors import FiveBarError
+
+Value = float | int | bool
+"""A value as calls of the unit carry it: enumerations are integers (FMI 2.0.4, section 2.2.7)."""
+
+Values = dict[str, Value]
+
+MOST_ALIKE = 3
+"""Names that an unknown one may have been meant to be, at most."""
+
+MOST_KNOWN = 6
+"""Names that are listed where none is alike, at most."""
+
+INTEGERS = -(2**31), 2**31 - 1
+"""FMI's integers."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the unit."""
+
+    name: str
+    type: str
+    """`Real`, `Integer`, `Boolean` or `Enumeration`."""
+
+    causality: str
+    variability: str
+    unit: str
+    """"1" if it has none."""
+
+    start: Value | None
+    least: float | None
+    most: float | None
+    items: Mapping[str, int]
+    """Of an enumeration: names and numbers of its items."""
+
+    @property
+    def can_be_set(self) -> bool:
+        return self.causality in ("parameter", "input")
+
+    def value(self, given: Any) -> Value:
+        """The value as calls carry it, from a number, True or False, or the name of an item."""
+        is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
+        if self.type == "Real":
+            wanted = f"a number in {self.unit}{self._limits(self.least, self.most)}"
+            if is_number and self._within(float(given)):
+                return float(given)
+        elif self.type == "Integer":
+            least = INTEGERS[0] if self.least is None else int(self.least)
+            most = INTEGERS[1] if self.most is None else int(self.most)
+            wanted = f"a whole number{self._limits(least, most)}"
+            if is_number and isinstance(given, int) and least <= given <= most:
+                return given
+        elif self.type == "Boolean":
+            wanted = "true or false"
+            if isinstance(given, bool):
+                return given
+        else:
+            wanted = f"one of {', '.join(self.items)}"
+            if isinstance(given, str) and given in self.items:
+                return self.items[given]
+        raise FiveBarError(f"'{self.name}' must be {wanted}, not {shown(given)}")
+
+    def item(self, number: int) -> str:
+        """The name of an item of an enumeration."""
+        return next(name for name, value in self.items.items() if value == number)
+
+    def _within(self, value: float) -> bool:
+        # Not a number is within no bounds.
+        return (self.least is None or self.least <= value) and (self.most is None or value <= self.most) and value == value
+
+    @staticmethod
+    def _limits(least: float | None, most: float | None) -> str:
+        low, high = (None if bound is None else repr(bound).removesuffix(".0") for bound in (least, most))
+        if low is not None and high is not None:
+            return f" from {low} to {high}"
+        return f" of at least {low}" if low is not None else f" of at most {high}" if high is not None else ""
+
+
+class Variables(Mapping[str, Variable]):
+    """All variables of a unit, in its order."""
+
+    def __init__(self, model: ModelDescription):
+        self._by_name = {v.name: _variable(v) for v in model.modelVariables}
+        experiment = model.defaultExperiment
+        self.stop_time, self.step_size = float(experiment.stopTime), float(experiment.stepSize)
+        """Of the unit's own experiment, s."""
+
+    def __getitem__(self, name: str) -> Variable:
+        return self._by_name[name]
+
+    def __iter__(self) -> Any:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    @cached_property
+    def start(self) -> Mapping[str, Value]:
+        """Start values of what can be set, by name."""
+        return {v.name: v.start for v in self.values() if v.can_be_set and v.start is not None}
+
+    def settable(self, name: str, others: Iterable[str] = ()) -> Variable:
+        """The parameter or input of that name; `others` are names that a misspelt one may mean as well."""
+        if (found := self.get(name)) is None:
+            raise FiveBarError(f"there is no variable '{name}'{similar(name, [*self.start, *others])}")
+        if not found.can_be_set:
+            raise FiveBarError(f"'{name}' is computed by the FMU and cannot be set")
+        return found
+
+    def input(self, name: str) -> Variable:
+        """The input of that name."""
+        found = self.get(name)
+        if found is None or found.causality != "input":
+            raise FiveBarError(f"'{name}' is not an input of the FMU{similar(name, [v.name for v in self.values() if v.causality == 'input'])}")
+        return found
+
+
+def of_unit(fmu: Path | None = None) -> Variables:
+    """The variables of a packed unit, of the shipped one if none is given."""
+    file = shipped.unit() if fmu is None else fmu
+    if not file.is_file():
+        raise FiveBarError(f"there is no .fmu at {file}")
+    stat = file.stat()
+    return _read(file.resolve(), stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read(file: Path, _changed: int, _size: int) -> Variables:
+    return Variables(fmpy.read_model_description(str(file), validate=False))
+
+
+def _variable(variable: ScalarVariable) -> Variable:
+    kind = {"Real": float, "Integer": int, "Enumeration": int}.get(variable.type, lambda text: text == "true")
+    declared = variable.declaredType
+    items = {item.name: int(item.value) for item in (declared.items or ())} if declared is not None and variable.type == "Enumeration" else {}
+    least, most = (None if bound is None or variable.type == "Enumeration" else float(bound) for bound in (variable.min, variable.max))
+    start = None if variable.start is None else kind(variable.start)
+    return Variable(
+        variable.name, variable.type, variable.causality, variable.variability or "continuous", unit(variable), start, least, most, items
+    )
+
+
+def unit(variable: ScalarVariable) -> str:
+    """The unit of a variable, "1" if it has none."""
+    return variable.unit or getattr(variable.declaredType, "unit", None) or "1"
+
+
+def shown(value: Any) -> str:
+    """A value of JSON in a sentence: in one line, and not endless."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
+    return text if len(text) <= 200 else f"{text[:200]}…"
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """The end of a sentence about an unknown name: those it may have been meant to be."""
+    names = list(known)
+    if near := difflib.get_close_matches(name, names, MOST_ALIKE):
+        return f"; did you mean {' or '.join(repr(other) for other in near)}?"
+    more = len(names) - MOST_KNOWN
+    return f"; known are {', '.join(names[:MOST_KNOWN])}" + (f" and {more} more" if more > 0 else "")
