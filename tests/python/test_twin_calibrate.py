@@ -1,4 +1,4 @@
-"""`fivebar-twin calibrate`: unknowns of made records are found within their bars; what cannot be found is refused and named."""
+"""`fivebar calibrate`: unknowns of made records are found within their bars; what cannot be found is refused and named."""
 
 import json
 import math
@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fivebar.twin import cli, record
+from fivebar.commands import main
+from fivebar.twin import record
 from fivebar.twin.calibrate import command, data, fit, motion, parameters, scenes, trials
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
@@ -52,11 +53,16 @@ def write(file: Path, columns: dict[str, np.ndarray]) -> Path:
     return file
 
 
+def sought(names: list[str]) -> list[str]:
+    """Options that name what is sought."""
+    return [word for name in names for word in ("--parameters", name)]
+
+
 def calibrated(fmu: Path, file: Path, tmp_path: Path, names: list[str], *more: str, base: dict[str, float | bool] | None = None) -> tuple[int, dict]:
     """Exit code and figures of the command."""
     scene = tmp_path / "scene.json"
-    scene.write_text(json.dumps(base or BASE), encoding="utf-8")
-    code = cli.main(["calibrate", str(file), "--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path / "out"), "--parameters", *names, *more])
+    scene.write_text(json.dumps({"description": "before"} | (base or BASE)), encoding="utf-8")
+    code = main(["calibrate", str(file), "--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path / "out"), *sought(names), *more])
     return code, json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
 
 
@@ -72,7 +78,7 @@ def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_p
         # Four standard deviations: one of some 16,000 is further off.
         assert unknown["identified"] and abs(value - truth) < 4 / 1.96 * bar and bound <= bar < 1.5 * bound
         assert unknown["derivative_error"] < 1e-2
-    written = scenes.read(tmp_path / "out" / "calibrated.json", library)
+    written = scenes.values(tmp_path / "out" / "calibrated.json", library)
     assert written["payload.mass"] == figures["unknowns"]["payload.mass"]["value"]["payload.mass"]
     # A link's inertia goes with its mass.
     assert math.isclose(written["link[2].inertia"] / 6.23e-5, written["link[2].mass"] / 0.017, rel_tol=1e-12)
@@ -156,10 +162,10 @@ def test_what_no_machine_can_be_found_from_is_refused(
 ) -> None:
     """A record at rest gave 53.3 ± 1.3 g for 20.07 g, and exit code 0; swapped encoders took minutes."""
     names = ["payload.mass"]
-    (tmp_path / "scene.json").write_text(json.dumps(BASE), encoding="utf-8")
+    (tmp_path / "scene.json").write_text(json.dumps({"description": "before"} | BASE), encoding="utf-8")
     file = write(tmp_path / "a.csv", misused(made(library, names, [1.1], 1.5), how))
     common = ["--fmu", str(fmu), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
-    assert cli.main(["calibrate", str(file), *common, "--parameters", *names]) == 2
+    assert main(["calibrate", str(file), *common, *sought(names)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert sentence in line
 
@@ -190,10 +196,10 @@ def test_an_effect_that_is_not_sought_is_warned_of_in_the_first_line(
 
 def test_a_fit_that_comes_to_no_end_is_given_up(fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = ["payload.mass", "link[2,3].mass"]
-    (tmp_path / "scene.json").write_text(json.dumps(BASE), encoding="utf-8")
+    (tmp_path / "scene.json").write_text(json.dumps({"description": "before"} | BASE), encoding="utf-8")
     file = write(tmp_path / "a.csv", made(library, names, [1.1, 0.9], 1.5))
     common = ["--fmu", str(fmu), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
-    assert cli.main(["calibrate", str(file), *common, "--parameters", *names, "--patience", "0.05"]) == 2
+    assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
     assert "the fit has come to no end within 0.05 s of CPU" in capsys.readouterr().err
 
 

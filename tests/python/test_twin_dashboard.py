@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fivebar.twin import dashboard
+from fivebar.twin import dashboard, scene
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.dashboard import FILES, KEPT, Pace, Server, topic_of
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.starter import free_port
+from fivebar.variables import of_unit
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
@@ -63,8 +64,8 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
 
 
 @pytest.fixture
-def config(tmp_path: Path, fmu: Path, scenes: Path) -> Config:
-    return Config(str(tmp_path), str(fmu), str(scenes / "pick_and_place.json"), broker=Broker(port=free_port()), dashboard_port=free_port())
+def config(tmp_path: Path, fmu: Path) -> Config:
+    return Config(str(tmp_path), str(fmu), str(scene.resolve("pick_and_place", of_unit(fmu), tmp_path)), broker=Broker(port=free_port()), dashboard_port=free_port())
 
 
 def test_a_slow_page_over_its_sockets(config: Config) -> None:

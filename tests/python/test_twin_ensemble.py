@@ -1,6 +1,5 @@
-"""`fivebar-twin ensemble` and `what-if`: the same members wherever they run, also where workers die; commands compared from a state."""
+"""`fivebar ensemble` and `what-if`: the same members wherever they run, also where workers die; commands compared from a state."""
 
-import argparse
 import base64
 import os
 import signal
@@ -78,7 +77,7 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
     scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], cwd=tmp_path)
     worker = subprocess.Popen([*dask, "worker", address, "--no-dashboard", "--nthreads", "1"], cwd=tmp_path)
     try:
-        command = [sys.executable, "-m", "fivebar.twin", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
+        command = [sys.executable, "-m", "fivebar", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
         run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=120)
     finally:
         for process in (worker, scheduler):
@@ -98,7 +97,7 @@ def test_what_if(fmu: Path) -> None:
     stored = unit.store()
     state = base64.b64encode(unit.to_bytes(stored)).decode()
     message = Message("state", "bench", 0, 20, {}, {"state": state, "clock": 0.1, "book": {"told": told}})
-    options = argparse.Namespace(seconds=0.4, members=4, seed=0, scheduler=None)
+    options = what_if.Options(Path("twin.json"), None, members=4, seconds=0.4, seed=0, times=1, scheduler=None)
     begin = unit.get(["tip.x", "tip.y"])
     unit.free(stored)
     unit.close()

@@ -30,7 +30,7 @@ from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full
 
-COMMAND = [sys.executable, "-m", "fivebar.twin"]
+COMMAND = [sys.executable, "-m", "fivebar"]
 EXAMPLES = REPOSITORY / "python" / "mosquitto"
 
 
@@ -39,7 +39,7 @@ class Run:
 
     def __init__(self, out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None):
         self.out = out
-        given = ["run", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
+        given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
         self.process = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
         assert self.process.stdout is not None
         self.line = self.process.stdout.readline()

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fivebar.twin import cli, config as configuration, figures, record, starter, summary
+from fivebar.commands import main
+from fivebar.twin import config as configuration, figures, record, starter, summary
 from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follow import Twin
@@ -31,7 +32,7 @@ from fivebar.twin.unit import Library
 from fivebar.twin.watch import NO_SAMPLE, Watch
 from twin_support import recorded
 
-COMMAND = [sys.executable, "-m", "fivebar.twin"]
+COMMAND = [sys.executable, "-m", "fivebar"]
 PERIOD_NS = 5_000_000
 
 
@@ -84,7 +85,7 @@ def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str
 
 def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """A run without this refusal published 1,616 samples, estimated none, and said nothing."""
-    run = command("run", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30)
+    run = command("twin", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30)
     assert run.returncode == 2 and "friction.law = stick is not allowed with estimator.enabled = true" in run.stderr
     assert not (tmp_path / "out").exists()
 
@@ -204,7 +205,7 @@ def test_a_small_disk(tmp_path: Path, fmu: Path, scenes: Path) -> None:
         pytest.skip("this test mounts a small disk, which this user may not")
     try:
         (small / "other").write_bytes(bytes(1_500_000))
-        run = command("run", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", small, "--seconds", 6)
+        run = command("twin", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", small, "--seconds", 6)
     finally:
         subprocess.run(["umount", "-l", small], check=True)
     assert "record: nothing is recorded, No space left on device" in run.stdout, run.stdout
@@ -334,13 +335,13 @@ def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, li
 # --- 7, 9: files ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["run", "calibrate", "ensemble"])
+@pytest.mark.parametrize("name", ["twin", "calibrate", "ensemble"])
 def test_a_folder_that_cannot_be_made_is_a_sentence(name: str, tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """OUT is a file, or below one."""
     file = tmp_path / "file"
     file.write_text("")
     more = {
-        "run": ["--scene", scenes / "pick_and_place.json", "--seconds", 1],
+        "twin": ["--scene", scenes / "pick_and_place.json", "--seconds", 1],
         "calibrate": ["--trials", 1],
         "ensemble": ["--members", 1, "--workers", 0],
     }[name]
@@ -350,12 +351,12 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(name: str, tmp_path: Path, f
 
 
 def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def full(_arguments: object) -> int:
+    def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/some/where")
 
     monkeypatch.setattr("fivebar.twin.replay.run", full)
-    assert cli.main(["replay", "x"]) == 2
-    assert capsys.readouterr().err == "fivebar-twin replay: /some/where: No space left on device\n"
+    assert main(["replay", "x"]) == 2
+    assert capsys.readouterr().err == "fivebar replay: /some/where: No space left on device\n"
 
 
 def test_replay_of_little_has_an_exit_code_of_its_own(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
@@ -391,7 +392,7 @@ def test_logs_begin_anew_and_keep_one(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.skipif(os.name == "nt", reason="modes are of POSIX")
 def test_what_a_run_keeps_is_its_owners_alone(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """Records, states, logs, configuration: 0600 in folders of 0700, whatever the umask."""
-    run = command("run", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 2, umask=0)
+    run = command("twin", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 2, umask=0)
     assert run.returncode == 0, run.stdout + run.stderr
     (folder,) = (tmp_path / "out" / "runs").iterdir()
     found = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}

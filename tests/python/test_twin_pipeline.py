@@ -1,4 +1,4 @@
-"""The twin's whole pipeline: the processes of `fivebar-twin run` with the broker that comes along."""
+"""The twin's whole pipeline: the processes of `fivebar twin` with the broker that comes along."""
 
 import hashlib
 import json
@@ -20,12 +20,12 @@ from fivebar.twin.watch import Watch
 
 from conftest import REPOSITORY
 
-COMMAND = [sys.executable, "-m", "fivebar.twin"]
+COMMAND = [sys.executable, "-m", "fivebar"]
 
 
 def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen[str]":
     """A run of its own."""
-    given = ["run", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
+    given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
     return subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 

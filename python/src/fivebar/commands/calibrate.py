@@ -29,10 +29,10 @@ from fivebar.commands import options
 )
 @click.option("--first", type=int, default=100, show_default=True, metavar="K", help="Number of the first of these trials.")
 def calibrate(file: Path | None, fmu: Path | None, out: Path | None, trials: int | None, machines: str, first: int, **given: Any) -> int:
-    """Find masses, friction, lengths and offsets of a machine from a record.
+    """Find masses, friction and lengths from a record.
 
     FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] and what drives were told.
-    Every value comes with its error bar; what the record does not tell is said, with a motion that would tell it.
+    Also payload, gravity, offsets and delay of the encoders. Every value comes with its error bar; what the record does not tell is said, with a motion that would tell it.
 
     \b
     fivebar calibrate twin/runs/20261124-060000-1234/record

@@ -22,7 +22,7 @@ from fivebar.commands import options
 @options.fmu()
 @options.out("./ensemble/")
 def ensemble(scene: str | None, state: Path | None, fmu: Path | None, out: Path | None, **given: Any) -> int:
-    """Run many motions that differ as much as one does not know.
+    """Run many motions with uncertain starts and masses.
 
     Says where the machine will be with which probability, and when it meets its next singularity; unless told, starts vary by 2 mrad and
     masses by 1 %.

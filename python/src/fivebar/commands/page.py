@@ -8,9 +8,9 @@ import click
 @click.command()
 @click.option("--no-open", is_flag=True, help="Only say where the page is.")
 def page(no_open: bool) -> None:
-    """Open the live page: drag the machine in the browser, computed by the unit's own code.
+    """Open the live page: drag the machine in the browser.
 
-    It is one file that needs no network; send it to whom you like.
+    The page computes by the unit's own code. It is one file that needs no network; send it to whom you like.
     """
     from fivebar import shipped
     from fivebar.errors import FiveBarError

@@ -14,7 +14,7 @@ from fivebar.commands import options
 @click.option("--since", type=float, default=-math.inf, metavar="SECONDS", help="Only from then on, after the record's first message.")
 @click.option("--until", type=float, default=math.inf, metavar="SECONDS", help="Only until then.")
 def replay(file: Path, fmu: Path | None, since: float, until: float) -> int:
-    """Compute the estimates of a record again and compare them to the bit.
+    """Compute a record's estimates again, compare to the bit.
 
     FILE is what `fivebar twin` has recorded: a Parquet file, or the folder of its parts.
 

@@ -14,9 +14,9 @@ from fivebar.commands import options
 @click.option("--faults", default="", metavar="NAME=SHARE,...", help="As for `fivebar twin`.")
 @options.fmu()
 def soak(fmu: Path | None, **given: Any) -> int:
-    """Let the twin follow hours of samples without broker and clock.
+    """Let the twin follow hours of samples as fast as it can.
 
-    Nothing may be lost and nothing may grow.
+    Without broker and clock; nothing may be lost and nothing may grow.
 
     Exit code 1 if something is, 3 if forecasts were not as good as promised.
     """

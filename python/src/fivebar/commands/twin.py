@@ -23,9 +23,9 @@ from fivebar.commands import options
 @click.option("--hidden", type=options.FILE, metavar="FILE", help="What the stand-in has and the twin does not know: JSON, name to value.")
 @click.option("--faults", default="", metavar="NAME=SHARE,...", help="Lose, double, delay samples on purpose, and more.")
 def twin(fmu: Path | None, out: Path | None, **given: Any) -> int:
-    """Run a live twin: machine, estimator, forecasts, record, dashboard.
+    """Run a live twin with its dashboard.
 
-    A stand-in for a machine publishes what its encoders see over MQTT; the twin follows, estimates what pushes on the machine, looks ahead and
+    Machine, estimator, forecasts, recorder and watch: a stand-in for a machine publishes what its encoders see over MQTT; the twin follows, estimates what pushes on the machine, looks ahead and
     warns of singularities.
 
     \b

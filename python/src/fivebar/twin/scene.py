@@ -51,6 +51,7 @@ class Scene:
 def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
     """Writes a scene, by its name or file, to the folder of a run, with nothing left to look up: processes read it at once."""
     file = folder / "scene.json"
+    file.touch(mode=0o600)
     file.write_text(json.dumps(scenes.read(given, variables).resolved()) + "\n", encoding="utf-8")
     return file
 

@@ -1,4 +1,4 @@
-"""Calibration of the machine's parameters from a record: `fivebar-twin calibrate`. docs/calibration.md introduces it."""
+"""Calibration of the machine's parameters from a record: `fivebar calibrate`. docs/calibration.md introduces it."""
 
 import os
 

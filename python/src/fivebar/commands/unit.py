@@ -1,0 +1,31 @@
+"""`fivebar unit`: the .fmu for any master."""
+
+from pathlib import Path
+
+import click
+
+from fivebar.commands import options
+
+
+@click.command()
+@click.option("--scene", metavar="SCENE|FILE", help="Start values, experiment and description of the unit: a machine of your own.")
+@click.option("--name", help="Name of the unit; unless told FiveBar, or that of the scene in CamelCase.")
+@click.option("--naming", type=click.Choice(["structured", "flat"]), default="structured", show_default=True, help="flat: for tools that make buses of tip.x and tau[1].")
+@options.out("the current folder")
+def unit(scene: str | None, name: str | None, naming: str, out: Path | None) -> None:
+    """Write the unit (.fmu), or one of your own machine, for your own tool.
+
+    Any FMI 2.0 master runs it with nothing set, on every machine that the shipped unit has a library for. No compiler is needed.
+
+    \b
+    fivebar unit                                          FiveBar.fmu
+    fivebar unit --scene my_machine.json                  MyMachine.fmu
+    fivebar unit --scene my_machine.json --naming flat    for Simulink
+    """
+    from fivebar import own_unit
+    from fivebar import scene as scenes
+
+    written = own_unit.write_unit(out or Path(), None if scene is None else scenes.read(scene), name, naming=naming)
+    click.echo(written.file)
+    for sentence in written.notes:
+        click.echo(f"  {sentence}")
