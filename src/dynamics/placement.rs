@@ -69,12 +69,6 @@ impl Pose {
         let proximal = legs_of(forces, P_THETA) + self.a_p.turned().dot(on_p) + proximal_arm(self).turned().dot(on_d);
         [proximal, legs_of(forces, D_THETA) + self.a_d.turned().dot(on_d)]
     }
-
-    /// Stiffness of the links, N·m/rad, by forces on the centres of mass whose arms rotate with the links: a·F.
-    pub fn stiffness_of(&self, forces: &Coordinates) -> ByLink {
-        let [on_p, on_d] = on_centres(forces);
-        [self.a_p.dot(on_p) + proximal_arm(self).dot(on_d), self.a_d.dot(on_d)]
-    }
 }
 
 /// Values of links 1 to 4 from those by legs.

@@ -38,11 +38,15 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
+    if system.has_sticking() {
+        let (q, v) = (*from.0 + *by, Vector::ZERO + *v);
+        let (a, _, power) = equilibrium_with_power(system, (&q, &system.pose(&q), &v), regularization);
+        return (a, power);
+    }
     let pose = system.pose_from_base(from, by);
-    let q = *from.0 + *by;
-    let (forces, power) = system.forces_and_power(&q, &pose, v);
-    let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));
-    (a, power)
+    let (forces, power) = system.forces_and_power(&(*from.0 + *by), &pose, v);
+    let mass = system.factor_mass(&pose, regularization);
+    (mass.solve_in_place(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
 }
 
 /// Solves for q̈ and λ with given pose and factorised mass matrix.

@@ -95,11 +95,6 @@ pub trait System<const N: usize, const M: usize> {
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
-    /// Acceleration q̈ at rates v, `by` away from the base pose, by a shorter evaluation with the system's own e; `None` unless
-    /// gravity is the only load and `by` is small.
-    fn acceleration_under_gravity(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
-        None
-    }
     /// Kinetic energy plus potential energy of all forces but the inputs, J; [`System::power`] is the rate at which the energy
     /// changes. Called only if [`System::has_stiff_forces`].
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {

@@ -1,70 +1,21 @@
-//! The five-bar in its four absolute link angles with the two closure equations of the tip: the coordinates of the error-controlled
-//! methods.
-//!
-//! Per leg (σ = +1 left, −1 right), with l_P the arm from motor axis to elbow, a the arms to the centres of mass, b_D that from the
-//! distal centre of mass to the tip, n̂ the direction turned by +90°:
-//!
-//! ```text
-//! M = [ I_P + m_P a_P² + m_D l_P²   m_D l_P·a_D     ]      Φ   = Σ σ (ground + l_P + a_D + b_D)
-//!     [ m_D l_P·a_D                 I_D + m_D a_D²  ]      Φ_q = σ [ n̂(l_P)   n̂(a_D + b_D) ]
-//! ```
-//!
-//! Force laws see the motion of joints and tip, and their wrenches act on the links directly (`src/dynamics/`).
+//! The five-bar in its four absolute link angles, the coordinates of the error-controlled methods: `src/dynamics/angles.rs` under the loads
+//! of a model.
 
-mod factor;
 mod loads;
-mod weight_acceleration;
 
 use super::five_bar::FiveBar;
-use super::inertia::Inertia;
 use super::model::Model;
+pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
+use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
+pub(super) use crate::dynamics::angles::{DISTAL, PROXIMAL, angles, legs};
+use crate::dynamics::placement::by_links;
 use crate::effects::Mode;
 use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
 use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
+use crate::mechanism::coordinates::{D_X, D_Y, E_X, E_Y, G_X, G_Y, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use crate::mechanism::legs::{Legs2, SIGMA, both};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{BRANCH_ARM, ClosureBranch, ClosureTerms, Coordinates, Mechanism, Multipliers, Pose};
-use crate::vector::Vector;
-use factor::{Factor, at_tip};
-use weight_acceleration::TrigBase;
-pub(super) use weight_acceleration::WeightAcceleration;
-
-/// Number of link angles.
-pub const ANGLES: usize = 4;
-/// Number of closure equations.
-pub const CLOSURES: usize = 2;
-/// Link angles, or quantities per link, in the order proximal left and right, distal left and right.
-pub type Angles = Vector<ANGLES>;
-
-/// Index of the pair of proximal links in [`Angles`].
-pub(super) const PROXIMAL: usize = 0;
-/// Index of the pair of distal links in [`Angles`].
-pub(super) const DISTAL: usize = 1;
-
-/// Indices in [`Angles`] of links 1 to 4 (left proximal, left distal, right distal, right proximal).
-pub const LINK_INDICES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
-
-/// Link angles out of the twelve coordinates.
-#[inline]
-pub fn angles_of(x: &Coordinates) -> Angles {
-    angles([legs_of(x, P_THETA), legs_of(x, D_THETA)])
-}
-
-/// Pairs of the proximal and of the distal links.
-#[inline(always)]
-pub(super) fn legs(x: &Angles) -> [Legs; 2] {
-    [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
-}
-
-/// Angles or what belongs to them from those of the proximal and of the distal links.
-#[inline]
-pub(super) fn angles([p, d]: [Legs; 2]) -> Angles {
-    let mut angles = Angles::ZERO;
-    set_legs(&mut angles, PROXIMAL, p);
-    set_legs(&mut angles, DISTAL, d);
-    angles
-}
+use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
 
 /// A five-bar seen in its link angles.
 #[derive(Clone, Copy, Debug)]
@@ -72,53 +23,27 @@ pub struct AngleSystem<'a> {
     five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
     inertia: &'a Inertia,
-    /// Whether the weight is the only load, so that the twelve coordinates are not needed.
+    /// Whether the weight is the only load, so that no force law is asked.
     only_weight: bool,
-    /// Whether the weight is the only load and the closure is that of the tip, not of a branch.
-    uses_weight_acceleration: bool,
     /// Closure branch on which the motion stays, where there are several.
     closure_branch: Option<ClosureBranch>,
-    /// Signed link lengths in Φ_q, m; 0 on a closure branch.
-    sigma_length: [Legs; 2],
-    /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
-    constant: &'a [Legs2; 2],
+    closure: Closure,
 }
 
 impl<'a> AngleSystem<'a> {
     /// Five-bar in its link angles, of a model under given inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        let FiveBar { model, inputs, mode, .. } = five_bar;
-        let only_weight = model.effects.is_empty() && !inputs.load();
-        let mechanism = &model.mechanism;
-        let inertia = &model.inertia;
-        let free = Self {
-            five_bar,
-            mechanism,
-            inertia,
-            only_weight,
-            uses_weight_acceleration: only_weight,
-            closure_branch: None,
-            sigma_length: [Legs::ZERO; 2],
-            constant: &ClosureTerms::OPEN.constant,
-        };
-        free.in_mode(mode)
+        let FiveBar { model, inputs, mode: Mode { closure_branch, .. }, .. } = five_bar;
+        let (mechanism, inertia) = (&model.mechanism, &model.inertia);
+        let closure = Closure::new(mechanism, closure_branch);
+        Self { five_bar, mechanism, inertia, only_weight: model.effects.is_empty() && !inputs.load(), closure_branch, closure }
     }
 
     /// System in a given mode, on the mode's closure branch.
     #[inline]
     pub(super) fn in_mode(self, mode: Mode) -> Self {
-        let ClosureTerms { open, constant } = mode.closure_branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
-        let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
-        let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
-        Self {
-            five_bar: self.five_bar.on(mode),
-            uses_weight_acceleration: self.only_weight && mode.closure_branch.is_none(),
-            closure_branch: mode.closure_branch,
-            sigma_length,
-            constant,
-            ..self
-        }
+        Self::new(self.five_bar.on(mode))
     }
 
     /// System in its twelve coordinates.
@@ -136,30 +61,11 @@ impl<'a> AngleSystem<'a> {
         self.five_bar.model.regularization_by_angles
     }
 
-    /// Φ_q of the closure, or of the closure branch on which the motion stays.
-    #[inline(always)]
-    pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let ([p, d], [on_p, on_d]) = (self.links(pose), self.constant);
-        [Legs2 { x: on_p.x - p.y, y: on_p.y + p.x }, Legs2 { x: on_d.x - d.y, y: on_d.y + d.x }]
-    }
-
-    /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch.
-    #[inline(always)]
-    fn links(&self, pose: &Pose) -> [Legs2; 2] {
-        let [p, d] = self.sigma_length;
-        [pose.u_p.scaled(p), pose.u_d.scaled(d)]
-    }
-
     /// Deviation of angles from a closure branch, m.
     #[cold]
     #[inline(never)]
-    fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> Vector<CLOSURES> {
-        closure_branch.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| BRANCH_ARM * angle).into()
-    }
-
-    /// Whether the motion stays on a closure branch, whose derivatives are constant.
-    pub(super) fn is_on_branch(&self) -> bool {
-        self.closure_branch.is_some()
+    fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> AtTip {
+        closure_branch.apart(legs(&q)).map(|angle| BRANCH_ARM * angle).into()
     }
 
     /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
@@ -169,11 +75,7 @@ impl<'a> AngleSystem<'a> {
         if self.mechanism.geometry.base_distance == 0.0 {
             return None;
         }
-        let [proximal, distal] = vertex::offset([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])?;
-        let mut offset = Angles::ZERO;
-        set_legs(&mut offset, PROXIMAL, proximal);
-        set_legs(&mut offset, DISTAL, distal);
-        Some(offset)
+        vertex::offset(legs(q)).map(angles)
     }
 
     /// Closure branch along which the forces start the motion from rest in a vertex (Gauss's principle of least constraint).
@@ -200,7 +102,7 @@ impl<'a> AngleSystem<'a> {
     ) -> (Coordinates, Multipliers, Work) {
         let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
-        let torques = self.with_centripetal(pose.torques_of(&applied), pose, v);
+        let torques = self.inertia.with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
         // Force on a link less its mass times acceleration: the joints supply the difference.
@@ -219,7 +121,7 @@ impl<'a> AngleSystem<'a> {
 
 impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     type Pose = Pose;
-    type TrigBase = TrigBase;
+    type TrigBase = [Legs2; 2];
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
@@ -237,66 +139,55 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     #[inline]
-    fn trig_base(&self, pose: &Pose) -> TrigBase {
-        self.model().weight_acceleration.trig_base([pose.u_p, pose.u_d])
+    fn trig_base(&self, pose: &Pose) -> [Legs2; 2] {
+        [pose.u_p, pose.u_d]
     }
 
     #[inline(always)]
-    fn pose_from_base(&self, (q, trig_base): (&Angles, &TrigBase), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_turned((legs(q), trig_base.directions), legs(by)))
+    fn pose_from_base(&self, (q, trig_base): (&Angles, &[Legs2; 2]), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), *trig_base), legs(by)))
     }
 
     #[inline]
-    fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
+    fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
         if let Some(closure_branch) = self.closure_branch {
             return self.off_branch(closure_branch, *q);
         }
-        let [p, d] = self.links(pose);
-        [sum(SIGMA * self.mechanism.ground_x + p.x + d.x), sum(p.y + d.y)].into()
+        self.closure.gap(self.mechanism, pose)
     }
 
     #[inline]
-    fn phi_q_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        at_tip(&self.phi_q(pose), v)
+    fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
+        self.closure.phi_q_times(pose, v)
     }
 
     #[inline]
-    fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        // Derivative of n̂: centripetal acceleration −l ω².
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let mut squares = Angles::ZERO;
-        set_legs(&mut squares, PROXIMAL, w_p * w_p);
-        set_legs(&mut squares, DISTAL, w_d * w_d);
-        -at_tip(&self.links(pose), &squares)
+    fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> AtTip {
+        self.closure.phi_q_dot_times(pose, v)
     }
 
     #[inline]
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
-        self.inertia.mass(pose).times(x)
+        self.inertia.mass_times(pose, x)
     }
 
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v).0
-    }
-
-    #[inline(always)]
-    fn acceleration_under_gravity(&self, trig_base: &TrigBase, by: &Angles, v: &Angles) -> Option<Angles> {
-        (self.uses_weight_acceleration && are_small(legs(by)))
-            .then(|| self.model().weight_acceleration.acceleration(trig_base, legs(by), legs(v)))
+        self.forces_and_power(q, pose, v).0
     }
 
     #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
-            return (self.with_centripetal(self.weight([pose.u_p, pose.u_d]), pose, v), Work::default());
+            let torques = self.model().weight_torques.torques(pose);
+            return (self.inertia.with_centripetal(torques, pose, v), Work::default());
         }
         self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v)
     }
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        Factor::new(self.inertia, pose, self.phi_q(pose), regularization)
+        Factor::new(self.inertia, &self.closure, pose, regularization)
     }
 
     #[inline]
@@ -318,7 +209,7 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.friction_reaction_in_angles(q, pose, v)
     }
 
-    fn with_friction_reaction(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
+    fn with_friction_reaction(&self, q: Angles, v: Angles, free: (Angles, AtTip)) -> (Angles, AtTip) {
         super::stick_slip::with_friction_reaction(self, [q, v], free, self.regularization_by_angles())
     }
 
@@ -333,7 +224,11 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         pose: &Pose,
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
-        Some(self.tangents_of_acceleration(at, pose, regularization))
+        let State { q, v, a, lambda, .. } = at;
+        let equations = Equations::new((self.inertia, &self.closure), pose, v, regularization);
+        let slopes = self.five_bar.slopes_of_torques(pose, self.motion(pose, q, v), by_links(legs(v)));
+        let [by_q, by_v] = equations.linearised((a, lambda), slopes).columns();
+        Some(AccelerationTangents { by_q, by_v })
     }
 
     #[inline]

@@ -11,7 +11,6 @@ mod events;
 pub mod five_bar;
 mod five_bar_steps;
 mod following;
-mod inertia;
 mod join;
 mod linearised;
 pub mod model;
@@ -23,7 +22,6 @@ mod settings;
 mod signal;
 mod state;
 mod stick_slip;
-mod tangents;
 mod variation;
 
 use crate::effects;

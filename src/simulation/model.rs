@@ -2,9 +2,8 @@
 
 use arrayvec::ArrayVec;
 
-use super::angles::WeightAcceleration;
-use super::inertia::Inertia;
 use super::settings::{Settings, sticking_law};
+use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
 use crate::estimator;
 use crate::integrator::{MacroStepMethod, dense, i3alp_conserving};
@@ -74,8 +73,8 @@ pub struct Model {
     pub solver: LinearSolver,
     /// Constant part of the mass matrix in the link angles.
     pub(super) inertia: Inertia,
-    /// Acceleration under the weight alone, in the link angles.
-    pub(super) weight_acceleration: WeightAcceleration,
+    /// Constant force of the active effects in the link angles.
+    pub(super) weight_torques: Weight,
     /// Length to which round-off in Φ is proportional, m.
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -117,7 +116,7 @@ impl Model {
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
-            weight_acceleration: WeightAcceleration::new(&mechanism, &inertia, &weight, regularization_by_angles),
+            weight_torques: Weight::new(&mechanism, &weight),
             weight,
             solver: LinearSolver::new(LinearSolve::choose(&geometry), &mechanism, regularization),
             inertia,
@@ -175,8 +174,7 @@ impl Model {
         let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
-        self.weight = weight;
-        self.weight_acceleration = WeightAcceleration::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
+        (self.weight, self.weight_torques) = (weight, Weight::new(&self.mechanism, &weight));
         self.conservative = effects.iter().all(|effect| effect.conservative());
         self.has_events = effects.iter().any(|effect| effect.may_make_contact() || effect.sticks());
         self.regularization_velocity = regularization_velocity(&effects);

@@ -171,21 +171,6 @@ impl<const N: usize> StageDerivative<N> {
         origin: &Origin<S::TrigBase, N>,
         by: &Vector<N>,
     ) {
-        match system.acceleration_under_gravity(&origin.trig_base, by, &self.q) {
-            // The power stays 0.
-            Some(a) => self.v = a,
-            None => self.evaluate_under_loads(system, origin, by),
-        }
-    }
-
-    /// Evaluates acceleration and power under any loads, out of line so that the case of gravity alone saves few registers.
-    #[inline(never)]
-    fn evaluate_under_loads<const M: usize, S: System<N, M>>(
-        &mut self,
-        system: &S,
-        origin: &Origin<S::TrigBase, N>,
-        by: &Vector<N>,
-    ) {
         let Origin { q, trig_base, regularization } = origin;
         (self.v, self.power) = acceleration_near(system, (q, trig_base), by, &self.q, *regularization);
     }

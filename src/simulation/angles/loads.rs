@@ -1,7 +1,6 @@
-//! Loads of a machine in its link angles: torques of weight and wrench on the links, centripetal torques, energies.
+//! Loads of a machine in its link angles: torques of weight and wrench on the links, energies.
 
-use super::{AngleSystem, Angles, angles, legs};
-use crate::dynamics::placement::ByLink;
+use super::{AngleSystem, Angles, legs};
 use crate::effects::Motion;
 use crate::integrator::{System, Work};
 use crate::mechanism::legs::Legs2;
@@ -21,24 +20,9 @@ impl AngleSystem<'_> {
     #[inline(never)]
     pub(super) fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism.pose_along(directions);
-        let (wrench, power) = self.five_bar.acting(&self.motion(&pose, &q, &v));
-        let ([on_p, on_d], [weight_p, weight_d]) = (wrench.torques_in_angles(&pose), self.weight(directions));
-        let forces = self.with_centripetal([on_p + weight_p, on_d + weight_d], &pose, &v);
+        let (torques, power) = self.five_bar.torques_and_power(&pose, &self.motion(&pose, &q, &v));
+        let forces = self.inertia.with_centripetal(torques, &pose, &v);
         (forces, if self.five_bar.follows_work() { power } else { Work::default() })
-    }
-
-    /// Torques of the weight on the links, N·m.
-    #[inline(always)]
-    pub(super) fn weight(&self, directions: [Legs2; 2]) -> ByLink {
-        self.model().weight_acceleration.torques(directions)
-    }
-
-    /// Torques on the links with those of the distal centre of mass, which is carried around.
-    #[inline(always)]
-    pub(super) fn with_centripetal(&self, [on_p, on_d]: ByLink, pose: &Pose, v: &Angles) -> Angles {
-        let [w_p, w_d] = legs(v);
-        let centripetal = self.inertia.centripetal(pose);
-        angles([on_p + centripetal * (w_d * w_d), on_d - centripetal * (w_p * w_p)])
     }
 
     /// Motion of joints and tip.
