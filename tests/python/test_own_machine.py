@@ -138,7 +138,7 @@ def test_two_units_side_by_side_have_no_influence(new: New, new_own: New) -> Non
 
 def asked(fmu: Path, *values: str) -> str:
     """Answer of a unit that the packer asks for its start, or for another one."""
-    command = [sys.executable, str(REPOSITORY / "xtask" / "python" / "start.py"), str(fmu), *values]
+    command = [sys.executable, "-m", "fivebar.start", str(fmu), *values]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 

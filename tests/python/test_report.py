@@ -208,14 +208,14 @@ def test_what_failed_and_what_is_left_out_is_said(page: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "old\n"])
 def test_docs_are_rewritten_between_their_marks(tmp_path: Path, content: str) -> None:
-    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "notes").mkdir(parents=True)
     (tmp_path / docs.FILE).write_text(f"before\n{docs.BEGIN}\n{content}{docs.END}\nafter\n", encoding="utf-8")
     begin, end = docs.RATIOS
-    (tmp_path / "docs/automatic.md").write_text(f"before\n{begin}\n{content}{end}\nafter\n", encoding="utf-8")
+    (tmp_path / "docs/notes/automatic.md").write_text(f"before\n{begin}\n{content}{end}\nafter\n", encoding="utf-8")
     table, ratios = ["| a |", "| --- |", "| 1 |"], ["| b |", "| --- |", "| 2 |"]
     for _ in range(2):
         docs.update(tmp_path, table, ratios, ABOUT)
-        own = (tmp_path / "docs/automatic.md").read_text(encoding="utf-8")
+        own = (tmp_path / "docs/notes/automatic.md").read_text(encoding="utf-8")
         assert own == "\n".join(["before", begin, *ratios, "", f"Measured on: {ABOUT}", end, "after", ""])
         text = (tmp_path / docs.FILE).read_text(encoding="utf-8")
         assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text

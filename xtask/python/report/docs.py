@@ -1,4 +1,4 @@
-"""The main table and picture in docs/accuracy.md, and the table of ratios in docs/automatic.md, between comments."""
+"""The main table and picture in docs/accuracy.md, and the table of ratios in docs/notes/automatic.md, between comments."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ BEGIN = "<!-- accuracy: what follows is written by `cargo xtask report --update-
 END = "<!-- accuracy: end -->"
 
 RATIOS = ("<!-- ratios: what follows is written by `cargo xtask report --update-docs`, not by hand -->", "<!-- ratios: end -->")
-"""Marks of the table of ratios in docs/automatic.md."""
+"""Marks of the table of ratios in docs/notes/automatic.md."""
 
 FILE, PICTURE = "docs/accuracy.md", "images/accuracy.svg"
 """The page of the main table, and where it sees the picture."""
@@ -30,7 +30,7 @@ def table_of(text: str, name: str) -> list[str]:
 def update(root: Path, table: list[str], ratios: list[str], about: str) -> None:
     """Writes the table and the link to the picture into their page, and the ratios into theirs."""
     write(root, FILE, (BEGIN, END), [f"![{CAPTION}]({PICTURE})", "", *table, "", f"Measured on: {about}"])
-    write(root, "docs/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
+    write(root, "docs/notes/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
 
 
 def write(root: Path, name: str, marks: tuple[str, str], lines: list[str]) -> None:
