@@ -23,7 +23,7 @@ impl FiveBar<'_> {
         constraints
     }
 
-    /// The grips that there are at coordinates and velocities.
+    /// Friction constraints of all active contacts at coordinates and velocities.
     fn constraints_at(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints {
         self.constraints(&self.motion(q, pose, v))
     }

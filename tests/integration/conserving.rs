@@ -249,7 +249,7 @@ fn inputs_that_change_are_of_second_order() {
     assert!((slope(&errors) - 2.0).abs() <= 0.15, "{errors:?}");
 }
 
-/// The work of a step can be bounded: by a status, with everything as before, or by the last resort, which is counted.
+/// The work of a step can be bounded: by a status, with everything as before, or by the fallback, which is counted.
 #[test]
 fn the_work_of_a_step_is_bounded() {
     let mut parameters = conserving(default_parameters(), 4e-3);
@@ -284,7 +284,7 @@ fn the_work_of_a_step_is_bounded() {
     let [without_rescue, bounded, free] = &outcomes[..] else { unreachable!("three bounds") };
     assert!(!without_rescue.0.is_empty(), "without a rescue some falls end");
     assert!(without_rescue.0.iter().all(|status| status.contains("solver.maxWork = 0")), "{without_rescue:?}");
-    assert!(bounded.0.is_empty() && bounded.1 > 0, "the last resort is taken");
+    assert!(bounded.0.is_empty() && bounded.1 > 0, "the fallback is taken");
     assert!(free.0.is_empty(), "{free:?}");
 }
 

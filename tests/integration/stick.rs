@@ -216,10 +216,10 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
     }
 }
 
-/// Grips that hold one motion between them, and a third that is too weak for the other: nothing rests, however strong they are; and they hold
+/// Friction places that hold one motion between them, and a third that is too weak for the other: nothing rests, however strong they are; and they hold
 /// it the same way, whichever of them could by itself.
 #[test]
-fn grips_of_one_motion_hold_one_motion() {
+fn places_of_one_motion_hold_one_motion() {
     let mut balance = FrictionProblem::default();
     balance.places.extend([0, 1, 2]);
     for (i, j, mobility) in [(0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (1, 2, -1.0), (2, 1, -1.0)] {
@@ -280,7 +280,7 @@ fn coaxial_links_stop_and_go_on_together() {
 /// A scene, and its inputs at a time.
 type Motion = (Parameters, fn(f64) -> Inputs);
 
-/// Motions with all kinds of grips: the fall in whose joints friction sticks and lets go; a handle drawn onto a wall to which it sticks.
+/// Motions with all kinds of friction places: the fall in whose joints friction sticks and lets go; a handle drawn onto a wall to which it sticks.
 fn motions(method: Method) -> [Motion; 2] {
     let mut fall = default_parameters();
     fall.start.theta[1] = 2.0 * PI / 3.0;

@@ -107,7 +107,7 @@ def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
     position, velocity = re.findall(r"at the end (\S+) m, (\S+) m/s", printed)[0]
     # 1e-8 mgL; what the battery demands of falls.
     assert float(energy) < 3.5e-10 and float(position) < 1e-14 and float(velocity) < 1e-11
-    # Those of a projection by the last resort come on top.
+    # Those of the fallback's projection come on top.
     assert int(re.findall(r"iterations of a step: (\d+)", printed)[0]) <= 70
 
 

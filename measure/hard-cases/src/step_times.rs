@@ -19,7 +19,7 @@ const PARTS: [f64; 6] = [0.5, 0.99, 0.999, 0.9999, 0.99999, 1.0];
 /// Bins of times per decade, from 1 ns on.
 const PER_DECADE: f64 = 10.0;
 const BINS: usize = 80;
-/// More than the last resort takes, in iterations.
+/// More than the fallback takes, in iterations.
 #[cfg(test)]
 const LAST_RESORT: usize = 30;
 /// More iterations are counted as so many.
@@ -38,7 +38,7 @@ pub struct StepTimes {
     pub longest: f64,
     /// Steps by their iterations.
     pub iterations: Vec<u64>,
-    /// Steps by rescues beyond a first guess, and by the last resort; and falls that ended with a status, for want of a rescue.
+    /// Steps by rescues beyond a first guess, and by the fallback; and falls that ended with a status, for want of a rescue.
     pub rescued: [u64; 3],
 }
 
@@ -121,7 +121,7 @@ impl StepTimes {
 
 /// A table: of all steps this part takes no longer, and no more iterations.
 pub fn write_markdown(all: &[StepTimes], mut to: impl Write) -> io::Result<()> {
-    let header = ["step [s]", "solver.maxWork", "steps", "part", "time [us]", "iterations", "rescued / last resorts / ended"];
+    let header = ["step [s]", "solver.maxWork", "steps", "part", "time [us]", "iterations", "rescued / fallbacks / ended"];
     report::markdown_table(header, all.iter().flat_map(StepTimes::rows), &mut to)
 }
 

@@ -32,7 +32,7 @@ pub struct Sticking<'a> {
     program: Independent<'a>,
 }
 
-/// How fast the parts of a grip slide on each other: row·(rates of the links), and row·(their accelerations) + drift is how that changes.
+/// How fast the bodies at a friction place slide on each other: row·(rates of the links), and row·(their accelerations) + drift is how that changes.
 struct Row {
     row: [f64; 4],
     drift: f64,
@@ -60,7 +60,7 @@ impl<'a> Sticking<'a> {
         let mut stick_slip = self.decided(&mut state);
         while duration - time > 1e-12 {
             // Nothing moves, and no input changes.
-            if state[4..].iter().all(|rate| *rate == 0.0) && stick_slip.iter().filter(|grip| **grip == StickSlip::Holds).count() > 1
+            if state[4..].iter().all(|rate| *rate == 0.0) && stick_slip.iter().filter(|place| **place == StickSlip::Holds).count() > 1
             {
                 return Some(state);
             }
@@ -89,10 +89,10 @@ impl<'a> Sticking<'a> {
     /// Projects onto the closure, and sets sticking rates to 0.
     fn held(&self, state: Motion, stick_slip: &StickSlips) -> Motion {
         let mut state = self.program.closed(state);
-        for grip in (0..FRICTION_PLACES).filter(|grip| stick_slip[*grip] == StickSlip::Holds) {
-            let row = self.row(grip, &state);
+        for place in (0..FRICTION_PLACES).filter(|place| stick_slip[*place] == StickSlip::Holds) {
+            let row = self.row(place, &state);
             let rate = row.rate(&state);
-            // The rates nearest by that keep the closure: two equations of it, and that of the grip.
+            // The rates nearest by that keep the closure: two equations of it, and that of the friction place.
             let mut matrix = [[0.0; 8]; 7];
             for (equation, closure) in self.program.equations(&state)[4..].iter().enumerate() {
                 for link in 0..4 {
@@ -110,7 +110,7 @@ impl<'a> Sticking<'a> {
         state
     }
 
-    /// The end of the step that comes just beyond where its grips do something else: by false position (Illinois).
+    /// The end of the step that comes just beyond where the state of a friction place changes: by false position (Illinois).
     fn event(&self, from: &Motion, stick_slip: &StickSlips, longest: f64) -> (Motion, f64) {
         /// So far beyond, rad/s and N·m, within the smaller.
         const BEYOND: [f64; 2] = [5e-13, 4e-13];
@@ -138,11 +138,11 @@ impl<'a> Sticking<'a> {
     /// Smallest guard value: slip rates in their direction, friction left in sticking joints, and the gap to the plane.
     fn margin(&self, state: &Motion, stick_slip: &StickSlips) -> f64 {
         let (_, torques) = self.accelerations(state, stick_slip);
-        let margins = (0..FRICTION_PLACES).map(|grip| match stick_slip[grip] {
-            StickSlip::Free if grip == TIP && self.tip_sticks() => 1e-13 - self.program.pressed(state)[0],
+        let margins = (0..FRICTION_PLACES).map(|place| match stick_slip[place] {
+            StickSlip::Free if place == TIP && self.tip_sticks() => 1e-13 - self.program.pressed(state)[0],
             StickSlip::Free => f64::INFINITY,
-            StickSlip::Slips(sign) => sign * self.row(grip, state).rate(state) + 1e-13,
-            StickSlip::Holds => self.bound(grip, state, 0.0) - torques[grip].abs(),
+            StickSlip::Slips(sign) => sign * self.row(place, state).rate(state) + 1e-13,
+            StickSlip::Holds => self.bound(place, state, 0.0) - torques[place].abs(),
         });
         margins.fold(f64::INFINITY, f64::min)
     }
@@ -152,10 +152,10 @@ impl<'a> Sticking<'a> {
         contact.enabled && contact.law == Law::Stick && contact.mu > 0.0
     }
 
-    fn row(&self, grip: usize, state: &Motion) -> Row {
+    fn row(&self, place: usize, state: &Motion) -> Row {
         let mut row = [0.0; 4];
-        if grip < TIP {
-            let (first, second) = JOINTS[grip];
+        if place < TIP {
+            let (first, second) = JOINTS[place];
             row[first] = 1.0;
             if let Some(second) = second {
                 row[second] = -1.0;
@@ -174,13 +174,13 @@ impl<'a> Sticking<'a> {
     }
 
     /// Friction while it slips at a rate, N·m or N; the breakaway value at rate 0.
-    fn bound(&self, grip: usize, state: &Motion, rate: f64) -> f64 {
-        if grip == TIP {
+    fn bound(&self, place: usize, state: &Motion, rate: f64) -> f64 {
+        if place == TIP {
             return self.scene.effects.contact.mu * self.program.pressed(state)[1];
         }
         let friction = &self.scene.effects.friction;
         let u = rate / (std::f64::consts::SQRT_2 * friction.breakaway_velocity);
-        friction.coulomb[grip] + (friction.breakaway[grip] - friction.coulomb[grip]) * (-u * u).exp()
+        friction.coulomb[place] + (friction.breakaway[place] - friction.coulomb[place]) * (-u * u).exp()
     }
 
     fn slope(&self, state: &Motion, stick_slip: &StickSlips) -> Motion {
@@ -188,47 +188,47 @@ impl<'a> Sticking<'a> {
         [state[4], state[5], state[6], state[7], a[0], a[1], a[2], a[3]]
     }
 
-    /// Accelerations, and the torques of the grips that hold. Two hold at most.
+    /// Accelerations, and the torques of the friction places that hold. Two hold at most.
     fn accelerations(&self, state: &Motion, stick_slip: &StickSlips) -> ([f64; 4], [f64; FRICTION_PLACES]) {
         let mut matrix = [[0.0; 9]; 8];
         for (row, equation) in self.program.equations(state).into_iter().enumerate() {
             matrix[row][..6].copy_from_slice(&equation[..6]);
             matrix[row][8] = equation[6];
         }
-        let mut places = [None; FRICTION_PLACES];
-        let mut place = 6;
-        for grip in 0..FRICTION_PLACES {
-            if stick_slip[grip] == StickSlip::Free {
+        let mut columns = [None; FRICTION_PLACES];
+        let mut column = 6;
+        for place in 0..FRICTION_PLACES {
+            if stick_slip[place] == StickSlip::Free {
                 continue;
             }
-            let sliding = self.row(grip, state);
-            match stick_slip[grip] {
+            let sliding = self.row(place, state);
+            match stick_slip[place] {
                 StickSlip::Slips(sign) => {
-                    let force = sign * self.bound(grip, state, sliding.rate(state));
+                    let force = sign * self.bound(place, state, sliding.rate(state));
                     (0..4).for_each(|link| matrix[link][8] -= sliding.row[link] * force);
                 }
                 _ => {
                     for (link, by_rate) in sliding.row.into_iter().enumerate() {
-                        (matrix[place][link], matrix[link][place]) = (by_rate, -by_rate);
+                        (matrix[column][link], matrix[link][column]) = (by_rate, -by_rate);
                     }
-                    matrix[place][8] = -sliding.drift;
-                    places[grip] = Some(place);
-                    place += 1;
+                    matrix[column][8] = -sliding.drift;
+                    columns[place] = Some(column);
+                    column += 1;
                 }
             }
         }
-        for (unused, row) in matrix.iter_mut().enumerate().skip(place) {
+        for (unused, row) in matrix.iter_mut().enumerate().skip(column) {
             row[unused] = 1.0;
         }
         let solution = eliminate(matrix);
-        let torques = places.map(|place| place.map_or(0.0, |place| solution[place]));
+        let torques = columns.map(|column| column.map_or(0.0, |column| solution[column]));
         ([solution[0], solution[1], solution[2], solution[3]], torques)
     }
 
-    /// Whether there is a grip that could hold something.
-    fn rubs(&self, grip: usize, state: &Motion) -> bool {
+    /// Whether bodies slide on each other at the place, so that friction could hold them.
+    fn rubs(&self, place: usize, state: &Motion) -> bool {
         let friction = &self.scene.effects.friction;
-        match grip {
+        match place {
             TIP => self.tip_sticks() && self.program.pressed(state)[0] > 0.0,
             joint => friction.enabled && friction.law == Law::Stick && friction.breakaway[joint] > 0.0,
         }
@@ -236,9 +236,9 @@ impl<'a> Sticking<'a> {
 
     /// Decides the stick-slip states from here on.
     fn decided(&self, state: &mut Motion) -> StickSlips {
-        let all: Vec<usize> = (0..FRICTION_PLACES).filter(|grip| self.rubs(*grip, state)).collect();
+        let all: Vec<usize> = (0..FRICTION_PLACES).filter(|place| self.rubs(*place, state)).collect();
         let able =
-            |stick_slip: Vec<usize>| stick_slip.into_iter().filter(|grip| self.bound(*grip, state, 0.0) > 0.0).collect::<Vec<_>>();
+            |stick_slip: Vec<usize>| stick_slip.into_iter().filter(|place| self.bound(*place, state, 0.0) > 0.0).collect::<Vec<_>>();
         if state[4..].iter().all(|rate| rate.abs() < 100.0 * SLOW) {
             let mut still = *state;
             still[4..].fill(0.0);
@@ -249,10 +249,10 @@ impl<'a> Sticking<'a> {
             }
         }
         let mut stick_slip = [StickSlip::Free; FRICTION_PLACES];
-        for grip in &all {
-            stick_slip[*grip] = StickSlip::Slips(if self.row(*grip, state).rate(state) < 0.0 { -1.0 } else { 1.0 });
+        for place in &all {
+            stick_slip[*place] = StickSlip::Slips(if self.row(*place, state).rate(state) < 0.0 { -1.0 } else { 1.0 });
         }
-        let zero = able(all.into_iter().filter(|grip| self.row(*grip, state).rate(state).abs() < SLOW).collect());
+        let zero = able(all.into_iter().filter(|place| self.row(*place, state).rate(state).abs() < SLOW).collect());
         self.best(state, &stick_slip, &zero, false).1
     }
 
@@ -262,18 +262,18 @@ impl<'a> Sticking<'a> {
         for code in 0..3_usize.pow(zero.len() as u32) {
             let mut stick_slip = *others;
             let mut rest = code;
-            for grip in zero {
-                stick_slip[*grip] = [StickSlip::Holds, StickSlip::Slips(1.0), StickSlip::Slips(-1.0)][rest % 3];
+            for place in zero {
+                stick_slip[*place] = [StickSlip::Holds, StickSlip::Slips(1.0), StickSlip::Slips(-1.0)][rest % 3];
                 rest /= 3;
             }
-            let holding = zero.iter().filter(|grip| stick_slip[**grip] == StickSlip::Holds).count();
+            let holding = zero.iter().filter(|place| stick_slip[**place] == StickSlip::Holds).count();
             if if rests { holding != 2 } else { holding > 1 } {
                 continue;
             }
             let (a, torques) = self.accelerations(state, &stick_slip);
-            let violations = zero.iter().map(|grip| match stick_slip[*grip] {
-                StickSlip::Holds => torques[*grip].abs() / self.bound(*grip, state, 0.0) - 1.0,
-                StickSlip::Slips(sign) if !rests => -sign * self.row(*grip, state).acceleration(&a),
+            let violations = zero.iter().map(|place| match stick_slip[*place] {
+                StickSlip::Holds => torques[*place].abs() / self.bound(*place, state, 0.0) - 1.0,
+                StickSlip::Slips(sign) if !rests => -sign * self.row(*place, state).acceleration(&a),
                 StickSlip::Slips(_) | StickSlip::Free => 0.0,
             });
             let moved = if rests { 1e-3 * a.iter().fold(0.0, |most: f64, a| most.max(a.abs())) } else { 0.0 };

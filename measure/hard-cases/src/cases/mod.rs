@@ -222,10 +222,10 @@ impl Case {
             }
             if self.conserving.all_steps && fallbacks > allowed_last_resorts(step, steps) {
                 row.failures += 1;
-                row.objections.push(format!("{fallbacks} of {steps} steps by the last resort"));
+                row.objections.push(format!("{fallbacks} of {steps} steps by the fallback"));
             }
             if fallbacks > 0 {
-                statuses.insert(format!("of {steps} steps by the last resort"), fallbacks as usize);
+                statuses.insert(format!("of {steps} steps by the fallback"), fallbacks as usize);
             }
         }
         row.mean = if steps == 0 { 0.0 } else { substeps as f64 / steps as f64 };
@@ -287,7 +287,7 @@ impl Demand {
     }
 }
 
-/// Steps of a fall that the conserving method may make by its last resort: one in a million, or two where they are longer than 1 ms.
+/// Steps of a fall that the conserving method may make by its fallback: one in a million, or two where they are longer than 1 ms.
 fn allowed_last_resorts(step: f64, steps: u64) -> u64 {
     (if step > 1e-3 { 2 * steps } else { steps }).div_ceil(1_000_000)
 }
