@@ -22,6 +22,6 @@ with Unit(**{"solver.method": CONSERVING, "solver.maxWork": 40, "init.theta[2]":
     steps, substeps, rescued, last = (int(x) for x in unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts"))))
     position, velocity = unit.get("solver.positionError", "solver.velocityError")
 
-print(f"{steps} steps of {1e3 * STEP} ms, {substeps} sub-steps: {rescued} rescued, {last} by the last resort")
+print(f"{steps} steps of {1e3 * STEP} ms, {substeps} sub-steps: {rescued} rescued, {last} by the fallback")
 print(f"largest energy error {worst:.1e} J; constraints at the end {position:.1e} m, {velocity:.1e} m/s")
 print(f"most iterations of a step: {largest:.0f}")

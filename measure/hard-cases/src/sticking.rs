@@ -60,7 +60,8 @@ impl<'a> Sticking<'a> {
         let mut stick_slip = self.decided(&mut state);
         while duration - time > 1e-12 {
             // Nothing moves, and no input changes.
-            if state[4..].iter().all(|rate| *rate == 0.0) && stick_slip.iter().filter(|place| **place == StickSlip::Holds).count() > 1
+            if state[4..].iter().all(|rate| *rate == 0.0)
+                && stick_slip.iter().filter(|place| **place == StickSlip::Holds).count() > 1
             {
                 return Some(state);
             }
@@ -237,8 +238,9 @@ impl<'a> Sticking<'a> {
     /// Decides the stick-slip states from here on.
     fn decided(&self, state: &mut Motion) -> StickSlips {
         let all: Vec<usize> = (0..FRICTION_PLACES).filter(|place| self.rubs(*place, state)).collect();
-        let able =
-            |stick_slip: Vec<usize>| stick_slip.into_iter().filter(|place| self.bound(*place, state, 0.0) > 0.0).collect::<Vec<_>>();
+        let able = |stick_slip: Vec<usize>| {
+            stick_slip.into_iter().filter(|place| self.bound(*place, state, 0.0) > 0.0).collect::<Vec<_>>()
+        };
         if state[4..].iter().all(|rate| rate.abs() < 100.0 * SLOW) {
             let mut still = *state;
             still[4..].fill(0.0);
