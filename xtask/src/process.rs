@@ -1,4 +1,4 @@
-//! Other programs: shown before they run, and an error that names them when they fail.
+//! Runs other programs: the command is printed before, and named by the error if it fails.
 
 use crate::paths;
 use anyhow::{Context, Result, bail, ensure};

@@ -1,4 +1,4 @@
-"""What the caller can mend: each error is one sentence that names what, its value, and what is allowed."""
+"""Errors that the caller can mend: one sentence that names the object, its value, and the allowed ones."""
 
 
 class FiveBarError(ValueError):

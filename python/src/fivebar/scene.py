@@ -153,7 +153,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
 
 
 def description(file: Path) -> str:
-    """What a scene's file says of itself."""
+    """Description of a scene, from its file."""
     return str(json.loads(file.read_text(encoding="utf-8"))["description"])
 
 

@@ -28,7 +28,7 @@ SECONDS = ("stopTime", "stepSize")
 
 
 class Content:
-    """What a file says, in the terms of the unit."""
+    """Content of a scene's file in the terms of the unit."""
 
     def __init__(self, content: Any, variables: Variables):
         if not isinstance(content, dict):
@@ -44,7 +44,7 @@ class Content:
 
 
 def text(file: Path) -> str:
-    """What stands in a file of limited size."""
+    """Text of a file of limited size."""
     try:
         with file.open("rb") as stream:
             content = stream.read(LARGEST + 1)

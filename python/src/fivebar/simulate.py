@@ -28,12 +28,12 @@ ANIMATION = "animation.svg"
 """Name of the picture that moves."""
 
 SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
-"""What `plot` shows if nothing is named."""
+"""Variables that `plot` shows if none is named."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a run: a column for everything that the unit computes and for the inputs that change, a row at each communication point.
+    """Result of a run: a column for everything that the unit computes and for the inputs that change, a row at each communication point.
 
     `result["tip.x"]` is a column, (n,); `result.units["tip.x"]` its unit.
     """
@@ -85,7 +85,7 @@ class Result:
         return [singularities.find(run) for run in self.runs]
 
     def summary(self) -> str:
-        """What the command prints: where the tip ends, steps, times, errors, singularities."""
+        """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
         blocks = [f"{self.scene.name}: {self.scene.description}"]
         for i, run in enumerate(self.runs):
             lines = [run.label, *summary.lines(run, self._events[i])]

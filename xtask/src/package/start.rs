@@ -1,4 +1,4 @@
-//! Whether a unit accepts its own start: it is asked, through FMPy, for only the library knows. A plain unit of the same sources that is packed
+//! Check that a unit accepts its own start: the library is asked, through FMPy. A plain unit of the same sources that is packed
 //! already is asked before anything is built.
 
 use super::platform::Scope;

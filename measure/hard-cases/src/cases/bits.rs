@@ -1,4 +1,4 @@
-//! 8: the same input gives the same bits.
+//! Item 8 of the battery: the same input gives the same bits.
 
 use std::fmt::Write;
 use std::hash::{DefaultHasher, Hash, Hasher};

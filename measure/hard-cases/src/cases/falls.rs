@@ -1,4 +1,4 @@
-//! 1: perturbed free falls.
+//! Item 1 of the battery: perturbed free falls.
 
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, close};

@@ -1,4 +1,5 @@
-//! 10: machines that are followed through singularities: the corrector on, with encoders of 16 bits, and started where the machine is.
+//! Item 10 of the battery: machines that are followed through singularities: the corrector on, with encoders
+//! of 16 bits, and started where the machine is.
 
 use std::f64::consts::TAU;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! 7: one hour of simulated motion.
+//! Item 7 of the battery: one hour of simulated motion.
 
 use std::time::Instant;
 

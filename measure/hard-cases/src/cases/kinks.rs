@@ -1,4 +1,5 @@
-//! 9: loads with kinks, random: slow and fast touches, stops, drives that saturate, friction, all of it together, and friction that sticks.
+//! Item 9 of the battery: loads with kinks, random: slow and fast touches, stops, drives that saturate,
+//! friction, all of it together, and friction that sticks.
 //! Judged by a program of its own, `independent.rs` with `sticking.rs`.
 
 use std::f64::consts::TAU;

@@ -1,4 +1,4 @@
-//! 4: other singular postures: direct and inverse singularities, coaxial motors.
+//! Item 4 of the battery: other singular postures: direct and inverse singularities, coaxial motors.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 

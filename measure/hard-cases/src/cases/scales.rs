@@ -1,4 +1,4 @@
-//! 6: scales: steps, tolerances, lengths, masses, loads, communication steps.
+//! Item 6 of the battery: scales: steps, tolerances, lengths, masses, loads, communication steps.
 
 use fivebar::simulation::Inputs;
 

@@ -1,4 +1,4 @@
-//! 3: rest in each vertex.
+//! Item 3 of the battery: rest in each vertex.
 
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::simulation::Inputs;

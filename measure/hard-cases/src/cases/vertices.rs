@@ -1,4 +1,4 @@
-//! 2: the four vertices: exact crossings, near misses, the branch with one degree of freedom. No gravity.
+//! Item 2 of the battery: the four vertices: exact crossings, near misses, the branch with one degree of freedom. No gravity.
 
 use std::f64::consts::{PI, TAU};
 

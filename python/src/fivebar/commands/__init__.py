@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        # What the system refuses: a folder that is a file, a disk that is full, a port that is taken.
+        # The system refuses: a folder is a file, a disk is full, a port is taken.
         where = " ".join(str(part) for part in (error.filename, error.filename2) if part is not None)
         return _refused(name, f"{where or 'the system'}: {error.strerror or error}")
     except Exception as error:

@@ -19,7 +19,7 @@ def fmu() -> Decorator:
 
 
 def out(default: str) -> Decorator:
-    """Where results go."""
+    """Option for the folder of the results."""
     return click.option("--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told.")
 
 

@@ -64,7 +64,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Options:
-    """What is soaked, and for how long."""
+    """Options of a soak: scenes and duration."""
 
     hours: float
     """Of 200 samples a second."""

@@ -68,7 +68,7 @@ class Options:
     """For summary, pictures, page and record."""
 
     unit: str
-    """What the machine is called in topics."""
+    """Name of the machine in topics."""
 
     broker: str | None
     """HOST:PORT of any MQTT broker; without one that comes along."""

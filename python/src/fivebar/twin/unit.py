@@ -35,7 +35,7 @@ class Library:
 
     @cached_property
     def known(self) -> Variables:
-        """What scenes may set."""
+        """Variables that scenes may set."""
         return Variables(self.model)
 
     @property

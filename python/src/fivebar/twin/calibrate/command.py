@@ -23,16 +23,16 @@ from fivebar.twin.unit import Library
 
 @dataclass(frozen=True)
 class Options:
-    """What is calibrated, from what, and how."""
+    """Options of a calibration: the record, the unknowns, the fit."""
 
     file: Path
     """A record: Parquet, a folder of parts, or CSV."""
 
     parameters: tuple[str, ...]
-    """What is sought; nothing is `USUAL`."""
+    """Unknowns by name; none means `USUAL`."""
 
     scene: str | Path | None
-    """What the machine is taken for before; without one the scene of the record."""
+    """Scene with the assumed parameters of the machine; without one that of the record."""
 
     begin: float
     """s after the first sample."""
@@ -44,13 +44,13 @@ class Options:
     """s: longer series are cut."""
 
     commands: Between
-    """What drives do between samples."""
+    """Course of the commands between samples."""
 
     patience: float
     """s of CPU after which a fit is given up."""
 
     unit: str
-    """Which machine, if the record has several."""
+    """Name of the machine, if the record has several."""
 
     proposal: bool
     """Whether to look for a motion that would tell what is not identified."""

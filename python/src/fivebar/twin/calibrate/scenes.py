@@ -29,7 +29,7 @@ def start_values(given: str | Path | None, data: Path, library: Library) -> tupl
 
 
 def values(given: str | Path, library: Library) -> Values:
-    """What a scene, by its name or file, says of the machine."""
+    """Values of the machine in a scene, by its name or file."""
     return {name: value for name, value in scenes.read(given, library.known).values.items() if not name.startswith(KEPT_OUT)}
 
 

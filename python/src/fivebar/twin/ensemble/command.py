@@ -30,7 +30,7 @@ class Options:
 
     members: int
     scene: str | Path
-    """Where and how members begin: the name of a shipped scene, or a file."""
+    """Scene of the members' start: the name of a shipped one, or a file."""
 
     state: Path | None
     """In the place of a scene: bytes of the unit, or a state of the twin."""

@@ -38,7 +38,7 @@ TURN: Final = 0.15
 
 @dataclass(frozen=True)
 class Options:
-    """What is compared, and how."""
+    """Options of a comparison of commands."""
 
     config: Path
     """The configuration of the running twin."""
