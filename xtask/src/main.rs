@@ -6,6 +6,7 @@ mod estimator;
 mod format;
 mod hard_cases;
 mod kinks;
+mod mujoco;
 mod package;
 mod page;
 mod paths;
@@ -95,6 +96,8 @@ enum Command {
         #[arg(long, default_value_t = 0)]
         seeds: u64,
     },
+    /// Follow a machine with play, soft links and friction that MuJoCo simulates; write target/mujoco/
+    Mujoco(mujoco::Options),
     /// Measure accuracy against wall time, write the page target/report/index.html
     Report(report::Options),
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
@@ -157,6 +160,7 @@ fn command(command: Command) -> Result<()> {
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Estimator { only, part, seeds } => estimator::estimator(&only, part, seeds),
+        Command::Mujoco(options) => mujoco::mujoco(&options),
         Command::Report(options) => report::report(&options),
         Command::Peers(options) => peers::peers(&options),
         Command::Bench { check: true, .. } => bench::check(),

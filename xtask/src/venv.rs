@@ -27,6 +27,8 @@ pub(crate) enum Packages {
     Platforms,
     /// Also the filters that the estimator is compared with.
     Filters,
+    /// Also MuJoCo, which simulates a machine that is followed.
+    Mujoco,
     /// The package `fivebar` and packages of the comparison with peers: large, and in an environment of its own.
     Peers,
 }
@@ -40,13 +42,14 @@ impl Packages {
             Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
             Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
             Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
+            Self::Mujoco => &[USUAL, TWIN, OWN, "xtask/python/requirements-mujoco.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt", OWN],
         }
     }
 
     fn folder(self) -> PathBuf {
         match self {
-            Self::Usual | Self::Full | Self::Platforms | Self::Filters => paths::in_root("target/venv"),
+            Self::Usual | Self::Full | Self::Platforms | Self::Filters | Self::Mujoco => paths::in_root("target/venv"),
             Self::Peers => paths::in_root("target/venv-peers"),
         }
     }
