@@ -1,4 +1,4 @@
-"""The unit follows a machine that MuJoCo simulates (machine.py): errors, bands, forecasts and alarms, by what a user would set and nothing more.
+"""The unit follows a machine that MuJoCo simulates (machine.py): errors, bands, forecasts, alarms and a calibration, by what a user would set and nothing more.
 
 python follow.py --fmu target/fmu/FiveBar.fmu --minutes 20 --seed 1 --out target/mujoco
 """
@@ -8,13 +8,13 @@ import json
 import shutil
 import sys
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 
 import fmpy
 import matplotlib
 
 matplotlib.use("svg")
+import calibrate
 import machine
 import matplotlib.pyplot as plt
 import numpy as np
@@ -161,7 +161,7 @@ def figures(rows, true, kinds, said, statuses, names, ahead) -> dict[str, object
     lost = (found["error"] > LOST) & (found["error"] > 3 * found["half"])
     told["lost, % of samples"] = round(100 * float(lost[settled:].mean()), 3)
     counts = np.unique(np.array(statuses)[settled:], return_counts=True)
-    told["status, % of samples"] = {names[int(k)]: round(100 * int(n) / len(rows), 2) for k, n in zip(*counts, strict=True)}
+    told["status, % of samples"] = {names[int(k)]: round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)}
     alarm = said[:, 5] > 0.5
     onsets = [i for i in range(1, len(rows)) if pushed[i] and not pushed[i - 1]]
     ends = [i for i in range(1, len(rows)) if pushed[i - 1] and not pushed[i]]
@@ -205,7 +205,7 @@ def draw(path: Path, rows, true, said, ahead) -> None:
         upper.plot(time[part], true[part, 3] * 1e3, label="x")
         upper.plot(time[part], true[part, 4] * 1e3, label="y")
         upper.set_ylabel("tip, mm")
-        middle.fill_between(time[part], 1e-4, found["half"][part] * 1e3, alpha=0.3, label="half-width of the 95 % ellipse")
+        middle.fill_between(time[part], 1e-3, found["half"][part] * 1e3, alpha=0.3, label="half-width of the 95 % ellipse")
         middle.plot(time[part], found["error"][part] * 1e3, linewidth=0.8, label="error")
         horizon = HORIZONS[-1]
         end = time[ahead[horizon][:, 0].astype(int)]
@@ -214,6 +214,7 @@ def draw(path: Path, rows, true, said, ahead) -> None:
         middle.plot(end[shown], later["error"][shown] * 1e3, "o", markersize=3, label=f"error, {horizon:g} s ahead")
         middle.plot(end[shown], later["half"][shown] * 1e3, "_", label=f"half-width, {horizon:g} s ahead")
         middle.set_yscale("log")
+        middle.set_ylim(bottom=1e-3)
         middle.set_ylabel("mm")
         lower.plot(time[part], np.hypot(rows[part, 7], rows[part, 8]), label="push, N (the unit does not know it)")
         lower.plot(time[part], said[part, 5], linewidth=0.8, label="estimated.alarm")
@@ -256,20 +257,22 @@ def main() -> None:
     def progress(what: str):
         def tell(done: float) -> None:
             if round(done / machine.SAMPLE) % 2000 == 0:
-                print(f"\r{what}: {done:.0f} of {60 * asked.minutes:.0f} s ", end="", file=sys.stderr, flush=True)
+                print(f"\r\033[K{what}: {done:.0f} of {60 * asked.minutes:.0f} s ", end="", file=sys.stderr, flush=True)
 
         return tell
 
     truth, rows, true, kinds = machine.record(60 * asked.minutes, asked.seed, progress("MuJoCo moves the machine"))
     write(asked.out, truth, rows, true)
     unit = Unit(asked.fmu)
-    said, statuses, ahead = follow(unit, rows, progress("\nthe unit follows"))
+    said, statuses, ahead = follow(unit, rows, progress("the unit follows"))
     print(file=sys.stderr)
     told = figures(rows, true, kinds, said, statuses, unit.status_names, ahead)
     unit.end()
+    told["calibration"] = calibrate.calibrate(asked.out, asked.fmu, rows, kinds, truth)
     (asked.out / "figures.json").write_text(json.dumps(told, indent=1) + "\n")
     draw(asked.out / "follow.svg", rows, true, said, ahead)
     print(show(told))
+    print(calibrate.show(told["calibration"]))
 
 
 if __name__ == "__main__":
