@@ -3,7 +3,7 @@
 //! A file is an object: variable name → start value, enumerations by the names of their items, and four keys that are no
 //! variables; `docs/effects.md` describes them. A misspelt name, a value out of bounds or of the wrong type is refused in one
 //! sentence. The library is not needed: programs that link it write the values into its parameters themselves. Users read scenes by
-//! the package `fivebar`, and `tests/python/test_scene.py` holds both readers to the same answers by [`Scene::resolved`].
+//! the package `fivebar`, and `tests/python/test_scene_readers.py` holds both readers to the same answers.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -23,14 +23,18 @@ mod signal;
 mod tests;
 mod value;
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 pub use model_description::{Causality, Variable};
 pub use signal::Signal;
 pub use value::Value;
+
+/// Bytes of a file, at most.
+const LARGEST: u64 = 4_000_000;
 
 /// Values that a run sets, by variable.
 pub type Values = Vec<(&'static Variable, Value)>;
@@ -76,7 +80,10 @@ impl Scene {
     }
 
     fn from_file(name: &str, file: &Path) -> Result<Self> {
-        Self::parse(name, &fs::read_to_string(file).context("it cannot be read")?)
+        let mut text = String::new();
+        File::open(file).and_then(|file| file.take(LARGEST + 1).read_to_string(&mut text)).context("it cannot be read")?;
+        ensure!(text.len() as u64 <= LARGEST, "it has more than {LARGEST} bytes");
+        Self::parse(name, &text)
     }
 
     /// All of them, by name.

@@ -1,9 +1,12 @@
 //! Scenes with every name and unit looked up, as JSON.
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use serde_json::{Map, Value as Json, json};
 
 use crate::{Scene, Values};
+
+/// Communication points of a run, at most.
+const MOST_POINTS: f64 = 1e6;
 
 impl Scene {
     /// Every run with its label and its values as calls carry them, and every signal at every communication point.
@@ -15,7 +18,7 @@ impl Scene {
             .zip(runs)
             .map(|(label, values)| json!({ "label": label, "values": by_name(values) }))
             .collect();
-        let points = self.communication_points();
+        let points = if self.signals.is_empty() { Vec::new() } else { self.communication_points()? };
         let signals: Map<String, Json> = self
             .signals
             .iter()
@@ -32,9 +35,15 @@ impl Scene {
     }
 
     /// 0, H, 2H, ... and the stop time; a remainder within rounding is no step of its own.
-    fn communication_points(&self) -> Vec<f64> {
-        let count = (self.stop_time / self.step_size - 1e-9).ceil().max(1.0) as u32;
-        (0..count).map(|i| f64::from(i) * self.step_size).chain([self.stop_time]).collect()
+    fn communication_points(&self) -> Result<Vec<f64>> {
+        let Self { stop_time, step_size, .. } = self;
+        let steps = stop_time / step_size - 1e-9;
+        ensure!(
+            steps < MOST_POINTS,
+            "{stop_time} s in steps of {step_size} s are too many: up to {MOST_POINTS} communication points are allowed"
+        );
+        let count = steps.ceil().max(1.0) as u32;
+        Ok((0..count).map(|i| f64::from(i) * step_size).chain([*stop_time]).collect())
     }
 }
 

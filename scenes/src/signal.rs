@@ -114,6 +114,9 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0) {
         bail!("the knots' times must increase, but {} s follows {} s", pair[1].0, pair[0].0);
     }
+    if let Some(pair) = knots.windows(2).find(|pair| !((pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0)).is_finite()) {
+        bail!("the way between the knots at {:?} s and {:?} s is too steep", pair[0].0, pair[1].0);
+    }
     let knots = knots.into_iter().map(|(time, value)| (time - early, value)).collect();
     Ok(Signal { variable, shape, rate: false, knots })
 }

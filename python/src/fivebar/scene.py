@@ -98,7 +98,7 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
     """0, H, 2H, ... and the stop time, s: (n,); a remainder within rounding is no step of its own."""
     steps = stop_time / step_size - 1e-9
     if not steps < MOST_POINTS:
-        raise FiveBarError(f"{stop_time:g} s in steps of {step_size:g} s are too many: up to {MOST_POINTS} communication points are allowed")
+        raise FiveBarError(f"{stop_time} s in steps of {step_size} s are too many: up to {MOST_POINTS} communication points are allowed")
     points = np.arange(max(1, math.ceil(steps)) + 1) * step_size
     points[-1] = stop_time
     return points

@@ -6,6 +6,7 @@
 one that a tunable parameter may have. Before its first and after its last knot a signal is constant.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -91,6 +92,9 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
     for (before, _), (after, _) in zip(knots, knots[1:]):
         if after <= before:
             raise FiveBarError(f"the knots' times must increase, but {_short(after)} s follows {_short(before)} s")
+    for (begin, before), (end, after) in zip(knots, knots[1:]):
+        if not math.isfinite((after - before) / (end - begin)):
+            raise FiveBarError(f"the way between the knots at {_short(begin)} s and {_short(end)} s is too steep")
     early = EARLY if kind == STEPS else 0.0
     return Signal(variable, kind, tuple((time - early, v) for time, v in knots))
 
