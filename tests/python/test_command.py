@@ -1,0 +1,231 @@
+"""The command `fivebar` and the functions of the package: answers, sentences, exit codes, and nothing half-made."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import fivebar
+from fivebar import extras, shipped
+from fivebar.commands import fivebar as group
+from fivebar.commands import main
+from fivebar.errors import FiveBarError
+
+FALL = {"description": "A short fall.", "experiment": {"stopTime": 0.05}, "init.theta[2]": 2.0944}
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmu: Path) -> Path:
+    """An empty folder with a space and an umlaut in its name, in which commands are given."""
+    folder = tmp_path / "in der Übung"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("FIVEBAR_FMU", str(fmu))
+    return folder
+
+
+@pytest.mark.parametrize("name", list(group.commands))
+def test_help_teaches(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the subcommand does, in a line that the list of all has as well; every option in words; no packages are needed for it."""
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    first = text.split("\n\n")[1].strip()
+    assert text.startswith(f"Usage: fivebar {name}") and first.endswith(".")
+    for option in group.commands[name].params:
+        assert getattr(option, "help", None) or option.param_type_name == "argument", option.name
+    assert main(["--help"]) == 0
+    assert first in capsys.readouterr().out
+
+
+def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "fivebar run fall_90_120 --open" in capsys.readouterr().err
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"fivebar {fivebar.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["fly"], "fivebar: No such command 'fly'; `fivebar --help` says how it is called"),
+        (["run"], "fivebar run: Missing argument 'SCENE|FILE'; `fivebar run --help` says how it is called"),
+        (["run", "--fast"], "fivebar run: No such option '--fast'"),
+        (["run", "fly"], "fivebar run: there is no scene 'fly'; there are bounce, "),
+        (["run", ""], "fivebar run: there is no scene ''; there are"),
+        (["run", ".."], "fivebar run: there is no scene '..'; there are"),
+        (["run", "../swing"], "fivebar run: there is no scene '../swing'; there are"),
+        (["run", "swing\0"], "fivebar run: there is no scene 'swing\\x00'; there are"),
+        (["run", "none.json"], "fivebar run: none.json: it cannot be read: No such file or directory"),
+        (["run", "swing", "--method", "euler"], "fivebar run: 'solver.method' must be one of i3alp, i3alpPrinted, "),
+        (["run", "swing", "--set", "tau[1]"], "fivebar run: --set 'tau[1]' is not of the form NAME=VALUE"),
+        (["run", "swing", "--set", "tau[1]=much"], "fivebar run: 'tau[1]' must be a number in N.m"),
+        (["run", "swing", "--set", "tau[1]=NaN"], "fivebar run: 'tau[1]' must be a number in N.m"),
+        (["run", "swing", "--set", "tau[1]=[1]"], "fivebar run: 'tau[1]' must be a number in N.m"),
+        (["run", "swing", "--set", "tau[3]=1"], "fivebar run: there is no variable 'tau[3]'; did you mean"),
+        (["run", "swing", "--set", "gravity.enabled=1"], "fivebar run: 'gravity.enabled' must be true or false, not 1"),
+        (["run", "swing", "--set", "tip.x=1"], "fivebar run: 'tip.x' is computed by the FMU and cannot be set"),
+        (["run", "swing", "--set", "init.theta[1]=3.2", "--set", "init.theta[2]=0"], "fivebar run: "),
+        (["run", "swing", "--fmu", "none.fmu"], "fivebar run: there is no .fmu at none.fmu"),
+        (["run", "swing", "--out", "/proc/nowhere"], "fivebar run: /proc/nowhere: "),
+        (["replay", "none"], "fivebar replay: there is no record at none"),
+        (["calibrate"], "fivebar calibrate: a FILE is needed"),
+        (["ensemble", "--scene", "swing", "--state", "x"], "fivebar ensemble: --scene and --state are two starts, and one is needed"),
+        (["ensemble", "--members", "many"], "fivebar ensemble: Invalid value for '--members': 'many' is not a valid integer"),
+        (["what-if"], "fivebar what-if: Missing option '--config'"),
+        (["soak", "--hours", "0"], "fivebar soak: hours are 0; more than 0"),
+        (["twin", "--scene", "fly"], "fivebar twin: there is no scene 'fly'"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_is_one_sentence(words: list[str], sentence: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On standard error, with exit code 2, and nothing is made."""
+    assert main(words) == 2
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "real time" not in line]
+    assert line.startswith(sentence)
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("empty", "", "it is not valid JSON: "),
+        ("blank", " \n ", "it is not valid JSON: "),
+        ("binary", b"\x7fELF\xff", "it cannot be read: it is not UTF-8 from byte 4 on"),
+        ("huge", b" " * 4_000_001, "it has more than 4000000 bytes"),
+        ("deep", "[" * 100_000, "it is not valid JSON: "),
+        ("list", "[]", "a scene must be an object of variable names and values"),
+        ("text", '"a"', "a scene must be an object of variable names and values"),
+        ("doubled", '{"description": "a", "tau[1]": 1, "tau[1]": 2}', "it is not valid JSON: 'tau[1]' is given twice"),
+        ("untold", "{}", "it has no text 'description'"),
+        ("number", '{"description": 5}', "'description' must be a text, not 5"),
+        ("control", '{"description": "a\\u0007"}', "'description' must be a text without control characters"),
+        ("typed", '{"description": "a", "gravity.enabled": "yes"}', "'gravity.enabled' must be true or false, not \"yes\""),
+        ("beyond", '{"description": "a", "base.distance": -1}', "'base.distance' must be a number in m from 0 to"),
+        ("infinite", '{"description": "a", "tau[1]": 1e999}', "it is not valid JSON: number 1e999 is out of range"),
+        ("dots", '{"description": "a", "link..length": 1}', "there is no variable 'link..length'"),
+        ("slash", '{"description": "a", "../tau[1]": 1}', "there is no variable '../tau[1]'"),
+        ("überlang", '{"description": "a", "τ": 1}', "there is no variable 'τ'"),
+        ("endless", '{"description": "a", "experiment": {"stopTime": 1e12}}', "1000000000000.0 s in steps of 0.001 s are too many"),
+        ("never", '{"description": "a", "experiment": {"stopTime": 0}}', "'experiment.stopTime' must be a positive number of seconds, not 0"),
+        ("resolved", '{"name": "a", "description": "a", "variants": []}', "there is no variable 'name'"),
+        (".", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
+        (" . ", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
+    ],
+)
+def test_odd_files_are_refused(name: str, content: str | bytes, sentence: str, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One sentence that names the file, and nothing half-made."""
+    file = tmp_path / f"{name}.json"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert main(["run", str(file)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert sentence in line and (name == "endless" or line.startswith(f"fivebar run: {file}: "))
+    assert list(here.iterdir()) == []
+
+
+def test_a_file_with_an_odd_name_is_run(tmp_path: Path, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Results go to a folder named after the file, and what they are named after it as well."""
+    shown: list[str] = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    file = tmp_path / "CON .. ü%s.json"
+    file.write_text(json.dumps(FALL), encoding="utf-8")
+    assert main(["run", str(file), "--set", "gravity.g=0", "--open"]) == 0
+    [folder] = here.iterdir()
+    assert folder.name == file.stem and (folder / f"{file.stem}.csv").is_file() and f"{file.stem}/{file.stem}.html" in capsys.readouterr().out
+    assert shown == [(folder / f"{file.stem}.html").as_uri()]
+
+
+def test_an_error_of_this_program_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where it comes from is shown only if asked for."""
+
+    def broken() -> None:
+        raise KeyError("surprise")
+
+    monkeypatch.setattr(fivebar, "scenes", broken)
+    assert main(["scenes"]) == 1
+    assert capsys.readouterr().err == "fivebar scenes: an error of this program, KeyError: 'surprise'; with FIVEBAR_TRACEBACK=1 it says where\n"
+    monkeypatch.setenv("FIVEBAR_TRACEBACK", "1")
+    with pytest.raises(KeyError):
+        main(["scenes"])
+
+
+def test_the_live_page_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    monkeypatch.setattr(shipped, "page", lambda: tmp_path / "fivebar.html")
+    assert main(["page"]) == 0 and shown == [(tmp_path / "fivebar.html").as_uri()]
+    monkeypatch.setattr(shipped, "page", lambda: None)
+    assert main(["page"]) == 2 and "cargo xtask page` makes it" in capsys.readouterr().err
+
+
+def test_missing_extras_are_one_sentence(monkeypatch: pytest.MonkeyPatch, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All that is missing, and the command that brings it; help needs nothing."""
+    assert {"pyarrow", "scipy"} < set(extras.packages("calibrate")) < set(extras.packages("all"))
+    monkeypatch.setattr(extras, "_is_installed", lambda name: name not in ("pyarrow", "scipy", "paho-mqtt"))
+    asks = {"calibrate": ["calibrate", "x"], "ensemble": ["what-if", "--config", "x"], "twin": ["soak"]}
+    for extra, words in asks.items():
+        assert main(words) == 2
+        sentence = capsys.readouterr().err
+        assert sentence.startswith(f"fivebar {words[0]}: `fivebar {words[0]}` needs ") and sentence.count("\n") == 1
+        assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is missing\n")
+    assert list(here.iterdir()) == []
+
+
+ALONE = """
+import sys
+from importlib import metadata, import_module
+from packaging.requirements import Requirement
+def closure(texts, extra, found):
+    for requirement in map(Requirement, texts):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+            name = requirement.name.lower().replace("_", "-")
+            if name not in found:
+                found.add(name)
+                closure(metadata.requires(name) or (), "", found)
+    return found
+allowed = closure(metadata.requires("fivebar"), sys.argv[1], {"fivebar"})
+blocked = {top for top, owners in metadata.packages_distributions().items()
+           if not any(owner.lower().replace("_", "-") in allowed for owner in owners)}
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in blocked:
+            raise ModuleNotFoundError(f"{name} is not among the packages of this extra")
+sys.meta_path.insert(0, Block())
+for module in sys.argv[2:]:
+    import_module(module)
+print(len(blocked))
+"""
+
+
+@pytest.mark.parametrize(("extra", "folder"), [("", "."), ("twin", "twin"), ("calibrate", "twin/calibrate"), ("ensemble", "twin/ensemble")])
+def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
+    """Each module that its subcommands load, with every package out of sight that neither the core nor the extra asks for."""
+    root = Path(fivebar.__file__).parent
+    files = sorted((root / folder).glob("*.py"))
+    if not extra:
+        files += sorted((root / "commands").glob("*.py"))
+    modules = [".".join(("fivebar", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__") for file in files]
+    modules = [module for module in modules if not module.endswith("__main__")]
+    done = subprocess.run([sys.executable, "-c", ALONE, extra, *modules], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr.splitlines()[-1]
+    assert len(modules) > 4 and int(done.stdout) > 5
+
+
+def test_a_run_in_python(here: Path) -> None:
+    """Named columns with units, pictures, page and table; the scene's other values and method."""
+    fall = fivebar.run("fall_90_120", method="automatic", **{"gravity.g": 0, "init.omega[1]": 0.1})
+    assert fall.failure is None and fall.time[-1] == 2.0 and fall["tip.x"].shape == (2001,) and fall.units["tip.x"] == "m"
+    assert fall.own.parameters["solver.method"] == 6 and fall["energy.kinetic"][0] > 0 and np.ptp(fall["energy.potential"]) == 0
+    assert {"time", "tip.x", "theta[1]"} < set(fall.names)
+    assert isinstance(fall.plot(), Figure) and [len(axes.lines) for axes in fall.plot("tip.x", "tip.y", "theta[1]").axes] == [2, 1]
+    header, first, *_ = fall.to_csv("fall.csv").read_text(encoding="utf-8").splitlines()
+    assert header.split(",")[:1] == ["time [s]"] and len(first.split(",")) == len(fall.names)
+    assert fall.animate("fall.html").stat().st_size > 20_000
+    assert sorted(file.name for file in here.iterdir()) == ["fall.csv", "fall.html"]
+    assert fivebar.unit().is_file() and fivebar.scenes()["swing"]
+    for call in (lambda: fivebar.run("fly"), lambda: fivebar.run("swing", "euler"), lambda: fivebar.run("swing", **{"tau": 1}), lambda: fall.plot("y")):
+        with pytest.raises(ValueError) as refusal:
+            call()
+        assert isinstance(refusal.value, FiveBarError) and "\n" not in str(refusal.value)
