@@ -94,9 +94,11 @@ def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
     (tmp_path / "target" / "fmu").mkdir(parents=True)
     shutil.copy(fmu, tmp_path / "target" / "fmu" / "FiveBar.fmu")
     blocks = re.findall(r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 1
+    package, plain = blocks
+    done = subprocess.run([sys.executable, "-c", package], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr
     tips = []
-    for arguments in (["-c", blocks[0]], [str(REPOSITORY / "examples" / "first_run.py")]):
+    for arguments in (["-c", plain], [str(REPOSITORY / "examples" / "first_run.py")]):
         done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         tips.append([float(number) for number in re.findall(r"-?\d+\.\d+(?:e-?\d+)?", done.stdout)])
