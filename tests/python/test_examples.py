@@ -129,3 +129,15 @@ def test_workspace(fmu: Path, tmp_path: Path) -> None:
     assert "so that it is 0.1185 m too far." in printed
     assert re.search(r"minusPlus, assembly plus: .* at \(0\.0500\d, 0\.2757\d\) m, radius 0\.1397\d m", printed)
     assert len(list((tmp_path / "target" / "workspace").iterdir())) == 21
+
+
+def test_draw(fmu: Path, tmp_path: Path) -> None:
+    """The robot draws what the docs say, to the figures that they have; the drawing that comes too close is refused with the place."""
+    printed = output(fmu, tmp_path, "draw.py")
+    assert "fivebar.svg: 16 strokes, 0.6668 m of lines in 18.67 s" in printed
+    largest, mean = (float(x) for x in re.findall(r"Off the drawing by up to (\S+) mm, (\S+) mm rms", printed)[0])
+    text = (REPOSITORY / "docs" / "kinematics.md").read_text(encoding="utf-8")
+    assert f"off the drawing by {mean:.3f} mm" in text and f"by {largest:.2f} mm where small circles" in text
+    assert "Stroke 4, at (-0.0110795, 0.115359) m, meets a direct singularity" in printed
+    names = {"drawn.svg", "drawn.png", "blocked.svg", "blocked.png", "fivebar.json", "fivebar.csv"}
+    assert {file.name for file in (tmp_path / "target" / "draw").iterdir()} == names

@@ -1,6 +1,10 @@
 """fivebar.workspace and fivebar.statics: maps of scenes, their pictures and tables."""
 
+import base64
 import csv
+import json
+import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from fivebar import statics, workspace, workspace_pictures
+from fivebar import map_page, statics, workspace, workspace_pictures
+from fivebar.borders import outline, stop_margin
 from fivebar.kinematics import WORKING_MODES, Machine, Working, sines
 from fivebar.scene import Scene, Variant
 from instance import Instance
@@ -79,7 +84,7 @@ def test_discs_hold_no_singularity(survey: workspace.Map) -> None:
             places = np.array([disc.x, disc.y]) + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
             posture, reached = survey.machine.field(places, mode.working)
             assert reached.all() and np.all(posture.assembly == disc.assembly)
-            assert np.all(workspace.stop_margin(survey.scene, posture.motors) >= 0)
+            assert np.all(stop_margin(survey.scene, posture.motors) >= 0)
         for i, disc in enumerate(mode.discs):
             for other in mode.discs[:i]:
                 apart = np.hypot(disc.x - other.x, disc.y - other.y)
@@ -100,7 +105,7 @@ def test_no_disc_is_larger(survey: workspace.Map) -> None:
             feet = np.hypot(*(survey.machine.motors - place).T)
             folded = survey.machine.reach[:, 0] == 0
             free = reached.all() and (np.all(sides > 0) or np.all(sides < 0)) and not np.any(folded & (feet < largest))
-            assert not free or np.any(workspace.stop_margin(survey.scene, posture.motors) < 0), place
+            assert not free or np.any(stop_margin(survey.scene, posture.motors) < 0), place
 
 
 def test_rings_take_no_longer() -> None:
@@ -129,15 +134,15 @@ def test_curves_belong_to_their_mode(survey: workspace.Map) -> None:
             else:
                 leg = int(curve.detail[-2]) - 1
                 assert np.abs(np.sin((posture.motors[inner, leg] - float(survey.scene[curve.detail])) / 2)).max(initial=0) < 1e-6
-                assert workspace.stop_margin(survey.scene, posture.motors)[inner].min(initial=0) > -1e-6
+                assert stop_margin(survey.scene, posture.motors)[inner].min(initial=0) > -1e-6
 
 
 def test_stops_count_turns() -> None:
     """A motor is within its stops in the turn that suits best; stops a turn or more apart are none."""
     scene = made({"stop.enabled": True, "stop.lower[1]": 3.0, "stop.upper[1]": 4.0, "stop.lower[2]": -4.0, "stop.upper[2]": 4.0})
     motors = np.array([[-np.pi, 0.0], [3.5 - 2 * np.pi, 1.0], [0.0, 2.0], [2.9, 3.0]])
-    assert workspace.stop_margin(scene, motors) == pytest.approx([np.pi - 3, 0.5, 0.5 - (3.5 - 0.0 if 3.5 < np.pi else 2 * np.pi - 3.5), -0.1])
-    assert np.all(np.isinf(workspace.stop_margin(made({}), motors)))
+    assert stop_margin(scene, motors) == pytest.approx([np.pi - 3, 0.5, 0.5 - (3.5 - 0.0 if 3.5 < np.pi else 2 * np.pi - 3.5), -0.1])
+    assert np.all(np.isinf(stop_margin(made({}), motors)))
 
 
 def test_fields_are_those_of_single_postures(survey: workspace.Map) -> None:
@@ -265,26 +270,58 @@ def test_labels_cover_nothing(machine: str) -> None:
                 assert apart, f"{a!r} and {b!r} overlap in {mode.name}"
 
 
-def test_the_module_maps_a_scene(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
     """As a user runs it: pictures that show something, the scene's motion where it was; what is wrong is one sentence."""
     run = lambda *words: subprocess.run(  # noqa: E731
-        [sys.executable, "-m", "fivebar.workspace", *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "fivebar", "map", *words], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"FIVEBAR_FMU": str(fmu)}
     )
     done = run("pick_and_place", "--mode", "minusPlus")
     assert done.returncode == 0, done.stderr
-    assert "minusPlus, assembly plus: largest disc" in done.stdout and "Warning" not in done.stdout
+    assert "minusPlus, assembly plus: largest disc" in done.stdout and done.stderr == ""
     for name in ("condition_minusPlus.png", "force_minusPlus.png"):
         with Image.open(tmp_path / "pick_and_place" / name) as picture:
             assert min(picture.size) > 700 and len(picture.convert("RGB").getcolors(1_000_000) or []) > 20
     with (tmp_path / "pick_and_place" / "path.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    machine = Machine.from_scene(scenes / "pick_and_place.json")
+    machine = Machine.from_scene("pick_and_place")
     theta = np.array([[float(row[f"{name} [rad]"]) for name in workspace.ANGLES] for row in rows])
     tip = np.array([[float(row["x [m]"]), float(row["y [m]"])] for row in rows])
     assert len(rows) == 1601 and np.abs(machine.forward(theta[:, [0, 3]]).tip - tip).max() < 1e-8
-    refused = run("nonsense")
-    assert refused.returncode == 1 and refused.stdout == "" and len(refused.stderr.splitlines()) == 1
-    assert "there is no scene 'nonsense'" in refused.stderr
+    for words, sentence in ((["nonsense"], "there is no scene 'nonsense'"), (["swing", "--mode", "plus"], "'plus' is not one of")):
+        refused = run(*words)
+        assert refused.returncode == 2 and refused.stdout == "" and len(refused.stderr.splitlines()) == 1
+        assert sentence in refused.stderr
+
+
+def test_the_page_holds_the_map(tmp_path: Path) -> None:
+    """Fields, loci and discs of every mode are in the page, and nothing is fetched from elsewhere."""
+    values = MACHINES["stopped"] | {"servo.enabled": True}
+    survey = workspace.compute(made(values), cells=60)
+    map_page.write(survey, tmp_path / "map.html")
+    page = (tmp_path / "map.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', page)[1])  # type: ignore[index]
+    assert not re.search(r"https?://|src=|\{\{", page) and [mode["name"] for mode in data["modes"]] == [mode.name for mode in survey.modes]
+    for packed, mode in zip(data["modes"], survey.modes):
+        field = np.frombuffer(base64.b64decode(packed["fields"][0]["values"]), "<f4").reshape(mode.dexterity.shape)
+        assert np.abs(field - mode.dexterity).max() < 1e-7
+        assert [tuple(disc.values()) for disc in packed["discs"]] == [tuple(disc) for disc in mode.discs if disc.radius > 0.3 * mode.discs[0].radius]
+        assert packed["stops"] and packed["fields"][1]["unit"] == "N"
+
+
+@pytest.mark.parametrize("values", MACHINES.values(), ids=MACHINES)
+def test_outlines_of_pages_are_the_loci(values: dict[str, float | bool]) -> None:
+    """Each point of a mode's curves is a direct singularity of that mode, to the digits of a page."""
+    machine = Machine.from_scene(made(values))
+    shown = outline(machine)
+    assert [[ring["inner"], ring["outer"]] for ring in shown["rings"]] == machine.reach.tolist()
+    for working in WORKING_MODES:
+        curves = shown["loci"][working[0] + working[1].capitalize()]
+        assert curves or machine.is_symmetric
+        for curve in curves:
+            posture, reached = machine.field(np.array(curve), working)
+            inner = reached & (np.abs(sines(posture.theta)[:, 1:]).min(axis=-1) > 0.05)
+            # Places are rounded to 1e-5 of the size, and their sines change by some 1/0.05 per length.
+            assert np.abs(sines(posture.theta)[inner, 0]).max(initial=0) < 2e-3
 
 
 def test_path_by_modes() -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fivebar.borders import REACH, outline
 from fivebar.drawing import plane
 from fivebar.drive import Run
+from fivebar.kinematics import GEOMETRY, Machine
 from fivebar.scene import Scene
 from fivebar.singularities import Event, count
 from fivebar.summary import energy_note, energy_scale, sampling
@@ -42,7 +44,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
     # "</" would end the script element that holds the data.
     packed = json.dumps(data, ensure_ascii=False).replace("</", "<\\/")
     page = TEMPLATE.read_text(encoding="utf-8")
-    page = page.replace("{{title}}", html.escape(scene.name)).replace("{{data}}", packed)
+    page = page.replace("{{title}}", html.escape(scene.name)).replace("{{reach}}", REACH.read_text(encoding="utf-8")).replace("{{data}}", packed)
     path.write_text(page, encoding="utf-8")
 
 
@@ -56,6 +58,7 @@ def _pack(run: Run, events: list[Event], most: int) -> dict[str, object]:
         "failure": run.failure,
         "base": run.parameters["base.distance"],
         "lengths": [run.parameters[f"link[{i}].length"] for i in (1, 2, 3, 4)],
+        "outline": outline(Machine.from_values({name: run.parameters[name] for name in GEOMETRY})),
         "plane": _plane(run),
         "stops": _stops(run),
         "energyScale": energy_scale(run),

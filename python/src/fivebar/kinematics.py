@@ -11,13 +11,16 @@ has the tip to the left of the arrow from the left to the right elbow.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fivebar import scene as scenes
+from fivebar.errors import FiveBarError
 from fivebar.variables import of_unit
+
+if TYPE_CHECKING:
+    from fivebar.scene import Scene
 
 Sign = Literal["plus", "minus"]
 Working = tuple[Sign, Sign]
@@ -129,20 +132,23 @@ class Machine:
         for name, value in zip(GEOMETRY, (self.distance, *self.lengths)):
             least = ">= 0" if name == "base.distance" else "> 0"
             if not np.isfinite(value) or value < 0 or (value == 0 and least == "> 0"):
-                raise ValueError(f"{name} = {value!r} m: it must be finite and {least}.")
+                raise FiveBarError(f"{name} = {value!r} m: it must be finite and {least}.")
 
     @classmethod
     def from_values(cls, values: Mapping[str, float]) -> "Machine":
         """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
         if strange := set(values) - set(GEOMETRY):
-            raise ValueError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
+            raise FiveBarError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
         distance, *lengths = (float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY)
         return cls(distance, tuple(lengths))
 
     @classmethod
-    def from_scene(cls, scene: "str | Path | scenes.Scene") -> "Machine":
+    def from_scene(cls, scene: "str | Path | Scene") -> "Machine":
         """The machine of a scene, by its name, its file, or read already."""
-        read = scene if isinstance(scene, scenes.Scene) else scenes.read(scene)
+        # Scenes in the tip's coordinates need kinematics to be read.
+        from fivebar import scene as scenes
+
+        read = scenes.read(scene) if isinstance(scene, (str, Path)) else scene
         return cls.from_values({name: float(read[name]) for name in GEOMETRY})
 
     @property
@@ -179,10 +185,10 @@ class Machine:
         legs = [self._leg(tip, leg, bend) for leg, bend in enumerate(bends)]
         for leg, (_, _, missing) in enumerate(legs):
             if np.any(missing != 0):
-                raise ValueError(self._out_of_reach(tip, leg, missing))
+                raise FiveBarError(self._out_of_reach(tip, leg, missing))
             if np.any(axis := np.hypot(*np.moveaxis(tip - self.motors[leg], -1, 0)) <= ROUND_OFF * self.size):
                 at, _ = _first(axis)
-                raise ValueError(
+                raise FiveBarError(
                     f"{_item('tip', tip, at, 'm')} lies on the {SIDES[leg]} motor's axis: the links of that leg are folded, and the angle of "
                     "the motor is undetermined."
                 )
@@ -191,7 +197,7 @@ class Machine:
             beyond = sines(posture.theta)[..., 0] * _sign("assembly", assembly) < 0
             if np.any(beyond):
                 at, count = _first(beyond)
-                raise ValueError(
+                raise FiveBarError(
                     f"{_item('tip', tip, at, 'm')} lies in the other assembly in working mode {working[0]}, {working[1]}: "
                     f"it needs assembly {'minus' if assembly == 'plus' else 'plus'}{count}."
                 )
@@ -212,13 +218,13 @@ class Machine:
         wrong = (distance > l2 + l3 + round_off) | (distance < abs(l2 - l3) - round_off)
         if np.any(wrong):
             at, count = _first(wrong)
-            raise ValueError(
+            raise FiveBarError(
                 f"{_item('theta', theta, at, 'rad')} cannot be closed: the elbows are {distance[at]:.10g} m apart, link[2].length and "
                 f"link[3].length allow {abs(l2 - l3):.10g} to {l2 + l3:.10g} m{count}."
             )
         if np.any(same := distance <= 1e-9 * (l2 + l3)):
             at, count = _first(same)
-            raise ValueError(
+            raise FiveBarError(
                 f"{_item('theta', theta, at, 'rad')} puts both elbows on the same point: the direction to the tip is undetermined{count}."
             )
         along = ((l2 - l3) * (l2 + l3) + distance**2) / (2 * distance)
@@ -282,6 +288,26 @@ class Machine:
         theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
         self._refuse_singular(theta, "inverse", "no motor rate moves the tip along its leg")
         return np.einsum("...ij,...j->...i", self._rows(theta), velocity) / self._arms(theta)
+
+    def motor_accelerations(self, theta: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
+        """Accelerations of the motors, rad/s2, shape (..., 2), that give the tip `acceleration` (..., 2), m/s2, at `velocity` (..., 2), m/s.
+
+        Defined at direct singularities, refused at inverse ones.
+        """
+        theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
+        acceleration, omega = self._finite("acceleration", acceleration, 2, "m/s2"), self.motor_rates(theta, velocity)
+        found = []
+        for leg, (own, distal) in enumerate(((0, 1), (3, 2))):
+            proximal_length, distal_length = self.legs[leg]
+            bend = theta[..., distal] - theta[..., own]
+            to_elbow = proximal_length * omega[..., leg, None] * _turned(_direction(theta[..., own]))
+            across = _turned(_direction(theta[..., distal]))
+            turning = np.sum(across * (velocity - to_elbow), axis=-1) / distal_length
+            # The loop's equation for velocities, differentiated: u_D . v = l_P sin(bend) omega.
+            known = np.sum(_direction(theta[..., distal]) * acceleration + turning[..., None] * across * velocity, axis=-1)
+            known = known - proximal_length * np.cos(bend) * (turning - omega[..., leg]) * omega[..., leg]
+            found.append(known / (proximal_length * np.sin(bend)))
+        return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def tip_force(self, theta: ArrayLike, torque: ArrayLike) -> Floats:
         """Force of the tip on its surroundings, N, shape (..., 2), by the motors' torques (..., 2), N·m, without weight; F = J^-T tau.
@@ -399,7 +425,7 @@ class Machine:
     @staticmethod
     def _bends(working: Working) -> tuple[float, float]:
         if isinstance(working, str) or len(working) != 2:
-            raise ValueError(f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first.")
+            raise FiveBarError(f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first.")
         return _sign("working", working[0]), _sign("working", working[1])
 
     def _missing(self, tip: Floats, leg: int) -> tuple[Floats, Floats]:
@@ -520,10 +546,10 @@ class Machine:
     def _finite(self, name: str, values: ArrayLike, width: int, unit: str) -> Floats:
         array = np.asarray(values, dtype=np.float64)
         if array.ndim == 0 or array.shape[-1] != width:
-            raise ValueError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
+            raise FiveBarError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
         if not np.all(np.isfinite(array)):
             at, count = _first(~np.all(np.isfinite(array), axis=-1))
-            raise ValueError(f"{_item(name, array, at, unit)}: it must be finite{count}.")
+            raise FiveBarError(f"{_item(name, array, at, unit)}: it must be finite{count}.")
         return array
 
     def _regular(self, theta: ArrayLike) -> Floats:
@@ -537,7 +563,7 @@ class Machine:
         sine = sines(theta)[..., :1] if kind == "direct" else sines(theta)[..., 1:]
         if np.any(singular := np.any(np.abs(sine) < LEAST_SINE, axis=-1)):
             at, count = _first(singular)
-            raise ValueError(f"{_item('theta', theta, at, 'rad')} is a singularity of the {kind} kind: {reason}{count}.")
+            raise FiveBarError(f"{_item('theta', theta, at, 'rad')} is a singularity of the {kind} kind: {reason}{count}.")
 
     def _out_of_reach(self, tip: Floats, leg: int, missing: Floats) -> str:
         at, count = _first(missing != 0)
@@ -562,7 +588,7 @@ def _turned(vector: Floats) -> Floats:
 
 def _sign(name: str, value: str) -> float:
     if value not in SIGN:
-        raise ValueError(f"{name} = {value!r}: it must be 'plus' or 'minus'.")
+        raise FiveBarError(f"{name} = {value!r}: it must be 'plus' or 'minus'.")
     return SIGN[value]
 
 

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import scene_file, shipped
+from fivebar import scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError
+from fivebar.kinematics import Working
+from fivebar.signals import TIP
 from fivebar.variables import Value, Values, Variables, of_unit
 
 MOST_POINTS = 1_000_000
@@ -49,6 +51,9 @@ class Scene:
     start: Mapping[str, Value] = field(default_factory=lambda: of_unit().start, repr=False, compare=False)
     """The unit's own start values."""
 
+    tip: tip_scenes.Tip | None = field(default=None, repr=False)
+    """What the scene's file says in the tip's coordinates."""
+
     @property
     def values(self) -> Values:
         """Start values of the scene itself that differ from the unit's."""
@@ -73,14 +78,23 @@ class Scene:
     def changed(self, given: Mapping[str, Any], variables: Variables) -> "Scene":
         """The scene with other start values, enumerations by the names of their items; an overlay keeps what it changes itself."""
         new = {name: variables.settable(name).value(value) for name, value in given.items()}
-        own = self.values | new
-        variants = [Variant(scene_file.method(own, variables), own)]
+        before = self._unplaced(self.values)
+        own = before | new
+        runs = [(scene_file.method(own, variables), own)]
         for overlay in self.variants[1:]:
-            kept = {name: value for name, value in overlay.values.items() if self.values.get(name) != value}
-            variants.append(Variant(overlay.label, own | kept))
-        scene_file.check_labels([variant.label for variant in variants])
-        scene_file.check_signals([variant.values for variant in variants], self.signals)
-        return replace(self, variants=variants)
+            kept = {name: value for name, value in self._unplaced(overlay.values).items() if before.get(name) != value}
+            runs.append((overlay.label, own | kept))
+        scene_file.check_labels([label for label, _ in runs])
+        scene_file.check_signals([values for _, values in runs], self.signals)
+        variants, commands = _resolved(runs, self.tip, self.start, self.time)
+        return replace(self, variants=variants, signals=self.signals | commands)
+
+    def _unplaced(self, values: Values) -> Values:
+        """The values of a run without a start that follows from the tip's place."""
+        if self.tip is None:
+            return values
+        free = {name: value for name, value in values.items() if name not in tip_scenes.START}
+        return free if self.tip.placed(free, self.start) == values else values
 
     def resolved(self) -> dict[str, Any]:
         """The scene with nothing left to look up, in terms of JSON: values as calls carry them, signals at every communication point."""
@@ -134,22 +148,33 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
     """A scene from the text of its file."""
     variables = variables or of_unit()
     content = scene_file.Content(scene_file.parse(text), variables)
-    sampled = {}
+    sampled, points = {}, np.zeros(0)
     if content.signals:
-        points = communication_points(content.stop_time, content.step_size).tolist()
-        sampled = {signal.variable.name: np.array([signal.at(time) for time in points]) for signal in content.signals}
+        points = communication_points(content.stop_time, content.step_size)
+        own = [signal for signal in content.signals if signal.variable.name not in TIP]
+        sampled = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
+    runs = [(scene_file.method(content.values, variables), content.values), *content.overlays]
+    variants, commands = _resolved(runs, content.tip, variables.start, points)
     return Scene(
         name=name,
         description=content.description,
         stop_time=content.stop_time,
         step_size=content.step_size,
-        variants=[
-            Variant(scene_file.method(content.values, variables), content.values),
-            *(Variant(label, values) for label, values in content.overlays),
-        ],
-        signals=sampled,
+        variants=variants,
+        signals=sampled | commands,
         start=variables.start,
+        tip=content.tip,
     )
+
+
+def _resolved(
+    runs: list[tuple[str, Values]], tip: tip_scenes.Tip | None, unit: Mapping[str, Value], points: NDArray[np.float64]
+) -> tuple[list[Variant], dict[str, NDArray[np.float64]]]:
+    """Runs with their starts, and references of the servos at communication points, where a scene is in the tip's coordinates."""
+    if tip is None:
+        return [Variant(label, values) for label, values in runs], {}
+    variants = [Variant(label, tip.placed(values, unit)) for label, values in runs]
+    return variants, tip.commands(variants[0].values, unit, points)
 
 
 def description(file: Path) -> str:
@@ -165,13 +190,33 @@ def write(
     step_size: float,
     variables: Variables,
     signals: Mapping[str, Any] | None = None,
+    working: Working | None = None,
 ) -> None:
-    """Writes a scene with every value that differs from the unit's own; `text` is its description, `signals` are as files have them."""
+    """Writes a scene with every value that differs from the unit's own.
+
+    `text` is its description, `signals` are as files have them, `working` is the working mode of signals of the tip.
+    """
     content: dict[str, Any] = {"description": text, "experiment": {"stopTime": stop_time, "stepSize": step_size}}
     for name, value in values.items():
         variable = variables.settable(name)
         if value != variable.start:
             content[name] = variable.item(int(value)) if variable.type == "Enumeration" else value
+    if working is not None:
+        content[tip_scenes.WORKING] = list(working)
     if signals:
         content["signals"] = signals
-    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    written = _lines(content)
+    if len(written) > scene_file.LARGEST:
+        raise FiveBarError(f"{file}: the scene would have {len(written)} bytes: up to {scene_file.LARGEST} are allowed")
+    file.write_text(written, encoding="utf-8")
+
+
+def _lines(content: Mapping[str, Any]) -> str:
+    """JSON with a line for each key, and one for each signal."""
+    entries = []
+    for key, value in content.items():
+        text = json.dumps(value, ensure_ascii=False)
+        if key == scene_file.SIGNALS:
+            text = "{\n    " + ",\n    ".join(f"{json.dumps(name)}: {json.dumps(signal)}" for name, signal in value.items()) + "\n  }"
+        entries.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(entries) + "\n}\n"

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fivebar import signals
+from fivebar import signals, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.signals import Signal
 from fivebar.variables import Value, Values, Variables, shown, similar
@@ -18,8 +18,10 @@ LARGEST = 4_000_000
 MOST_BRACKETS = 8
 """Brackets that stand in each other, at most: what a scene holds takes five."""
 
-DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = RESERVED = ("description", "experiment", "signals", "overlay")
-"""Keys of a scene that are no variables."""
+DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = ("description", "experiment", "signals", "overlay")
+
+RESERVED = (DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *tip_scenes.KEYS)
+"""Keys of a scene that are no variables to be set."""
 
 LABEL = "label"
 """The key of an overlay that is no variable."""
@@ -39,8 +41,9 @@ class Content:
         self.overlays = list(_overlays(content, self.values, variables))
         """Labels and values of further runs."""
         self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
+        self.tip = tip_scenes.read(content, self.values, self.signals, variables)
         check_labels([method(self.values, variables), *(label for label, _ in self.overlays)])
-        check_signals([self.values, *(values for _, values in self.overlays)], [signal.variable.name for signal in self.signals])
+        check_signals([self.values, *(values for _, values in self.overlays)], [*(signal.variable.name for signal in self.signals), *(self.tip.follows if self.tip else ())])
 
 
 def text(file: Path) -> str:

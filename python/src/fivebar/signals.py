@@ -15,6 +15,9 @@ from typing import Any
 from fivebar.errors import FiveBarError
 from fivebar.variables import Variable, Variables, shown
 
+TIP = ("tip.x", "tip.y")
+"""Outputs that have signals all the same: servos bring the tip there (`fivebar.tip_scenes`)."""
+
 LINEAR, MINIMUM_JERK, RATE_OF, STEPS = KINDS = ("linear", "minimumJerk", "rateOf", "steps")
 
 EARLY = 1e-9
@@ -79,7 +82,9 @@ def read(given: Any, variables: Variables) -> list[Signal]:
 def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal:
     kind, value = _kind(given[name])
     variable = variables.get(name)
-    if kind != STEPS or variable is None or variable.type != "Real" or variable.variability != "tunable":
+    if name in TIP:
+        variable = variables[name]
+    elif kind != STEPS or variable is None or variable.type != "Real" or variable.variability != "tunable":
         variable = variables.input(name)
     if kind == RATE_OF:
         source = _source(given, value, variables)

@@ -1,15 +1,9 @@
 """Workspace of a machine: reach, singular loci, condition number, stops, largest discs and the tip's force, by working mode.
 
-`compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures. From a shell, in a checkout in which
-`cargo xtask package` has run: python -m fivebar.workspace SCENE [--out DIR]
+`compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures, `fivebar.map_page.write` a page.
 """
 
-import argparse
-import contextlib
 import csv
-import io
-import shutil
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -18,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import scene as scenes
-from fivebar import shipped
 from fivebar import statics
-from fivebar.kinematics import SIGN, WORKING_MODES, Circle, Machine, Sign, Working, sines
+from fivebar.borders import Curve, Obstacles, bends_like, direct_curves, stop_curves, stop_margin, stretches
+from fivebar.errors import FiveBarError
+from fivebar.kinematics import WORKING_MODES, Circle, Machine, Sign, Working, sines
 from fivebar.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -33,36 +27,14 @@ TIP, ANGLES = ("tip.x", "tip.y"), ("theta[1]", "passive.theta[1]", "passive.thet
 CELLS = 160
 """Cells of the field along the longer side of the reach."""
 
-CURVE_POINTS = 8000
-"""Points of a whole direct locus; its pieces between them are taken as straight."""
-
 DISC_TOLERANCE = 1e-8
 """Tolerance of the discs' radii, in multiples of the machine's size."""
-
-BLOCK = 100_000
-"""Distances that are computed at a time."""
 
 MOST_DISCS = 3
 """Discs that are looked for in an aspect."""
 
 MOST_CELLS = 48
 """Cells that the search for a disc keeps at a time: where many places are equally good, as on a ring, some of them are enough."""
-
-
-class Curve(NamedTuple):
-    """A piece of a curve along which the working mode stays the same."""
-
-    kind: str
-    """`direct`: distal links in line; `stop`: a motor at one of its stops."""
-
-    detail: str
-    """`stretched` or `folded`; the limit's name."""
-
-    tip: Floats
-    """m, shape (n, 2)."""
-
-    theta: Floats
-    """Angles of the links 1 to 4, rad, shape (n, 4)."""
 
 
 class Disc(NamedTuple):
@@ -88,7 +60,7 @@ class Path(NamedTuple):
 
     def parts(self, working: Working) -> list[slice]:
         """Stretches in a working mode."""
-        return _stretches(_bends_like(self.theta, working))
+        return stretches(bends_like(self.theta, working))
 
 
 @dataclass(frozen=True)
@@ -156,36 +128,19 @@ def compute(
 
 
 def follow(scene: Scene) -> Path:
-    """The scene's motion, by the unit that `cargo xtask package` has made."""
-    from fmpy import extract, simulate_fmu
+    """The scene's motion, by the unit."""
+    from fivebar import simulate
 
-    inputs = np.zeros(len(scene.time), dtype=[("time", float), *((name, float) for name in scene.signals)])
-    inputs["time"] = scene.time
-    for name, values in scene.signals.items():
-        inputs[name] = values
-    folder = extract(str(shipped.unit()))
-    try:
-        # FMPy prints that inputs without signals keep their values.
-        with contextlib.redirect_stdout(io.StringIO()):
-            result = simulate_fmu(
-                folder,
-                stop_time=scene.stop_time,
-                output_interval=scene.step_size,
-                start_values=dict(scene.values),
-                input=inputs if scene.signals else None,
-                output=[*TIP, *ANGLES],
-            )
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    result = simulate.run(scene)
     tip, theta = (np.stack([result[name] for name in names], axis=-1) for names in (TIP, ANGLES))
-    return Path(result["time"], tip, theta)
+    return Path(result.time, tip, theta)
 
 
 def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
     """Axes of a grid of square cells over the reach, symmetric about the x axis."""
     (near_left, left), (near_right, right) = machine.reach.tolist()
     if machine.reach_area <= 0:
-        raise ValueError(
+        raise FiveBarError(
             f"base.distance = {machine.distance:.10g} m: the left leg reaches from {near_left:.10g} to {left:.10g} m, the right one from "
             f"{near_right:.10g} to {right:.10g} m, so that they never meet; both must reach some common place."
         )
@@ -203,7 +158,7 @@ def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
 def _mode(scene: Scene, machine: Machine, working: Working, limits: tuple[float, float] | None, x: Floats, y: Floats) -> Mode:
     places = np.stack(np.meshgrid(x, y), axis=-1)
     posture, reached = machine.field(places, working)
-    curves = _direct_curves(machine, working) + _stop_curves(scene, machine, working)
+    curves = direct_curves(machine, working) + stop_curves(scene, machine, working)
     return Mode(
         working=working,
         theta=posture.theta,
@@ -216,104 +171,7 @@ def _mode(scene: Scene, machine: Machine, working: Working, limits: tuple[float,
     )
 
 
-def stop_margin(scene: Scene, motors: Floats) -> Floats:
-    """How far motor angles (..., 2), rad, are from the nearest of the scene's stops, rad, negative beyond it; in the best of their turns."""
-    margin = np.full(motors.shape[:-1], np.inf)
-    if scene["stop.enabled"]:
-        for leg in (0, 1):
-            lower, upper = (float(scene[f"stop.{limit}[{leg + 1}]"]) for limit in ("lower", "upper"))
-            off = np.abs(np.remainder(motors[..., leg] - (lower + upper) / 2 + np.pi, 2 * np.pi) - np.pi)
-            if upper - lower < 2 * np.pi:
-                margin = np.minimum(margin, (upper - lower) / 2 - off)
-    return margin
-
-
-def _bends_like(theta: Floats, working: Working) -> Flags:
-    """Whether postures (..., 4) are in a working mode, its rim included."""
-    return np.all(sines(theta)[..., 1:] * np.array([SIGN[bend] for bend in working]) >= -1e-12, axis=-1)
-
-
-def _stretches(flags: Flags) -> list[slice]:
-    """Ranges of at least two points along which the flags are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [slice(int(begin), int(end)) for begin, end in zip(edges[::2], edges[1::2]) if end - begin > 1]
-
-
-def _direct_curves(machine: Machine, working: Working) -> list[Curve]:
-    """Pieces of the direct loci that belong to a working mode: in the others the same place may be regular."""
-    return [
-        Curve("direct", locus.posture, locus.tip[part], locus.theta[part])
-        for locus in machine.direct_singularities(CURVE_POINTS)
-        for part in _stretches(_bends_like(locus.theta, working))
-    ]
-
-
-def _stop_curves(scene: Scene, machine: Machine, working: Working) -> list[Curve]:
-    """Arcs of the tip with a motor at one of its stops and the other within its own."""
-    if not scene["stop.enabled"]:
-        return []
-    curves = []
-    phi = np.linspace(-np.pi, np.pi, CURVE_POINTS // 2)
-    for leg in (0, 1):
-        lower, upper = (float(scene[f"stop.{limit}[{leg + 1}]"]) for limit in ("lower", "upper"))
-        if upper - lower >= 2 * np.pi:
-            continue
-        proximal, distal = machine.legs[leg]
-        for limit, angle in (("lower", lower), ("upper", upper)):
-            elbow = machine.motors[leg] + proximal * np.array([np.cos(angle), np.sin(angle)])
-            tip = elbow + distal * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-            posture, reached = machine.field(tip, working)
-            bend = np.sin(phi - angle) * SIGN[working[leg]] >= 0
-            other = posture.motors.copy()
-            # The leg at its stop is there but for round-off.
-            other[:, leg] = (lower + upper) / 2
-            on = reached & bend & (stop_margin(scene, other) >= 0)
-            curves += [Curve("stop", f"stop.{limit}[{leg + 1}]", tip[part], posture.theta[part]) for part in _stretches(on)]
-    return curves
-
-
 # Largest discs
-
-
-class _Obstacles:
-    """Obstacles to a disc: the circles of inverse singularities, and pieces of curves as chains of straight ones."""
-
-    def __init__(self, circles: list[Circle], chains: list[Floats]):
-        self.circles = circles
-        self.begin = np.concatenate([chain[:-1] for chain in chains]) if chains else np.zeros((0, 2))
-        self.along = np.concatenate([np.diff(chain, axis=0) for chain in chains]) if chains else np.zeros((0, 2))
-        self.squared = np.maximum(np.sum(self.along**2, axis=-1), np.finfo(float).tiny)
-
-    def near(self, middle: Floats, radius: float) -> "_Obstacles":
-        """Those that may matter within a radius of a place."""
-        near = _Obstacles(self.circles, [])
-        kept = np.hypot(*(self.begin - middle).T) <= radius + np.sqrt(self.squared)
-        near.begin, near.along, near.squared = self.begin[kept], self.along[kept], self.squared[kept]
-        return near
-
-    def distance(self, places: Floats) -> Floats:
-        """Distances of places (n, 2) from the nearest obstacle."""
-        nearest = self._from_chains(places)
-        for circle in self.circles:
-            nearest = np.minimum(nearest, np.abs(np.hypot(*(places - np.array(circle.centre)).T) - circle.radius))
-        return nearest
-
-    def _from_chains(self, places: Floats) -> Floats:
-        """Distances from the chains: distant places are divided, and each half searches near itself."""
-        if len(places) > 1 and len(places) * len(self.begin) > BLOCK:
-            order = np.argsort(places[:, np.argmax(np.ptp(places, axis=0))])
-            distances = np.empty(len(places))
-            for half in np.array_split(order, 2):
-                centre = (places[half].min(axis=0) + places[half].max(axis=0)) / 2
-                spread = float(np.hypot(*(places[half] - centre).T).max())
-                farthest = float(self._from_chains(centre[None])[0]) + 2 * spread
-                distances[half] = self.near(centre, farthest)._from_chains(places[half])
-            return distances
-        if not len(self.begin):
-            return np.full(len(places), np.inf)
-        x, y = (places[:, axis, None] - self.begin[:, axis] for axis in (0, 1))
-        share = np.clip((x * self.along[:, 0] + y * self.along[:, 1]) / self.squared, 0, 1)
-        return np.sqrt(np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1))
 
 
 def _coarse(chain: Floats) -> tuple[Floats, float]:
@@ -348,7 +206,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
     """
     circles, chains = machine.inverse_singularities(), [curve.tip for curve in curves]
     coarse = [_coarse(chain) for chain in chains]
-    fine, rough = _Obstacles(circles, chains), _Obstacles(circles, [chain for chain, _ in coarse])
+    fine, rough = Obstacles(circles, chains), Obstacles(circles, [chain for chain, _ in coarse])
     slack = max((slack for _, slack in coarse), default=0.0)
 
     def region(places: Floats) -> NDArray[np.int8]:
@@ -364,7 +222,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
         found: list[Disc] = []
         while len(start) and len(found) < MOST_DISCS:
 
-            def room(middles: Floats, near: _Obstacles, side: int = side, taken: list[Disc] = found) -> Floats:
+            def room(middles: Floats, near: Obstacles, side: int = side, taken: list[Disc] = found) -> Floats:
                 """Distance from all obstacles and discs so far, negative outside the region."""
                 distance = near.distance(middles)
                 distance = np.where(region(middles) == side, distance, -distance)
@@ -382,7 +240,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
 
 
 def _roomiest(
-    room: Callable[[Floats, _Obstacles], Floats], middles: Floats, size: float, rough: _Obstacles, fine: _Obstacles, slack: float, tolerance: float
+    room: Callable[[Floats, Obstacles], Floats], middles: Floats, size: float, rough: Obstacles, fine: Obstacles, slack: float, tolerance: float
 ) -> tuple[Floats, float]:
     """The place with the most room in square cells about `middles`, and how much there is.
 
@@ -476,33 +334,3 @@ def summary(survey: Map) -> list[str]:
                 f"radius {disc.radius:.5f} m."
             )
     return lines
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Maps a scene into a folder."""
-    parser = argparse.ArgumentParser(prog="python -m fivebar.workspace", description="Maps where the tip of a scene's machine can go.")
-    parser.add_argument("scene", help="name of a scene, or a file")
-    parser.add_argument("--out", type=FilePath, metavar="DIR", help="folder of pictures and tables; ./SCENE/ unless told")
-    parser.add_argument("--torque", type=float, nargs=2, metavar=("LEFT", "RIGHT"), help="limits of the motors' torques, N·m")
-    names = {left + right.capitalize(): (left, right) for left, right in WORKING_MODES}
-    parser.add_argument("--mode", choices=names, action="append", help="working mode to map, once or more; all four unless told")
-    parser.add_argument("--no-path", action="store_true", help="do not run the scene to show its motion")
-    options = parser.parse_args(arguments)
-    from fivebar import workspace_pictures
-
-    try:
-        scene = scenes.read(options.scene)
-        limits = tuple(options.torque) if options.torque else None
-        path = None if options.no_path else follow(scene)
-        survey = compute(scene, limits, path, modes=[names[name] for name in options.mode or names])
-        folder = options.out or FilePath(scene.name)
-        files = write(survey, folder) + workspace_pictures.draw(survey, folder)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 1
-    print("\n".join([*summary(survey), *map(str, files)]))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

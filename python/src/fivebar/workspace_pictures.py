@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, PathPatch
@@ -17,6 +18,7 @@ from matplotlib.patheffects import Stroke, withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from fivebar.borders import Curve
 from fivebar.kinematics import WORKING_MODES, Machine
 from fivebar.workspace import Map, Mode
 
@@ -64,9 +66,8 @@ def draw(survey: Map, folder: str | Path) -> list[Path]:
 def condition_picture(survey: Map, mode: Mode) -> Figure:
     """The condition number over the reach, with all loci."""
     figure, axes, bar = _page(survey, mode)
-    levels = [0.0 if np.isinf(kappa) else 1 / kappa for kappa in KAPPAS]
-    colours = matplotlib.colormaps["cividis"](np.linspace(0, 1, len(levels) - 1))
-    field = axes.contourf(survey.x * MM, survey.y * MM, mode.dexterity, levels=levels, colors=colours, zorder=1)
+    levels = [1 / kappa for kappa in KAPPAS]
+    field = axes.contourf(survey.x * MM, survey.y * MM, mode.dexterity, levels=levels, colors=scale_colours(len(levels) - 1), zorder=1)
     field.set_rasterized(True)
     colour_bar = figure.colorbar(field, cax=bar, spacing="uniform")
     colour_bar.set_ticks(levels, labels=["∞" if np.isinf(kappa) else f"{kappa:g}" for kappa in KAPPAS])
@@ -75,31 +76,49 @@ def condition_picture(survey: Map, mode: Mode) -> Figure:
     return figure
 
 
+def scale_colours(count: int) -> list[str]:
+    """Colours of a scale with so many steps, from dark to light."""
+    return [to_hex(colour) for colour in matplotlib.colormaps["cividis"](np.linspace(0, 1, count))]
+
+
 def force_picture(survey: Map, mode: Mode) -> Figure:
     """The force that the tip at rest holds in every direction, over the reach."""
     assert mode.force is not None and survey.limits is not None
     figure, axes, bar = _page(survey, mode)
-    known = mode.force[mode.reached & mode.within_stops]
-    positive = known[(known > 0) & np.isfinite(known)]
     handles: list[Patch] = []
-    if len(positive):
-        levels = MaxNLocator(8).tick_values(0.0, float(np.percentile(positive, 90)))
-        levels = levels[levels >= 0]
+    if len(levels := force_levels(mode)):
         values = np.clip(mode.force, -1e9, 1e9)
         field = axes.contourf(survey.x * MM, survey.y * MM, values, levels=levels, cmap="cividis", extend="max", zorder=1)
         field.set_rasterized(True)
         figure.colorbar(field, cax=bar).set_label("force that the tip holds in every direction  (N)")
     else:
         bar.set_axis_off()
-    if np.any(known <= 0):
+    if np.any(mode.force[mode.reached & mode.within_stops] <= 0):
         lacking = np.clip(mode.force, -1e9, 1e9)
         axes.contourf(survey.x * MM, survey.y * MM, lacking, levels=[-2e9, 0.0], colors=[WHITE], hatches=["xxx"], zorder=1.1)
         handles.append(Patch(facecolor=WHITE, edgecolor=BLACK, hatch="xxx", label="the motors do not carry the weight"))
     _finish(axes, survey, mode, handles)
+    axes.text(0, 1.01, load_words(survey), transform=axes.transAxes, va="bottom", fontsize=8)
+    return figure
+
+
+def force_levels(mode: Mode) -> Floats:
+    """Forces between two colours, N, from 0 on: up to what nine tenths of the reach hold; none where nothing is held."""
+    assert mode.force is not None
+    known = mode.force[mode.reached & mode.within_stops]
+    positive = known[(known > 0) & np.isfinite(known)]
+    if not len(positive):
+        return np.zeros(0)
+    levels = MaxNLocator(8).tick_values(0.0, float(np.percentile(positive, 90)))
+    return levels[levels >= 0]
+
+
+def load_words(survey: Map) -> str:
+    """Limits of torque and payload of a force's field, in words."""
+    assert survey.limits is not None
     left, right = survey.limits
     load = f"payload {float(survey.scene['payload.mass']) * 1e3:g} g" if survey.scene["payload.enabled"] else "no payload"
-    axes.text(0, 1.01, f"torques up to {left:g} N·m left, {right:g} N·m right; {load}", transform=axes.transAxes, va="bottom", fontsize=8)
-    return figure
+    return f"torques up to {left:g} N·m left, {right:g} N·m right; {load}"
 
 
 def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
@@ -130,18 +149,18 @@ def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
 
 def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
     """Everything over the field, and the legend."""
-    _hide_outside(axes, survey)
-    handles = [*more, *_stops(axes, survey, mode), *_loci(axes, survey, mode), *_discs(axes, survey, mode), *_path(axes, survey, mode)]
+    hide_outside(axes, survey.machine)
+    handles = [*more, *_stops(axes, survey, mode), *draw_loci(axes, survey.machine, mode.curves), *_discs(axes, survey, mode), *_path(axes, survey, mode)]
     handles += _machine(axes, survey, mode)
     height = axes.figure.get_figheight() - BELOW_ROOM - 0.9
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.5 / height), frameon=False, borderaxespad=0, handlelength=2.6)
 
 
-def _hide_outside(axes: Axes, survey: Map) -> None:
+def hide_outside(axes: Axes, machine: Machine) -> None:
     """White over all that a leg does not reach: the fields go on there, so that their borders are the exact circles."""
-    far = 10 * MM * (np.ptp(survey.x) + np.ptp(survey.y))
+    far = 100 * MM * machine.size
     frame = np.array([(-far, -far), (-far, far), (far, far), (far, -far), (-far, -far)])
-    for circle in survey.circles:
+    for circle in machine.inverse_singularities():
         centre, radius = np.array(circle.centre) * MM, circle.radius * MM
         if circle.posture == "folded":
             axes.add_patch(Circle(tuple(centre), radius, facecolor=WHITE, edgecolor="none", zorder=2))
@@ -169,34 +188,34 @@ def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
     return [Patch(facecolor=WHITE, edgecolor=GREY, hatch="////", label="beyond a motor's stops")]
 
 
-def _loci(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
-    """Circles and curves of singularities."""
-    handles = [Line2D([], [], color=BLACK, linewidth=1.3, label="inverse singularity: a leg stretched or folded (rim of the reach)")]
-    for circle in survey.circles:
+def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float = 1.0) -> list[Line2D]:
+    """Draws circles and curves of singularities, in mm, with lines of so many times the usual width; what the legend is to have."""
+    thin, thick = 1.3 * weight, 1.6 * weight
+    handles = [Line2D([], [], color=BLACK, linewidth=thin, label="inverse singularity: a leg stretched or folded (rim of the reach)")]
+    for circle in machine.inverse_singularities():
         if circle.radius > 0:
             centre = circle.centre[0] * MM, circle.centre[1] * MM
-            axes.add_patch(_within(axes, survey, Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=1.3, zorder=4), circle.leg))
+            _within(axes, machine, Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=thin, zorder=4), circle.leg)
     names = {
-        "stretched": "direct singularity: distal links stretched" + (" (Watt's curve)" if survey.machine.is_symmetric else ""),
+        "stretched": "direct singularity: distal links stretched" + (" (Watt's curve)" if machine.is_symmetric else ""),
         "folded": "direct singularity: distal links folded",
     }
     for posture, style in (("stretched", "-"), ("folded", (0, (4, 1.5)))):
-        curves = [curve.tip for curve in mode.curves if curve.kind == "direct" and curve.detail == posture]
-        for tip in curves:
-            (line,) = axes.plot(*(tip.T * MM), color=VERMILLION, linewidth=1.6, linestyle=style, zorder=5)
-            line.set_path_effects([withStroke(linewidth=3.0, foreground=WHITE)] if style == "-" else [])
-        if curves:
-            handles.append(Line2D([], [], color=VERMILLION, linewidth=1.6, linestyle=style, label=names[posture]))
+        shown = [curve.tip for curve in curves if curve.kind == "direct" and curve.detail == posture]
+        for tip in shown:
+            (line,) = axes.plot(*(tip.T * MM), color=VERMILLION, linewidth=thick, linestyle=style, zorder=5)
+            line.set_path_effects([withStroke(linewidth=thick + 1.4, foreground=WHITE)] if style == "-" else [])
+        if shown:
+            handles.append(Line2D([], [], color=VERMILLION, linewidth=thick, linestyle=style, label=names[posture]))
     return handles
 
 
-def _within(axes: Axes, survey: Map, patch: Circle, leg: int) -> Circle:
-    """The part of a leg's circle that the other leg reaches."""
-    other = survey.machine.motors[1 - leg] * MM
-    radius = survey.machine.reach[1 - leg, 1] * MM * (1 + 1e-3)
+def _within(axes: Axes, machine: Machine, patch: Circle, leg: int) -> None:
+    """Adds the part of a leg's circle that the other leg reaches."""
+    other = machine.motors[1 - leg] * MM
+    radius = machine.reach[1 - leg, 1] * MM * (1 + 1e-3)
     axes.add_patch(patch)
     patch.set_clip_path(Circle(tuple(other), radius, transform=axes.transData))
-    return patch
 
 
 def _discs(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
@@ -236,7 +255,7 @@ def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
     if parts:
         handles.append(Line2D([], [], color=PURPLE, linewidth=1.6, label="motion of the scene, from the ring"))
         if parts[0].start == 0:
-            axes.plot(*tip[0], "o", markerfacecolor=WHITE, markeredgecolor=PURPLE, markersize=5, markeredgewidth=1.4, zorder=7.2)
+            axes.plot(*tip[0], "o", markerfacecolor=WHITE, markeredgecolor=PURPLE, markersize=5, markeredgewidth=1.4, zorder=10)
     return handles
 
 
@@ -268,8 +287,6 @@ def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
     left = machine.lengths[0] * np.array([np.cos(theta[0]), np.sin(theta[0])])
     right = machine.motors[1] + machine.lengths[3] * np.array([np.cos(theta[3]), np.sin(theta[3])])
     return np.stack([machine.motors[0], left, tip, right, machine.motors[1]])
-
-
 
 
 def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> None:

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 
 import click
 
-from fivebar.commands import calibrate, ensemble, load, page, replay, run, scenes, soak, twin, what_if
+from fivebar.commands import calibrate, ensemble, load, map, page, path, replay, run, scenes, soak, twin, what_if
 from fivebar.errors import FiveBarError
 
 COMMANDS = (
     run.run,
     scenes.scenes,
+    map.map_,
+    path.path,
     page.page,
     twin.twin,
     replay.replay,

@@ -1,7 +1,8 @@
 """Options that several subcommands share."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,11 @@ import click
 
 FILE = click.Path(path_type=Path)
 """A file or folder; who reads or makes it says what is wrong with it."""
+
+POSITIVE = click.FloatRange(min=0, min_open=True)
+
+WORKING_MODES = {left + right.capitalize(): (left, right) for left, right in product(("minus", "plus"), ("plus", "minus"))}
+"""Working modes by the names that the unit has for them."""
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -21,6 +27,35 @@ def fmu() -> Decorator:
 def out(default: str) -> Decorator:
     """Option for the folder of the results."""
     return click.option("--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told.")
+
+
+def mode(multiple: bool) -> Decorator:
+    """Working modes, or one of them."""
+    words = "A working mode, once or more; all four unless told." if multiple else "Working mode; that of the scene's start unless told."
+    return click.option("--mode", type=click.Choice(list(WORKING_MODES)), multiple=multiple, help=words)
+
+
+def torque() -> Decorator:
+    """Limits of the motors' torques."""
+    words = "Limits of the motors' torques, N·m; those of the scene's servos unless told."
+    return click.option("--torque", type=(POSITIVE, POSITIVE), metavar="LEFT RIGHT", help=words)
+
+
+def written(files: Iterable[Path]) -> None:
+    """Says which files there are now."""
+    click.echo("\nWritten:")
+    for file in files:
+        click.echo(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
+
+
+def _shown(file: Path) -> Path:
+    """`file` as seen from the current directory, if it lies inside."""
+    file, here = file.resolve(), Path.cwd().resolve()
+    return file.relative_to(here) if file.is_relative_to(here) else file
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.1f} kB"
 
 
 def need(extra: str) -> None:

@@ -34,19 +34,7 @@ def run(scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | No
     folder = Path(result.scene.name) if out is None else out
     click.echo(result.summary())
     files = result.save(folder)
-    click.echo("\nWritten:")
-    for file in files:
-        click.echo(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
+    options.written(files)
     if open_page:
         webbrowser.open(result.page(folder).resolve().as_uri())
     return 1 if result.failure else 0
-
-
-def _shown(file: Path) -> Path:
-    """`file` as seen from the current directory, if it lies inside."""
-    file, here = file.resolve(), Path.cwd().resolve()
-    return file.relative_to(here) if file.is_relative_to(here) else file
-
-
-def _size(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.1f} kB"

@@ -24,6 +24,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Origin, Subprotocol
 
+from fivebar.borders import REACH, outline
+from fivebar.kinematics import GEOMETRY, Machine
 from fivebar.twin import priority, process, scene
 from fivebar.twin.config import Config
 from fivebar.twin.messages import SCHEMA_FILE
@@ -35,6 +37,7 @@ FILES: Final = {
     "/": (FOLDER / "dashboard.html", "text/html; charset=utf-8"),
     "/messages.schema.json": (SCHEMA_FILE, "application/json"),
     **{f"/{name}": (FOLDER / name, SCRIPT) for name in ("dashboard.js", "mqtt.min.js")},
+    "/reach.js": (REACH, SCRIPT),
     **{f"/json-schema/{file.name}": (file, SCRIPT) for file in sorted(FOLDER.glob("json-schema/*.js"))},
 }
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
@@ -76,6 +79,7 @@ def about(config: Config) -> dict[str, Any]:
             "description": content.description,
             "base": float(value("base.distance")),
             "lengths": [float(value(f"link[{i}].length")) for i in (1, 2, 3, 4)],
+            "outline": outline(Machine.from_values({name: float(value(name)) for name in GEOMETRY})),
             "stops": stops if switched("stop.enabled") else None,
             "plane": plane if switched("contact.enabled") else None,
             "period": config.period,

@@ -124,10 +124,16 @@ function order(command) {
 
 // --- geometry ---------------------------------------------------------------------------------------------------------
 
+/** Angles of links 1 to 4. */
+function twinAngles() {
+  const f = state.est.fields;
+  return [f["theta[1]"], f["passive.theta[1]"], f["passive.theta[2]"], f["theta[2]"]];
+}
+
 /** Elbows and tip from the four link angles. */
 function twinPose() {
   const f = state.est.fields, { base, lengths: [l1, l2, , l4] } = state.about;
-  const [p1, d1, d2, p2] = [f["theta[1]"], f["passive.theta[1]"], f["passive.theta[2]"], f["theta[2]"]];
+  const [p1, d1, d2, p2] = twinAngles();
   const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
   return { left, right, tip: [f["tip.x"], f["tip.y"]], direct: Math.abs(Math.sin(d2 - d1)), inverse: [Math.abs(Math.sin(d1 - p1)), Math.abs(Math.sin(d2 - p2))] };
 }
@@ -156,7 +162,7 @@ function halfAxes([xx, xy, yy]) {
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["card", "line", "grid", "ink", "soft", "left", "right", "tip", "direct", "inverse", "bad", "accent"]) colours[name] = style.getPropertyValue("--" + name).trim();
+  for (const name of ["card", "line", "grid", "reach", "ink", "soft", "left", "right", "tip", "direct", "inverse", "bad", "accent"]) colours[name] = style.getPropertyValue("--" + name).trim();
 }
 
 /** A canvas as sharp as the screen; its pen works in CSS pixels. */
@@ -236,7 +242,8 @@ function look(width, height) {
 }
 
 function drawGround(pen, width, height, at, stroke) {
-  const { base, lengths, plane, stops } = state.about, step = 0.1;
+  const { base, lengths, plane, stops, outline } = state.about, step = 0.1;
+  drawReach(pen, outline, state.est && workingMode(twinAngles()), at, view.scale, width, height, colours);
   pen.strokeStyle = colours.grid; pen.lineWidth = 1; pen.beginPath();
   for (let i = Math.ceil(-view.x / view.scale / step); at([i * step, 0])[0] < width; i++) { pen.moveTo(at([i * step, 0])[0], 0); pen.lineTo(at([i * step, 0])[0], height); }
   for (let i = Math.ceil((view.y - height) / view.scale / step); at([0, i * step])[1] > 0; i++) { pen.moveTo(0, at([0, i * step])[1]); pen.lineTo(width, at([0, i * step])[1]); }
@@ -459,6 +466,7 @@ async function begin() {
   legend("Forecast, 95 %", "--tip", "area");
   legend("Direct", "--direct", "beads");
   legend("Inverse", "--inverse");
+  legend("Reach", "--line", "area");
   readColours();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
   byId("acknowledge").addEventListener("click", () => order("acknowledge"));

@@ -1,0 +1,40 @@
+"""A machine that draws: fivebar.svg becomes a motion of the tip, the unit runs it, and a picture shows what was commanded and what was done.
+
+`cargo xtask package` makes the unit; from the root of the repository: target/venv/bin/python examples/draw.py
+Pictures, scene and table go to target/draw/. docs/kinematics.md has the rules; `fivebar path` is the command that takes the same steps.
+"""
+
+from pathlib import Path
+
+from fivebar import path_pictures, paths, scene, simulate, strokes
+from fivebar.pieces import Timing
+from fivebar.variables import of_unit
+
+FOLDER = Path("target/draw")
+FOLDER.mkdir(parents=True, exist_ok=True)
+
+# The table-top robot of the scene pick_and_place, its 50 g payload for a pen, with dry and viscous friction in all joints.
+robot = scene.read("pick_and_place").changed({"friction.enabled": True, "viscous.enabled": True}, of_unit())
+limits = paths.Limits(torques=paths.servo_limits(robot))
+
+# The drawing, 180 mm wide, in front of the motors; lines at 0.1 m/s, rests at corners.
+file = Path(__file__).with_name("fivebar.svg")
+drawing = strokes.read(file).placed((0.05, 0.26), width=0.18)
+plan = paths.plan(robot, drawing, Timing("constant", speed=0.1, acceleration=2.0), limits=limits)
+print(plan.words(file.name))
+
+# The scene says where the tip is to be; angles and rates of the servos follow where it is read.
+paths.write_scene(plan, FOLDER / "fivebar.json", file.name)
+outcome = paths.compare(plan, simulate.run(FOLDER / "fivebar.json"))
+print(outcome.words())
+path_pictures.draw(outcome, file.name, limits, FOLDER)
+paths.write_table(plan, outcome, FOLDER / "fivebar.csv")
+
+# Too close to the motors the machine cannot draw; the sentence says where, and a picture shows the place.
+close = strokes.read(file).placed((0.05, 0.12), width=0.25)
+try:
+    paths.plan(robot, close, plan.timing)
+except paths.Blocked as blocked:
+    print(blocked)
+    path_pictures.draw_blocked(robot, plan.working, close, blocked, file.name, FOLDER)
+print(f"{len(list(FOLDER.iterdir()))} files in {FOLDER}, such as drawn.svg")

@@ -1,0 +1,92 @@
+"""Torques that a motion needs, asked from the unit: it says how its motors accelerate, by model exchange, and the torques follow.
+
+All effects of the scene count but servos, stops and the estimator; friction is the smooth one, which a state determines.
+"""
+
+import shutil
+from ctypes import c_double
+
+import fmpy
+import numpy as np
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
+
+from fivebar import shipped
+from fivebar.drive import StartRefused
+from fivebar.errors import FiveBarError
+from fivebar.scene import Scene
+from fivebar.slave import Log, set_values
+
+Floats = NDArray[np.float64]
+
+OFF = ("servo.enabled", "stop.enabled", "estimator.enabled")
+"""What is no load on the motors."""
+
+SMOOTH = 1
+"""The item of friction.law and contact.law whose torque follows from the state."""
+
+
+class Demand:
+    """An instance of the unit that is asked for accelerations at one state after another; a context.
+
+    It is in the assembly of `theta`, a posture (4,) of the scene's machine.
+    """
+
+    def __init__(self, scene: Scene, theta: Floats):
+        plus = bool(np.sin(theta[2] - theta[1]) > 0)
+        start = {"init.theta[1]": float(theta[0]), "init.theta[2]": float(theta[3]), "init.assembly": 1 if plus else 2}
+        still = {name: 0.0 for name in ("init.omega[1]", "init.omega[2]", "tau[1]", "tau[2]")}
+        smooth = {"friction.law": SMOOTH, "contact.law": SMOOTH}
+        self._folder = fmpy.extract(str(shipped.unit()))
+        self._log = Log()
+        try:
+            model = fmpy.read_model_description(self._folder, validate=False)
+            self._tau = [v.valueReference for name in ("tau[1]", "tau[2]") for v in model.modelVariables if v.name == name]
+            self._unit = fmi2.FMU2Model(
+                guid=model.guid,
+                unzipDirectory=self._folder,
+                modelIdentifier=model.modelExchange.modelIdentifier,
+                instanceName="demand",
+            )
+            self._unit.instantiate(callbacks=self._log.callbacks())
+            set_values(self._unit, model, dict(scene.values) | dict.fromkeys(OFF, False) | smooth | start | still)
+            self._unit.setupExperiment(startTime=0.0)
+            self._unit.enterInitializationMode()
+            self._unit.exitInitializationMode()
+            self._unit.newDiscreteStates()
+            self._unit.enterContinuousTimeMode()
+        except FMICallException as error:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise StartRefused(self._log.last() or str(error)) from None
+
+    def __enter__(self) -> "Demand":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._unit.freeInstance()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def torques(self, theta: Floats, omega: Floats, alpha: Floats) -> Floats:
+        """Torques, N·m, (n, 2), by which the motors accelerate by `alpha` (n, 2), rad/s2, at postures (n, 4) and rates (n, 2), rad/s."""
+        found = np.empty((len(theta), 2))
+        for row, (motors, rates, wanted) in enumerate(zip(theta[:, [0, 3]].tolist(), omega.tolist(), alpha.tolist())):
+            free, by_left, by_right = self._accelerations([*motors, *rates])
+            a, b, c, d = by_left[0] - free[0], by_right[0] - free[0], by_left[1] - free[1], by_right[1] - free[1]
+            missing = wanted[0] - free[0], wanted[1] - free[1]
+            found[row] = np.array([d * missing[0] - b * missing[1], a * missing[1] - c * missing[0]]) / (a * d - b * c)
+        return found
+
+    def _accelerations(self, states: list[float]) -> list[tuple[float, float]]:
+        """Accelerations of the motors without torque, and with 1 N·m of the left or of the right one: they go linearly with the torques."""
+        unit, derivatives = self._unit, (c_double * 4)()
+        try:
+            unit.fmi2SetContinuousStates(unit.component, (c_double * 4)(*states), 4)
+            found = []
+            for torques in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+                unit.setReal(self._tau, torques)
+                unit.fmi2GetDerivatives(unit.component, derivatives, 4)
+                found.append((derivatives[2], derivatives[3]))
+            return found
+        except FMICallException as error:
+            raise FiveBarError(f"the unit was asked for the torques that the motion needs: {self._log.last() or error}") from None

@@ -1,0 +1,387 @@
+"""A drawing as a motion of a scene's machine: where it would leave what the machine can do, how long it takes, the scene that draws it.
+
+`plan` times and checks a drawing, `write_scene` writes the scene that draws it, `compare` says what the machine did. The pen's lifting is a column of
+the tables: the unit knows the plane of the mechanism only.
+"""
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fivebar import pieces as ways
+from fivebar import scene as scenes
+from fivebar.borders import Obstacles, borders, stop_margin
+from fivebar.demand import Demand
+from fivebar.errors import FiveBarError
+from fivebar.kinematics import SIDES, Machine, Working
+from fivebar.pieces import Piece, Timing
+from fivebar.scene import Scene
+from fivebar.simulate import Result
+from fivebar.strokes import Drawing
+from fivebar.variables import of_unit
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+CLEARANCE = 1e-6
+"""Distance from singular loci and stops, in multiples of the machine's size, below which a path touches them."""
+
+MOST_SPANS = 4096
+"""Spans of a path that are looked at together."""
+
+REST = 0.2
+"""Seconds of rest before and after the drawing, and where the pen goes up or down."""
+
+SLOWEST = 64.0
+"""So many times longer a piece may take for the sake of the motors' limits."""
+
+
+class Blocked(FiveBarError):
+    """A drawing that the machine cannot draw: where, and why."""
+
+    def __init__(self, place: Floats, reason: str):
+        super().__init__(reason)
+        self.place = place
+        """m, shape (2,)."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the motors may do; infinite where nothing limits them."""
+
+    rate: float = math.inf
+    """rad/s."""
+
+    torques: tuple[float, float] = (math.inf, math.inf)
+    """N·m."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A drawing in time: one row per communication point of the scene, s, m, rad and N·m."""
+
+    scene: Scene
+    """The scene whose machine draws."""
+
+    machine: Machine
+    working: Working
+    drawing: Drawing
+    timing: Timing
+    time: Floats
+    """(n,)."""
+
+    tip: Floats
+    """(n, 2)."""
+
+    pen: Flags
+    """Whether the pen is down on the way to this place, (n,)."""
+
+    theta: Floats
+    """Angles of the links 1 to 4, (n, 4)."""
+
+    omega: Floats
+    """Rates of the motors, rad/s, (n, 2)."""
+
+    torque: Floats
+    """Torques of the motors that the motion needs, by the unit, (n, 2)."""
+
+    slowed: int
+    """Pieces that take longer for the sake of the motors' limits."""
+
+    def words(self, name: str) -> str:
+        """Length, time and load of the drawing `name`, in sentences."""
+        slowed = f" {self.slowed} pieces take longer for the motors' limits." if self.slowed else ""
+        rate, torque = np.abs(self.omega).max(), np.abs(self.torque).max()
+        return (
+            f"{name}: {len(self.drawing.strokes)} strokes, {self.drawn:.4g} m of lines in {self.time[-1]:.4g} s, motor rates up to {rate:.3g} rad/s, "
+            f"torques up to {torque:.3g} N·m.{slowed}"
+        )
+
+    @property
+    def drawn(self) -> float:
+        """Length of all strokes, m."""
+        return float(np.sum(np.hypot(*np.diff(self.tip, axis=0).T)[self.pen[1:]]))
+
+
+def mode_of(scene: Scene) -> Working:
+    """The working mode in which a scene starts."""
+    machine = Machine.from_scene(scene)
+    motors = [float(scene[f"init.theta[{i}]"]) for i in (1, 2)]
+    left, right = machine.forward(motors, "minus" if scene["init.assembly"] == 2 else "plus").working.tolist()
+    return left, right
+
+
+def servo_limits(scene: Scene) -> tuple[float, float]:
+    """Limits of the scene's servos, N·m."""
+    return float(scene["servo.limit[1]"]), float(scene["servo.limit[2]"])
+
+
+def plan(scene: Scene, drawing: Drawing, timing: Timing, working: Working | None = None, limits: Limits = Limits()) -> Plan:
+    """The motion that draws `drawing`, as it is placed, by the scene's machine in a working mode, that of its start unless told.
+
+    Each piece from rest to rest takes the longer, the less the limits of rate and torque allow. Raises `Blocked` where a stroke, or a way
+    between strokes, meets the end of the reach, a stop or a singular locus, or needs more torque at rest than there is.
+    """
+    machine, mode, step = Machine.from_scene(scene), working or mode_of(scene), scene.step_size
+    sequence = ways.of(drawing.strokes)
+    check(scene, machine, mode, sequence)
+    with Demand(scene, machine.inverse(sequence[0].curves[0, 0], mode).theta) as demand:
+        told = [max(1, math.ceil(timing.duration(piece.length) / step - 1e-9)) for piece in sequence]
+        counts = [_enough(piece, timing, count, step, machine, mode, limits, demand) for piece, count in zip(sequence, told)]
+        tip, velocity, acceleration, pen = _schedule(sequence, timing, counts, step)
+        posture = machine.inverse(tip, mode)
+        theta = np.unwrap(posture.theta, axis=0) + _turns(scene, posture.theta[0])
+        omega = machine.motor_rates(theta, velocity)
+        torque = demand.torques(theta, omega, machine.motor_accelerations(theta, velocity, acceleration))
+    return Plan(scene, machine, mode, drawing, timing, step * np.arange(len(tip)), tip, pen, theta, omega, torque, sum(map(int.__ne__, counts, told)))
+
+
+Rows = tuple[Floats, Floats, Floats, Flags]
+"""Place, velocity, acceleration of the tip, and whether the pen is down."""
+
+
+def _schedule(sequence: list[Piece], timing: Timing, counts: list[int], step: float) -> Rows:
+    """All pieces in `counts` steps each, with rests at both ends and where the pen goes up or down."""
+    rest = max(1, round(REST / step))
+    rows = [_rest(sequence[0].curves[0, 0], rest + 1, False)]
+    for piece, count, following in zip(sequence, counts, [*sequence[1:], None]):
+        rows.append(_rows(piece, timing, count, count * step))
+        if following is None or following.pen != piece.pen:
+            rows.append(_rest(piece.curves[-1, 3], rest, piece.pen))
+    tip, velocity, acceleration, pen = (np.concatenate([row[i] for row in rows]) for i in range(4))
+    return tip, velocity, acceleration, pen.astype(bool)
+
+
+def _rest(place: Floats, count: int, pen: bool) -> Rows:
+    return np.tile(place, (count, 1)), np.zeros((count, 2)), np.zeros((count, 2)), np.full(count, pen)
+
+
+def _rows(piece: Piece, timing: Timing, count: int, duration: float) -> Rows:
+    """The rows of a piece but its first one, which ends the piece before."""
+    way, rate, change = timing.way(piece.length, np.arange(1, count + 1) / count)
+    place, tangent, curvature = piece.at(way)
+    rate, change = rate[:, None] / duration, change[:, None] / duration**2
+    return place, rate * tangent, change * tangent + rate**2 * curvature, np.full(count, piece.pen)
+
+
+def _turns(scene: Scene, theta: Floats) -> Floats:
+    """Whole turns, rad, by which the motors' angles come nearest to the middle of their stops, for the angles of the links (4,)."""
+    turns = np.zeros(4)
+    if scene["stop.enabled"]:
+        for link, leg in ((0, 1), (3, 2)):
+            middle = (float(scene[f"stop.lower[{leg}]"]) + float(scene[f"stop.upper[{leg}]"])) / 2
+            turns[link] = 2 * np.pi * np.round((middle - theta[link]) / (2 * np.pi))
+    return turns
+
+
+# Limits
+
+
+def _enough(piece: Piece, timing: Timing, count: int, step: float, machine: Machine, working: Working, limits: Limits, demand: Demand) -> int:
+    """How many communication steps a piece has to take, at least `count`, for the motors to stay within their limits.
+
+    Rates go with 1 over the time, torques beyond those at rest with its square (Hollerbach 1984), but for friction: so the unit is asked again.
+    """
+    most = np.array(limits.torques)
+
+    def load(count: int) -> tuple[float, Floats, Floats]:
+        """The largest share of a limit, the place, and the torques there."""
+        tip, velocity, acceleration, _ = _rows(piece, timing, count, count * step)
+        theta = machine.inverse(tip, working).theta
+        omega = machine.motor_rates(theta, velocity)
+        rate = float(np.abs(omega).max()) / limits.rate
+        if not np.any(np.isfinite(most)):
+            return rate, tip[0], most
+        torques = demand.torques(theta, omega, machine.motor_accelerations(theta, velocity, acceleration))
+        shares = np.max(np.abs(torques) / most, axis=-1)
+        row = int(np.argmax(shares))
+        return max(rate, float(shares[row])), tip[row], torques[row]
+
+    if load(count)[0] <= 1:
+        return count
+    low, high = count, count
+    while high < SLOWEST * count:
+        low, high = high, math.ceil(1.5 * high)
+        if (found := load(high))[0] <= 1:
+            break
+    else:
+        _, place, torque = found
+        leg = int(np.argmax(np.abs(torque) / most))
+        raise Blocked(
+            place,
+            f"{_where(piece, place)} needs {abs(torque[leg]):.4g} N·m of the {SIDES[leg]} motor however slow it is: the limit is {most[leg]:.4g} N·m",
+        )
+    while high - low > max(1, low // 1000):
+        middle = (low + high) // 2
+        low, high = (low, middle) if load(middle)[0] <= 1 else (middle, high)
+    return high
+
+
+# Where a path is blocked
+
+
+def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[Piece]) -> None:
+    """Raises `Blocked` at the first place where pieces meet the end of the reach, a singular locus of the working mode, or a stop.
+
+    A span of a curve is free if its middle is farther from every border than either half is long; others are halved.
+    """
+    name = working[0] + working[1].capitalize()
+    if machine.is_degenerate(working):
+        raise FiveBarError(f"In working mode {name} every posture of this machine is a direct singularity: it needs another mode")
+    start = sequence[0].curves[0, 0]
+    if not machine.is_reachable(start):
+        raise Blocked(start, _out_of_reach(machine, sequence[0], start))
+    curves = borders(scene, machine, working)
+    obstacles = Obstacles(machine.inverse_singularities(), [curve.tip for curve in curves])
+    if float(stop_margin(scene, machine.inverse(start, working).motors)) < 0:
+        raise Blocked(start, f"{_where(sequence[0], start)} has a motor beyond its stops in working mode {name}")
+    spans = np.concatenate([piece.curves for piece in sequence])
+    owners = np.repeat(np.arange(len(sequence)), [len(piece.curves) for piece in sequence])
+    found = _first_touch(obstacles, spans, owners, CLEARANCE * machine.size)
+    if found is None:
+        return
+    place, owner = found
+    piece = sequence[owner]
+    legs = [circle for circle in machine.inverse_singularities() if abs(np.hypot(*(place - circle.centre)) - circle.radius) < 4 * CLEARANCE * machine.size]
+    if legs:
+        circle = legs[0]
+        raise Blocked(
+            place,
+            f"{_where(piece, place)} comes to the end of the {SIDES[circle.leg]} leg's reach, where that leg is {circle.posture}: "
+            f"{circle.radius:.6g} m from its motor",
+        )
+    nearest = min(curves, key=lambda curve: float(Obstacles([], [curve.tip]).distance(place[None])[0]))
+    if nearest.kind == "stop":
+        raise Blocked(place, f"{_where(piece, place)} meets {nearest.detail} = {float(scene[nearest.detail]):.6g} rad")
+    raise Blocked(place, f"{_where(piece, place)} meets a direct singularity of working mode {name}: the distal links are {nearest.detail}")
+
+
+def _first_touch(obstacles: Obstacles, spans: Floats, owners: NDArray[np.int_], tolerance: float) -> tuple[Floats, int] | None:
+    """The first place of curves (n, 4, 2) that is nearer to a border than a tolerance, m, and its owner; None if there is none."""
+    while len(spans):
+        if len(spans) > MOST_SPANS:
+            half = len(spans) // 2
+            return _first_touch(obstacles, spans[:half], owners[:half], tolerance) or _first_touch(obstacles, spans[half:], owners[half:], tolerance)
+        left, right = _halves(spans)
+        # A curve is no longer than its control polygon.
+        extent = np.maximum(*(np.sum(np.linalg.norm(np.diff(part, axis=1), axis=-1), axis=-1) for part in (left, right)))
+        unclear = obstacles.distance(left[:, 3]) <= extent
+        touching = unclear & (extent < tolerance)
+        if np.any(touching):
+            first = int(np.argmax(touching))
+            if not np.any(unclear[:first]):
+                return left[first, 3], int(owners[first])
+            unclear[first + 1 :] = False
+        spans = np.stack([left[unclear], right[unclear]], axis=1).reshape(-1, 4, 2)
+        owners = np.repeat(owners[unclear], 2)
+    return None
+
+
+def _halves(curves: Floats) -> tuple[Floats, Floats]:
+    """Both halves of curves (n, 4, 2), by de Casteljau."""
+    a, b, c, d = np.moveaxis(curves, 1, 0)
+    ab, bc, cd = (a + b) / 2, (b + c) / 2, (c + d) / 2
+    abc, bcd = (ab + bc) / 2, (bc + cd) / 2
+    middle = (abc + bcd) / 2
+    return np.stack([a, ab, abc, middle], axis=1), np.stack([middle, bcd, cd, d], axis=1)
+
+
+def _where(piece: Piece, place: Floats) -> str:
+    what = f"Stroke {piece.stroke}" if piece.pen else f"The way with lifted pen to stroke {piece.stroke}"
+    return f"{what}, at ({place[0]:.6g}, {place[1]:.6g}) m,"
+
+
+def _out_of_reach(machine: Machine, piece: Piece, place: Floats) -> str:
+    shortfall = machine.shortfall(place)
+    leg = int(np.argmax(np.abs(shortfall)))
+    return f"{_where(piece, place)} is {abs(shortfall[leg]):.4g} m too {'far for' if shortfall[leg] > 0 else 'near to'} the {SIDES[leg]} leg"
+
+
+# The scene, and what its machine does
+
+
+def write_scene(made: Plan, file: FilePath, name: str) -> None:
+    """Writes the scene that draws a plan: the scene's machine, its servos told where the tip is to be; `name` is that of the drawing.
+
+    Signals of the scene and its further runs are left out.
+    """
+    values = {key: value for key, value in made.scene.values.items() if not key.startswith(("init.", "servo.theta", "servo.omega"))}
+    left, right = made.working
+    text = f"The machine of {made.scene.name} draws {name}: {made.drawn:.3g} m of lines in {made.time[-1]:.4g} s, in working mode {left}, {right}."
+    kept = _knots(made.tip)
+    knots = {f"tip.{axis}": {"linear": list(zip(made.time[kept].tolist(), made.tip[kept, i].tolist()))} for i, axis in enumerate("xy")}
+    try:
+        scenes.write(file, text, values, float(made.time[-1]), made.scene.step_size, of_unit(), knots, made.working)
+    except FiveBarError as error:
+        raise FiveBarError(f"{error}; a higher speed, or a larger experiment.stepSize of the machine's scene, makes it smaller") from None
+
+
+def _knots(tip: Floats) -> Flags:
+    """Which rows of a motion (n, 2) straight lines between them need: those where the velocity changes."""
+    change = np.any(np.abs(np.diff(tip, 2, axis=0)) > 1e-15, axis=-1)
+    return np.concatenate([[True], change, [True]])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the machine did, by the unit: one row per communication point."""
+
+    plan: Plan
+    tip: Floats
+    """m, (n, 2)."""
+
+    torque: Floats
+    """Torques of the servos, N·m, (n, 2)."""
+
+    late: Floats
+    """Distance of the tip from where it was told to be at that time, m, (n,)."""
+
+    off: Floats
+    """Distance of the tip from the nearest stroke, m, (n,): what is seen on the paper, where the pen is down."""
+
+    def words(self) -> str:
+        """Largest and root mean square errors with the pen down, in a sentence."""
+        pen = self.plan.pen
+        off, late = (1e3 * error[pen] for error in (self.off, self.late))
+        return (
+            f"Off the drawing by up to {off.max():.3g} mm, {np.sqrt(np.mean(off**2)):.3g} mm rms; from where it was told to be at that time by up to "
+            f"{late.max():.3g} mm, {np.sqrt(np.mean(late**2)):.3g} mm rms."
+        )
+
+
+def compare(made: Plan, result: Result) -> Outcome:
+    """What the machine did in a run of the plan's scene, beside the plan."""
+    if result.failure is not None:
+        raise FiveBarError(f"the machine did not end its drawing: {result.failure}")
+    tip = np.stack([result["tip.x"], result["tip.y"]], axis=-1)
+    torque = np.stack([result[f"servo.torque[{i}]"] for i in (1, 2)], axis=-1)
+    return Outcome(made, tip, torque, np.hypot(*(tip - made.tip).T), Obstacles([], strokes_of(made.tip, made.pen)).distance(tip))
+
+
+def strokes_of(tip: Floats, pen: Flags) -> list[Floats]:
+    """The parts of a motion (n, 2) with the pen down."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], pen, [False]]).astype(int)))
+    return [tip[max(begin - 1, 0) : end] for begin, end in zip(edges[::2], edges[1::2])]
+
+
+def write_table(made: Plan, outcome: Outcome | None, file: FilePath) -> FilePath:
+    """Writes plan and outcome as CSV, a row per communication point; returns the file."""
+    columns = {"time [s]": made.time, "pen": made.pen.astype(int)}
+    columns |= {f"tip.{axis} [m]": made.tip[:, i] for i, axis in enumerate("xy")}
+    columns |= {f"theta[{leg}] [rad]": made.theta[:, link] for leg, link in ((1, 0), (2, 3))}
+    columns |= {f"omega[{leg}] [rad/s]": made.omega[:, leg - 1] for leg in (1, 2)}
+    columns |= {f"torque[{leg}] [N.m]": made.torque[:, leg - 1] for leg in (1, 2)}
+    if outcome is not None:
+        columns |= {f"done.{axis} [m]": outcome.tip[:, i] for i, axis in enumerate("xy")}
+        columns |= {f"servo.torque[{leg}] [N.m]": outcome.torque[:, leg - 1] for leg in (1, 2)}
+        columns |= {"off [m]": outcome.off, "late [m]": outcome.late}
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values())))
+    return file

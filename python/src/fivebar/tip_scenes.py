@@ -1,0 +1,181 @@
+"""Scenes in the tip's coordinates: a start by the tip's place, and places that servos are to bring the tip to.
+
+Keys of a scene's file, beside its variables:
+
+- `tip.x`, `tip.y`: where the tip is at the start, m; `init.theta[1..2]` and `init.assembly` follow;
+- `mode.working`: bends of the left and the right leg, such as ["minus", "plus"], which is meant unless the start is given by its angles;
+- `mode.assembly`: refused where the tip cannot be in it; it decides on a direct singularity only, where both are possible;
+- signals `tip.x`, `tip.y`: `servo.theta[1..2]` and `servo.omega[1..2]` follow at every communication point, by inverse kinematics of the
+  scene's own machine. A coordinate without a signal stays at its start; a start that is not given is the signals' at 0 s.
+
+Angles are in the turn nearest to the middle of the motor's stops, of its spring's rest, or of 0, whichever comes first; those of signals go on
+from there.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fivebar.errors import FiveBarError
+from fivebar.kinematics import GEOMETRY, SIGN, Machine, Sign, Working, sines
+from fivebar.signals import TIP, Signal
+from fivebar.variables import Value, Values, Variables, shown
+
+Floats = NDArray[np.float64]
+
+WORKING, ASSEMBLY = MODE = ("mode.working", "mode.assembly")
+
+KEYS = (*TIP, *MODE)
+"""Keys of a file that are no variables to be set."""
+
+START = ("init.theta[1]", "init.theta[2]", "init.assembly")
+"""What follows from the tip's start."""
+
+SERVO_ANGLES, SERVO_RATES = ("servo.theta[1]", "servo.theta[2]"), ("servo.omega[1]", "servo.omega[2]")
+"""What follows from the tip's signals."""
+
+OUTWARD: Working = ("minus", "plus")
+
+
+@dataclass(frozen=True)
+class Tip:
+    """What a scene says in the tip's coordinates."""
+
+    start: Mapping[str, float]
+    """Coordinates at the start that are given, m, by key."""
+
+    working: Working | None
+    assembly: Sign | None
+    signals: Mapping[str, Signal]
+    """By key."""
+
+    @property
+    def follows(self) -> tuple[str, ...]:
+        """Inputs that follow from the signals."""
+        return (*SERVO_ANGLES, *SERVO_RATES) if self.signals else ()
+
+    def placed(self, values: Values, unit: Mapping[str, Value]) -> Values:
+        """The values of a run with its start, unless that is given by angles; `unit` has the unit's own start values."""
+        if any(name in values for name in START[:2]):
+            return values
+        place = tuple(self.start[name] if name in self.start else self.signals[name].at(0.0) for name in TIP)
+        try:
+            posture = _machine(values, unit).inverse(place, self.working or OUTWARD)
+        except ValueError as error:
+            raise FiveBarError(f"the start: {error}") from None
+        sine = float(sines(posture.theta)[0])
+        assembly = self.assembly or "plus"
+        if self.assembly is None and abs(sine) > 1e-12:
+            assembly = "plus" if sine > 0 else "minus"
+        if sine * SIGN[assembly] < -1e-12:
+            left, right = self.working or OUTWARD
+            raise FiveBarError(
+                f"'{ASSEMBLY}' is {assembly}, but with 'tip.x' = {place[0]:g} m and 'tip.y' = {place[1]:g} m in working mode {left}, {right} the tip "
+                f"is in assembly {'minus' if assembly == 'plus' else 'plus'}"
+            )
+        motors = [_nearest_turn(float(angle), _middle(values, unit, leg)) for leg, angle in enumerate(posture.motors, 1)]
+        return values | dict(zip(START, motors)) | ({} if assembly == "plus" else {START[2]: 2})
+
+    def commands(self, values: Values, unit: Mapping[str, Value], points: Floats) -> dict[str, Floats]:
+        """References of the servos at communication points, s, for the machine and the start of these values."""
+        if not self.signals:
+            return {}
+        machine = _machine(values, unit)
+        begin = np.array([float(values.get(name, unit[name])) for name in START[:2]])
+        tip, velocity = (np.stack([self._coordinate(name, points, rate) for name in TIP], axis=-1) for rate in (False, True))
+        mode = self.working or self._of_start(machine, begin, values)
+        try:
+            theta = machine.inverse(tip, mode).theta
+            omega = machine.motor_rates(theta, velocity)
+        except ValueError:
+            raise FiveBarError(_first_mistake(machine, mode, points, tip, velocity)) from None
+        crossed = np.flatnonzero(np.diff(sines(theta)[:, 0] > 0))
+        if len(crossed):
+            row = int(crossed[0])
+            raise FiveBarError(
+                f"signals 'tip.x', 'tip.y': between {points[row]:g} and {points[row + 1]:g} s the tip crosses a direct singularity of working mode "
+                f"{mode[0]}, {mode[1]} at ({tip[row, 0]:.6g}, {tip[row, 1]:.6g}) m, where the motors do not determine its motion"
+            )
+        angles = np.unwrap(theta[:, [0, 3]], axis=0)
+        angles += [_nearest_turn(float(angle), middle) - float(angle) for angle, middle in zip(angles[0], begin)]
+        return dict(zip(SERVO_ANGLES, angles.T)) | dict(zip(SERVO_RATES, omega.T))
+
+    def _coordinate(self, name: str, points: Floats, rate: bool) -> Floats:
+        if name not in self.signals:
+            return np.full(len(points), 0.0 if rate else self.start[name])
+        signal = replace(self.signals[name], rate=True) if rate else self.signals[name]
+        return np.array([signal.at(time) for time in points.tolist()])
+
+    def _of_start(self, machine: Machine, motors: Floats, values: Values) -> Working:
+        """The working mode of the start."""
+        try:
+            left, right = machine.forward(motors, "minus" if values.get(START[2]) == 2 else "plus").working.tolist()
+        except ValueError:
+            return OUTWARD
+        return left, right
+
+
+def read(content: Mapping[str, Any], values: Values, signals: list[Signal], variables: Variables) -> Tip | None:
+    """What a file's content says in the tip's coordinates, or None; `values` and `signals` are all that it has."""
+    start = {name: float(variables[name].value(content[name])) for name in TIP if name in content}
+    moved = {signal.variable.name: signal for signal in signals if signal.variable.name in TIP}
+    if not start and not moved:
+        if mode := [name for name in MODE if name in content]:
+            raise FiveBarError(f"'{mode[0]}' says nothing without 'tip.x' and 'tip.y'")
+        return None
+    for name in TIP:
+        if name not in start and name not in moved:
+            raise FiveBarError(f"'{name}' must be given as well, as the tip's place at the start or as a signal")
+    for follows, given in ((START, start), ((*SERVO_ANGLES, *SERVO_RATES), moved)):
+        others = {*values, *(signal.variable.name for signal in signals)} & set(follows)
+        if given and others:
+            raise FiveBarError(f"'{min(others)}' follows from {'signals ' if given is moved else ''}'tip.x' and 'tip.y', and cannot be given as well")
+    return Tip(start, _working(content), _assembly(content), moved)
+
+
+def _working(content: Mapping[str, Any]) -> Working | None:
+    given = content.get(WORKING)
+    if given is None and WORKING not in content:
+        return None
+    if not (isinstance(given, list) and len(given) == 2 and all(isinstance(bend, str) and bend in SIGN for bend in given)):
+        raise FiveBarError(f"'{WORKING}' must be the bends of the left and the right leg, such as [\"minus\", \"plus\"], not {shown(given)}")
+    return given[0], given[1]
+
+
+def _assembly(content: Mapping[str, Any]) -> Sign | None:
+    given = content.get(ASSEMBLY)
+    if given is None and ASSEMBLY not in content:
+        return None
+    if not (isinstance(given, str) and given in SIGN):
+        raise FiveBarError(f"'{ASSEMBLY}' must be one of plus, minus, not {shown(given)}")
+    return "plus" if given == "plus" else "minus"
+
+
+def _machine(values: Values, unit: Mapping[str, Value]) -> Machine:
+    return Machine.from_values({name: float(values.get(name, unit[name])) for name in GEOMETRY})
+
+
+def _middle(values: Values, unit: Mapping[str, Value], leg: int) -> float:
+    """The angle, rad, to which the start of a motor is to be near."""
+    stops, rest = (f"stop.lower[{leg}]", f"stop.upper[{leg}]"), (f"spring.theta0[{leg}]",)
+    for switch, names in (("stop.enabled", stops), ("spring.enabled", rest)):
+        if values.get(switch, unit[switch]):
+            return sum(float(values.get(name, unit[name])) for name in names) / len(names)
+    return 0.0
+
+
+def _nearest_turn(angle: float, middle: float) -> float:
+    return angle + 2 * np.pi * round((middle - angle) / (2 * np.pi))
+
+
+def _first_mistake(machine: Machine, mode: Working, points: Floats, tip: Floats, velocity: Floats) -> str:
+    """Time and reason of the first place that cannot be reached, or not at this velocity."""
+    for time, place, rate in zip(points.tolist(), tip, velocity):
+        try:
+            machine.motor_rates(machine.inverse(place, mode).theta, rate)
+        except ValueError as error:
+            return f"signals 'tip.x', 'tip.y' at {time:g} s: {error}"
+    raise AssertionError("one of the places was refused")
