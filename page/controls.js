@@ -209,7 +209,7 @@ export class Controls {
     for (const id of ["time", "error", "cost", "assembly", "working", "direct", "inverse"]) by(id).textContent = "–";
   }
 
-  // What the method costs, over the last frames but for the slowest tenth, in which the computer has done something else.
+  // Cost of the method over the last frames but for the slowest tenth, in which the computer has done something else.
   showCost(costs, lag) {
     const { page } = this;
     const slow = page.settings.speed < 1 ? `slow motion ${SPEED_NAMES[page.settings.speed]}` : "";

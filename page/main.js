@@ -189,7 +189,7 @@ class Page {
     this.passes = passes;
   }
 
-  // What is drawn of a run.
+  // Drawn data of a run.
   shown(run, again = false) {
     const now = again ? run.read() : run.now;
     const point = (name) => [now[`${name}.x`], now[`${name}.y`]];
@@ -218,7 +218,7 @@ class Page {
     this.lag = done < count;
   }
 
-  // What has been reached: numbers, marks, histories, and the data of <body>.
+  // State that has been reached: numbers, marks, histories, and the data of <body>.
   report() {
     if (!this.attempt(() => [this.run, this.other].forEach((run) => run?.read()))) return;
     const { now } = this.run;

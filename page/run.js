@@ -59,7 +59,7 @@ export class Run {
     machine.step();
   }
 
-  // Where the tip is.
+  // Position of the tip.
   tip() {
     const [x, y] = this.machine.get(TIP);
     return [x, y];

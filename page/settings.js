@@ -1,4 +1,4 @@
-// What a person has chosen: scene, values, speed. As a link, as a scene's file, as a command.
+// Choices of a person: scene, values, speed. As a link, as a scene's file, as a command.
 
 export const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
 

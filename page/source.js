@@ -1,4 +1,4 @@
-// Where the page's parts come from: out of the document itself, or from beside it on a web server.
+// Sources of the page's parts: the document itself, or files beside it on a web server.
 
 async function unpacked(element) {
   const bytes = Uint8Array.from(atob(element.textContent), (letter) => letter.charCodeAt(0));

@@ -17,7 +17,7 @@ const TRAMPOLINE = new Uint8Array([
   7, 5, 1, 1, 102, 0, 0,
 ]);
 
-// What the unit says when it refuses something.
+// Sentence with which the unit refuses something.
 export class Refusal extends Error {
   constructor(call, status, sentence) {
     super(sentence);

@@ -98,7 +98,7 @@ export class View {
     canvas.dataset.drawn = state ? "machine" : "empty";
   }
 
-  // What does not move, painted once.
+  // Fixed parts, painted once.
   paint() {
     this.fit();
     this.stale = false;

@@ -37,7 +37,7 @@ void unload(void *library);
 #define REQUIRE(condition, ...) ((condition) ? (void)0 : FAIL(__VA_ARGS__))
 void fail(const char *file, int line, const char *format, ...) __attribute__((noreturn, format(printf, 3, 4)));
 
-/* What the logger has received since `lines` was set to 0; its address is the component environment. */
+/* Messages that the logger has received since `lines` was set to 0; its address is the component environment. */
 typedef struct {
     const char *name;
     int lines;

@@ -1,4 +1,4 @@
-/* Which call is allowed in which state: FMI 2.0.4, sections 3.2.3 and 4.2.4, figures and tables, typed in from there.
+/* Calls allowed in each state: FMI 2.0.4, sections 3.2.3 and 4.2.4, figures and tables, typed in from there.
  *
  * The states stepInProgress and stepCanceled are left out (a step is never pending); so is the state error, which a unit that changes
  * nothing on an error never enters. */

@@ -47,7 +47,7 @@ void drive(fmi2Component c, const Scene *scene, int step) {
         REQUIRE(status == fmi2OK, "%s: fmi2SetRealInputDerivatives: status %d", scene->title, status);
     }
     if (step % 20 == 15) set(c, "gravity.g", step % 40 == 15 ? 9.0 : 9.81);
-    /* Where there is a payload, it gains and loses mass. */
+    /* A payload gains and loses mass. */
     if (step % 20 == 10) set(c, "payload.mass", step % 40 == 10 ? 0.06 : 0.05);
     const fmi2Status status = fmi2.DoStep(c, step * scene->size, scene->size, fmi2True);
     REQUIRE(status == fmi2OK, "%s: step %d: status %d", scene->title, step, status);

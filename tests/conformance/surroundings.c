@@ -19,7 +19,7 @@ enum { STEPS = 25 };
 extern char **environ;
 static const char *file, *guid;
 
-/* What must stay; pointers are compared by what they point to. */
+/* State of the process that must stay; pointers are compared by what they point to. */
 typedef struct {
     int rounding;
     unsigned short x87_control;

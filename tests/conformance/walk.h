@@ -1,4 +1,4 @@
-/* What the random walk knows of an instance, and how it judges a call. */
+/* Knowledge of the random walk about an instance, and its judgement of a call. */
 #ifndef WALK_H
 #define WALK_H
 
@@ -15,7 +15,7 @@ typedef struct {
     char bytes[MOST_BYTES];
 } Bytes;
 
-/* Where an instance is in its life, as the standard has it. */
+/* State of an instance in its life, as the standard has it. */
 typedef struct {
     fmi2Type kind;
     State state;
@@ -32,7 +32,7 @@ typedef struct {
     fmi2Component component;
     Life life;
     Log log;
-    /* Which statuses reach the logger: a bit for each. */
+    /* Statuses that reach the logger: a bit for each. */
     unsigned wanted;
     /* The state after the last call. */
     Bytes now;
@@ -86,7 +86,7 @@ void do_step(Slave *s);
 void ask_status(Slave *s, Call call);
 void exchange(Slave *s, Call call);
 
-/* What may come of asking for what is computed. */
+/* Statuses allowed when computed values are asked for. */
 int may_be_computed(const Slave *s);
 /* Whether nothing but fmi2Discard for want of coordinates can keep a continuous state from being set by fmi2SetReal. */
 bool may_set_states(const Slave *s);

@@ -24,7 +24,7 @@ static void new_discrete_states(Slave *s) {
     begin(s);
     const fmi2Status status = fmi2.NewDiscreteStates(s->component, nowhere ? NULL : &info);
     if (status != fmi2OK) REQUIRE(memcmp(&info, &untouched, sizeof info) == 0, "fmi2NewDiscreteStates: status %d, and has written", status);
-    /* What was tuned may break a relation, or may not be what this run can take. */
+    /* Tuned values may break a relation, or exceed the limits of this run. */
     if (!judge(s, NEW_DISCRETE_STATES, status, nowhere ? REFUSED : DONE | (tuned ? REFUSED | DISCARDED : 0))) return;
     REQUIRE(!info.newDiscreteStatesNeeded && !info.terminateSimulation && !info.nominalsOfContinuousStatesChanged &&
                 !info.nextEventTimeDefined && (tuned || !info.valuesOfContinuousStatesChanged),
@@ -80,7 +80,7 @@ static void read_array(Slave *s, Call call) {
                                                                 : call == GET_CONTINUOUS_STATES ? fmi2.GetContinuousStates
                                                                                                 : fmi2.GetNominalsOfContinuousStates;
     int possible = call == GET_NOMINALS ? DONE : may_be_computed(s);
-    /* Where they are no coordinates. */
+    /* States may be no coordinates, as in a direct singularity. */
     if (call == GET_DERIVATIVES) possible |= DISCARDED;
     if (nowhere || n != own) possible = REFUSED;
     for (size_t i = 0; i < MOST_INDICATORS; i++) values[i] = MARK;

@@ -112,7 +112,7 @@ static void change_mode(Slave *s, Call call) {
     static const State next[] = {[ENTER_INITIALIZATION] = INITIALIZATION, [EXIT_INITIALIZATION] = COMPLETE, [TERMINATE] = TERMINATED};
     int possible = DONE;
     if (call == ENTER_INITIALIZATION && !s->life.experiment) possible = REFUSED;
-    /* What was set may make no machine. */
+    /* The values set may make no machine. */
     if (call == EXIT_INITIALIZATION) possible = DONE | REFUSED;
     begin(s);
     if (judge(s, call, function(s->component), possible)) {
@@ -238,7 +238,7 @@ void ask_status(Slave *s, Call call) {
     judge(s, call, status, possible);
 }
 
-/* The same call for an instance that is none. */
+/* Calls for an instance that is none. */
 static void call_nobody(void) {
     double value = 0;
     const Variable *v = variable("tau[1]");

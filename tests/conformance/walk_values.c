@@ -5,7 +5,7 @@
 #include "walk.h"
 
 enum { MOST = 6 };
-/* What the places hold that must not be written to. */
+/* Content of the places that must not be written to. */
 static const double REAL_MARK = -7.25e77;
 static const int WHOLE_MARK = -7;
 
@@ -16,7 +16,7 @@ typedef struct {
     fmi2ValueReference references[MOST];
 } Pick;
 
-/* What is wrong with a call; NOTHING half of the time. */
+/* Fault of a call; NOTHING half of the time. */
 typedef enum { NOTHING, UNKNOWN, WRONG_TYPE, NO_REFERENCES, NO_VALUES, WRONG_VALUE, NOT_SETTABLE, FLAWS } Flaw;
 static Flaw any_flaw(Flaw last) { return one_in(2) ? NOTHING : (Flaw)below((size_t)last + 1); }
 
@@ -96,7 +96,7 @@ static double near_state(const Slave *s, const Variable *v) {
     return one_in(10) ? uniform(-7.0, 7.0) : one_in(40) ? pow(10.0, uniform(0.0, fmin(largest, 12.0))) : value;
 }
 
-/* What may come of asking for what is computed: before the run, what was set may make no machine; what was set may be so large that there
+/* Statuses allowed when computed values are asked for: before the run, values may make no machine; values may be so large that there
  * is nothing to tell. */
 int may_be_computed(const Slave *s) {
     return DONE | (s->life.state == INITIALIZATION ? REFUSED : 0) | (largest > 100 ? DISCARDED : 0);

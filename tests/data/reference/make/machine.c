@@ -316,7 +316,7 @@ void join(real *y) {
 
 void place(const real theta[LINKS], const real omega[LINKS], real *y) {
     real *q = y, *v = y + n, rx, ry;
-    /* Where each link's base or elbow end is, and how it moves. */
+    /* Position and motion of each link's base or elbow end. */
     for (int link = 0; link < LINKS; link++) q[TH(link)] = theta[link], v[TH(link)] = omega[link];
     static const int order[LINKS] = { 0, 1, 3, 2 }, before[LINKS] = { -1, 0, -1, 3 };
     for (int i = 0; i < LINKS; i++) {

@@ -14,7 +14,7 @@ enum { LINKS = 4, BODIES = 5, MAX_N = 14, MAX_M = 12, BUFFERS = 5, SWITCHES = 3 
 /* Number of coordinates and constraints: 14 and 12 with payload, 12 and 10 without. */
 extern int n, m;
 
-/* What the start is made from, SI units; assembly is +1 for plus, -1 for minus. */
+/* Data of the start, SI units; assembly is +1 for plus, -1 for minus. */
 extern real base, length[LINKS], theta_start[2], omega_start[2];
 extern int assembly;
 

@@ -122,11 +122,11 @@ static void read_scene(void) {
 
 static const int first_of[5] = {0, 1, 1, 2, 3}, second_of[5] = {-1, 0, 2, 3, -1};
 
-/* What each grip does: 0 nothing, +1 or -1 slip that way, HELD. */
+/* State of each friction place: 0 open, +1 or -1 slip that way, HELD. */
 enum { HELD = 2 };
 static int grip[GRIPS];
 
-/* Where the tip is: free, on the ramp, beyond it, or on either letting go. */
+/* Phase of the tip: free, on the ramp, beyond it, or on either letting go. */
 enum { FREE, RAMP, FULL, RAMP_OFF, FULL_OFF };
 static int place = FREE;
 
@@ -175,7 +175,7 @@ static void row_of(int g, const real *y, real row[LINKS], real *rate, real *drif
     for (int i = 0; i < LINKS; i++) *rate += row[i] * y[4 + i];
 }
 
-/* What a grip can hold, and gives when it slips. */
+/* Bound of a friction place, and its friction when it slips. */
 static real bound(int g, const real *y, real rate) {
     if (g == TIP) return mu * pressure(y);
     real u = rate / fall_rate;
@@ -361,7 +361,7 @@ static bool agree(const real *y, const int zero[], int count, int holds) {
     return best < 1e-15Q;
 }
 
-/* What the grips do from here on. */
+/* Decides the states of the friction places from here on. */
 static void decide(real *y) {
     const real slow = 1e-12Q;
     int zero[GRIPS], count = 0;
@@ -395,7 +395,7 @@ static void decide(real *y) {
     }
 }
 
-/* Which piece of the contact's law follows. */
+/* Changes to the next piece of the contact's law. */
 static void turn(const real *y, int event) {
     real at[3];
     press(y, at);

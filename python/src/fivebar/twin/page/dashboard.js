@@ -21,7 +21,7 @@ let client = null, socket = null, colours = {}, view = null, validators = {}, ar
 
 const finite = (object, ...names) => names.every((name) => Number.isFinite(object?.[name]));
 
-/** What arrives is checked by the schema that the package checks it by: another program on the broker must not break the page. */
+/** Messages are checked by the schema of the package: another program on the broker must not break the page. */
 function receive(topic, payload) {
   const [, unit, kind] = topic.split("/");
   arrived = true;
@@ -108,7 +108,7 @@ function takeAlarm(message) {
 
 const isRaised = (alarm) => ["anomaly", "trouble"].includes(alarm.state);
 
-/** What has become of an order. */
+/** Outcome of an order. */
 function answer(text, kind) {
   byId("order").textContent = text;
   byId("order").className = kind;
