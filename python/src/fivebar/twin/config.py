@@ -178,8 +178,7 @@ def check_broker(broker: Broker) -> None:
     missing = [name for name in ("user", "password", "ca_file") if not getattr(broker, name)]
     if missing:
         raise TwinError(
-            f"broker {broker.host} is not on this machine: user, password and TLS (ca_file) are required there, and {', '.join(missing)} "
-            "is missing"
+            f"broker {broker.host} is not on this machine: user, password and TLS (ca_file) are required there; not given: {', '.join(missing)}"
         )
 
 

@@ -227,7 +227,7 @@ def _interval(levels: dict[str, float], digits: int) -> str:
 
 def _print(summary: dict[str, Any], files: list[Path]) -> None:
     singular, measured = summary["singular"], summary["measured"]
-    print(f"{summary['members']} members of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed")
+    print(f"{summary['members']} member{'s' * (summary['members'] != 1)} of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed")
     print(f"  a singularity within that time: {singular['probability']:.1%}", end="")
     if singular["time_s"]:
         times = singular["time_s"]

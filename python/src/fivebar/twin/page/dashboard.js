@@ -429,16 +429,20 @@ function opened(address, protocols) {
   return socket;
 }
 
+/** A part of a frame: one that fails is told, ends no other one, and may be good again in the next frame. */
+function attempt(part) {
+  try {
+    part();
+  } catch (error) {
+    state.undrawn += 1;
+    problem("undrawn", `${state.undrawn} ${state.undrawn === 1 ? "drawing" : "drawings"} failed, the last: ${error}`);
+  }
+}
+
 let drawn = 0;
 function frame(moment) {
-  try {
-    drawStage();
-    if (moment - drawn >= CHARTS) { drawn = moment; tell(); drawCharts(); }
-  } catch (error) {
-    // The next one may be good again.
-    state.undrawn += 1;
-    problem("undrawn", `${state.undrawn} ${state.undrawn === 1 ? "frame" : "frames"} could not be drawn, the last: ${error}`);
-  }
+  attempt(drawStage);
+  if (moment - drawn >= CHARTS) { drawn = moment; attempt(tell); attempt(drawCharts); }
   if (arrived && socket?.readyState === WebSocket.OPEN) { arrived = false; socket.send(`drawn ${handled}`); }
   requestAnimationFrame(frame);
 }
