@@ -115,13 +115,15 @@ export class Settings {
     return { name: `${name}.json`, text: `${JSON.stringify(scene, null, 2)}\n` };
   }
 
-  // The command that runs the same.
+  // The command that runs the same; a value in the place of a signal is something that only a file can say.
   command() {
+    if (Object.keys(this.signals()).length < Object.keys(this.scene.signals).length) return `fivebar run ${this.file().name}  # the saved scene`;
     const sets = Object.entries(this.values)
       .filter(([name]) => name !== "solver.method")
       .map(([name, value]) => {
         const assignment = `${name}=${this.written(name, value)}`;
-        return ` --set ${/[^\w.=+-]/.test(assignment) ? `'${assignment}'` : assignment}`;
+        // Quotes that every shell knows.
+        return ` --set ${/[^\w.=+-]/.test(assignment) ? `"${assignment}"` : assignment}`;
       });
     const method = "solver.method" in this.values ? ` --method ${this.written("solver.method", this.values["solver.method"])}` : "";
     return `fivebar run ${this.scene.name}${sets.join("")}${method}`;

@@ -7,6 +7,7 @@ import json
 import math
 import shlex
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -300,17 +301,42 @@ def test_the_link_holds_the_state(browser: Any) -> None:
     go(browser, link)
     time.sleep(0.4)
     assert browser.execute_script("return location.hash.slice(1)") == link
-    assert text(browser, "command") == "fivebar run haptic_stick --set contact.mu=0.7 --set 'init.theta[1]=2.2' --method dop853"
+    assert text(browser, "command") == 'fivebar run haptic_stick --set contact.mu=0.7 --set "init.theta[1]=2.2" --method dop853'
 
 
-def test_a_saved_scene_is_one_for_the_commands(browser: Any, tmp_path: Path) -> None:
-    """The file has the names, items and signals of scenes/, and `cargo xtask package --scene` takes it."""
-    go(browser, "scene=haptic&contact.law=stick&solver.method=automatic&payload.mass=0.1")
+def saved_scene(browser: Any) -> dict[str, Any]:
+    """What the button "Save scene" writes."""
     keep = """const [make, done] = [URL.createObjectURL, arguments[0]];
               URL.createObjectURL = (blob) => { blob.text().then(done); return make.call(URL, blob); };
               HTMLAnchorElement.prototype.click = () => {};
               document.getElementById("save").click();"""
-    saved = json.loads(browser.execute_async_script(keep))
+    return json.loads(browser.execute_async_script(keep))
+
+
+def motion(folder: Path, fmu: Path, *words: str) -> str:
+    """The outputs of `fivebar run`, as CSV."""
+    done = subprocess.run([sys.executable, "-m", *words, "--fmu", fmu, "--out", folder], cwd=folder.parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (outputs,) = (file for file in folder.glob("*.csv") if file.name != "singularities.csv")
+    return outputs.read_text()
+
+
+def test_what_is_taken_along_runs_alike(browser: Any, tmp_path: Path, fmu: Path) -> None:
+    """The command and the saved file give one motion; a value in the place of a signal is in the file alone."""
+    go(browser, "scene=haptic&contact.mu=0.7&init.theta[1]=2.2&solver.method=automatic")
+    (tmp_path / "haptic.json").write_text(json.dumps(saved_scene(browser)))
+    given = motion(tmp_path / "command", fmu, *shlex.split(text(browser, "command")))
+    assert given == motion(tmp_path / "file", fmu, "fivebar", "run", "haptic.json")
+    go(browser, "scene=pick_and_place&servo.theta[1]=2.5&solver.method=automatic")
+    assert text(browser, "command") == "fivebar run pick_and_place.json  # the saved scene"
+    (tmp_path / "pick_and_place.json").write_text(json.dumps(saved_scene(browser)))
+    motion(tmp_path / "replaced", fmu, *shlex.split(text(browser, "command"), comments=True))
+
+
+def test_a_saved_scene_is_one_for_the_commands(browser: Any) -> None:
+    """The file has the names, items and signals of scenes/."""
+    go(browser, "scene=haptic&contact.law=stick&solver.method=automatic&payload.mass=0.1")
+    saved = saved_scene(browser)
     assert saved["contact.law"] == "stick"
     assert saved["solver.method"] == "automatic"
     assert saved["payload.mass"] == 0.1
