@@ -7,6 +7,7 @@ pub mod effects;
 pub mod estimator;
 pub mod ffi;
 pub mod fmi;
+pub mod hybrid;
 pub mod integrator;
 pub mod linear;
 pub mod matrix;

@@ -6,9 +6,9 @@
 //! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + c ḋ))
 //! ```
 //!
-//! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
+//! see `hybrid/unilateral.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple links and are not symmetric. Potential: the spring part of N; the damper and the
-//! friction dissipate. The tanh belongs to `law` 1, smooth. By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a slipping tip
+//! friction dissipate. The tanh belongs to `law` 1, smooth. By `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): a slipping tip
 //! feels mu N against its motion, and a sticking tip feels the force that keeps it at rest along the plane, up to mu N.
 //! Defaults: a floor 1 m below the motor axes, out of reach of the paper's mechanism; k 2e3 N/m and 5 N·s/m, a soft fingertip or a
 //! haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
@@ -19,10 +19,8 @@ use arrayvec::ArrayVec;
 
 use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::ForceLaw;
-use super::guards::{CONTACT, Mode, SPRINGS, UnilateralGuard};
-use super::stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, TIP_FRICTION};
-use super::unilateral_spring::{MeanReaction, UnilateralSpring};
-use super::wrench::{Matrix, Motion, Planar, Slopes, Wrench, dot};
+use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
+use crate::hybrid::{CONTACT, FRICTION_PLACES, Law, MeanReaction, Mode, SPRINGS, TIP_FRICTION, UnilateralGuard, UnilateralSpring};
 use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
@@ -231,10 +229,10 @@ impl ForceLaw for Contact {
         self.law == Law::Stick && self.mu > 0.0
     }
 
-    fn add_friction_constraints(&self, at: &Motion, constraints: &mut FrictionConstraints) {
+    fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
         let (guard, mode) = (self.guard(at), &at.joints.mode);
         if self.sticks() && guard.phase(mode).pushes() {
-            constraints.push(FrictionConstraint {
+            elements.push(FrictionElement {
                 place: TIP_FRICTION,
                 wrench: Wrench::of_tip(self.tangent()),
                 rate: self.slip(at),

@@ -8,9 +8,8 @@ use arrayvec::ArrayVec;
 
 use super::Inputs;
 use super::finite_motion::FiniteMotion;
-use super::guards::{SPRINGS, UnilateralGuard};
-use super::stick_slip::FrictionConstraints;
-use super::wrench::{JOINTS, JointMotion, Motion, Slopes, Wrench};
+use super::wrench::{FrictionElements, JOINTS, JointMotion, Motion, Slopes, Wrench};
+use crate::hybrid::{SPRINGS, UnilateralGuard};
 
 /// Account in the energy balance to which the power of a joint law belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,8 +134,8 @@ pub trait ForceLaw {
         false
     }
 
-    /// Adds the friction constraints of the effect.
-    fn add_friction_constraints(&self, _at: &Motion, _constraints: &mut FrictionConstraints) {}
+    /// Adds the friction places of the effect that are active.
+    fn add_friction(&self, _at: &Motion, _elements: &mut FrictionElements) {}
 }
 
 /// Adds joint torques to a wrench and returns their power, W, at joint rates, or their work, J, over increments.

@@ -9,7 +9,7 @@
 //! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 4e-9 T_c. C = −∂T/∂w, K = 0; the power
 //! −T w ≥ 0 is dissipated.
 //!
-//! By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk, and
+//! By `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk, and
 //! a slipping joint has
 //!
 //! ```text
@@ -23,8 +23,8 @@
 //! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
 
 use super::force_law::{ForceLaw, PowerFlow};
-use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
-use super::wrench::{JOINTS, JointMotion, Motion, Wrench};
+use super::wrench::{FrictionElement, FrictionElements, JOINTS, JointMotion, Motion, Wrench};
+use crate::hybrid::Law;
 use crate::mechanism::exponential::gaussian_and_tanh;
 use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
 
@@ -169,13 +169,13 @@ impl ForceLaw for Friction {
         self.law == Law::Stick
     }
 
-    fn add_friction_constraints(&self, at: &Motion, constraints: &mut FrictionConstraints) {
+    fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
         if !self.sticks() {
             return;
         }
         for (joint, curve) in self.curves.iter().enumerate() {
             if let Some(curve) = curve {
-                constraints.push(FrictionConstraint {
+                elements.push(FrictionElement {
                     place: joint,
                     wrench: Wrench::of_joint(joint),
                     rate: at.joints.rates[joint],

@@ -9,20 +9,16 @@
 
 mod finite_motion;
 mod force_law;
-mod guards;
 pub mod loads;
-pub mod stick_slip;
-mod unilateral_spring;
 mod wrench;
 
+pub use crate::hybrid::{Law, Mode};
 pub use finite_motion::{FiniteMotion, TypicalInertia};
 pub use force_law::{ForceLaw, PowerFlow};
-pub use guards::{Extremes, FrictionGuard, FrictionGuards, GuardValues, INDICATORS, Mode, stick_velocity};
 pub use loads::Inputs;
-pub use stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, StickSlips};
-pub use unilateral_spring::cubic_minimum;
 pub use wrench::{
-    JOINT_LINKS, JOINTS, JointMotion, MOTOR_ANGLES, Matrix, Motion, MotionChange, Planar, Slopes, Wrench, across_joints, dot, times,
+    FrictionElement, FrictionElements, JOINT_LINKS, JOINTS, JointMotion, MOTOR_ANGLES, Matrix, Motion, MotionChange, Planar,
+    Slopes, Wrench, across_joints, dot, times,
 };
 
 use std::ops::Deref;

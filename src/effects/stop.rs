@@ -1,6 +1,6 @@
 //! Stop: unilateral end stops on the motor axes, at `lower` and `upper`.
 //!
-//! At a penetration d > 0 of a limit a torque N = max(0, s(d)(k d + c ḋ)) drives the axis back: see `unilateral_spring.rs` for the
+//! At a penetration d > 0 of a limit a torque N = max(0, s(d)(k d + c ḋ)) drives the axis back: see `hybrid/unilateral.rs` for the
 //! ramp s, the potential and the dissipation. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns, so that limits past 2π act. Defaults: lower 0, upper π rad, the
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
@@ -9,9 +9,8 @@ use arrayvec::ArrayVec;
 
 use super::finite_motion::FiniteMotion;
 use super::force_law::ForceLaw;
-use super::guards::{SPRINGS, STOPS, UnilateralGuard};
-use super::unilateral_spring::{MeanReaction, UnilateralSpring};
 use super::wrench::{MOTOR_ANGLES, Motion, Slopes, Wrench};
+use crate::hybrid::{MeanReaction, SPRINGS, STOPS, UnilateralGuard, UnilateralSpring};
 use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.

@@ -3,7 +3,10 @@
 //! A law acts with torques in the five joints and with a force on the tip. It knows no coordinates: `src/dynamics/` makes motions from
 //! coordinates or link angles, and carries wrenches and slopes to them.
 
-use super::{Inputs, Mode};
+use arrayvec::ArrayVec;
+
+use super::Inputs;
+use crate::hybrid::{FRICTION_PLACES, Mode};
 use crate::mechanism::{Geometry, LINKS};
 
 /// Number of joints: left base, left elbow, tip, right elbow, right base.
@@ -77,6 +80,22 @@ pub struct Wrench {
     /// Force on the tip, N. It acts on link 2.
     pub force: Planar,
 }
+
+/// Friction place of an effect at a state, whose sliding rate friction may hold at 0.
+#[derive(Clone, Copy, Debug)]
+pub struct FrictionElement {
+    /// Index of the place in [`crate::hybrid::StickSlips`].
+    pub place: usize,
+    /// Wrench of a friction torque of 1 N·m, or of a friction force of 1 N; its power is the sliding rate.
+    pub wrench: Wrench,
+    /// Sliding rate, rad/s or m/s.
+    pub rate: f64,
+    /// Largest friction torque or force while sticking, N·m or N.
+    pub bound: f64,
+}
+
+/// Friction places that are active at a state.
+pub type FrictionElements = ArrayVec<FrictionElement, FRICTION_PLACES>;
 
 /// Slopes of a wrench.
 #[derive(Clone, Copy, Debug, Default)]

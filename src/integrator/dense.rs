@@ -1,30 +1,20 @@
 //! Error-controlled steps with dense output on the index-1 form of a [`System`], projected onto the constraints after every
 //! accepted step.
 //!
-//! A step belongs to a [`Scheme`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) for stiff
-//! loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
+//! A step belongs to a [`Scheme`]: explicit (`explicit.rs`) of order 8 or 5, or linearly implicit (`rosenbrock.rs`) for stiff loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
 //! interpolant. Inputs are constant during a step; if they change at a communication point inside it, the step is discarded and redone up
 //! to that point ([`DenseStep::truncate_and_redo`]). So the state of a run is its current step: both ends, the coefficients of the
-//! interpolant and the time elapsed in it. Events of the forces end a step (`events.rs`).
+//! interpolant and the time elapsed in it. Events of the forces end a step (`locator.rs`).
 //!
 //! `docs/explicit.md` and `docs/automatic.md` derive the methods.
 
 mod consistency;
-mod dop853;
-mod events;
-mod hermite;
-mod interpolant;
-mod plan;
+mod driver;
+mod explicit;
+mod inside;
 mod rosenbrock;
-mod sample;
 mod scheme;
-mod search;
-mod step;
-mod step_end;
-mod stiffness;
 mod trial;
-mod truncation;
-mod tsit5;
 
 use std::borrow::Borrow;
 
@@ -33,14 +23,13 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::controller::LEAST_LOG_ERROR;
 use super::{Counters, Events, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
-pub use sample::Sample;
-use scheme::StiffnessSwitch;
+pub use inside::Sample;
 pub use scheme::{Scheme, Schemes};
-use stiffness::StiffnessDetector;
+use scheme::{StiffnessDetector, StiffnessSwitch};
 use trial::StageDerivative;
 
 /// Settings of the method.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
     /// Schemes in use.
     pub schemes: Schemes,

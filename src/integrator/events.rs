@@ -18,8 +18,10 @@ pub struct Extremes<const N: usize> {
     pub rates: Vector<N>,
     /// Bounds on |q̈|, m/s² and rad/s².
     pub accelerations: Vector<N>,
-    /// Bounds on the first two derivatives of q̈, where they are known, per s³ and s⁴.
-    pub higher: Option<[Vector<N>; 2]>,
+    /// Bounds on the third derivative of q, m/s³ and rad/s³.
+    pub jerks: Vector<N>,
+    /// Bounds on the fourth derivative of q, m/s⁴ and rad/s⁴.
+    pub snaps: Vector<N>,
 }
 
 /// A hybrid system. By default it has one mode and no events.
@@ -37,11 +39,6 @@ pub trait Events<const N: usize>: Sized {
     /// Whether the mode can ever change.
     fn has_modes(&self) -> bool {
         self.has_events()
-    }
-
-    /// Whether any event is the beginning of a contact.
-    fn may_make_contact(&self) -> bool {
-        false
     }
 
     /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
@@ -108,23 +105,8 @@ pub trait Events<const N: usize>: Sized {
         false
     }
 
-    /// Whether the stick-slip elements at a state are those of the mode: no contact has begun or ended.
-    fn knows_stick_slip(&self, _at: &Self::GuardValues) -> bool {
-        true
-    }
-
-    /// Whether a slip rate reverses twice between two states, given by q, q̇ and q̈, `duration` seconds apart. Called only with
-    /// stick-slip friction.
-    fn reverses_between(&self, _ends: [[&Vector<N>; 3]; 2], _duration: f64, _tolerance: f64) -> bool {
-        false
-    }
-
-    /// Whether friction sticks while the system moves: its reaction is known at evaluated states only, without a bound in between.
-    fn sticks_in_motion(&self, _at: &Self::GuardValues) -> bool {
-        false
-    }
-
-    /// Holding margin of sticking friction: reaction beyond the breakaway bound, in event tolerances; negative below.
+    /// Reaction of sticking friction beyond its breakaway bound while the system moves, in event tolerances: negative below, −∞ where
+    /// nothing sticks. The reaction is known at evaluated states only, without a bound in between.
     fn breakaway_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }

@@ -11,23 +11,26 @@
 //! in the total multiplier λ: nothing large enters a diagonal, and no multiplier accumulates over the steps.
 
 mod damping;
-mod events;
 mod line_search;
 mod newton;
 mod stiff_forces;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use std::borrow::Borrow;
+
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
+use super::dense_output::{Interpolant, Quintic};
+use super::locator::{self, EventCheck, EventTrials, Path, SHORTEST};
 use super::{
     Approach, Events, Implicit, Passage, PassageLimits, State, StepEnd, StepError, StepLimits, Transit, velocity_correction,
 };
 use crate::vector::Vector;
-use events::{Outcome, Search};
 use newton::{Solution, Step, constraint_tolerance};
-use std::borrow::Borrow;
-use stiff_forces::{drive_work, stiff_error};
+use stiff_forces::{drive_work, separation_loss, stiff_error};
 
 /// Settings of the method.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
     /// Whether a macro step is divided into sub-steps by the local error.
     pub adaptive: bool,
@@ -57,118 +60,184 @@ const SHORTEST_FOR_NEWTON: f64 = 1e-12;
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// One macro step of `h` seconds from `mode`, in one step or in sub-steps. On failure `state` and `mode` are undefined, so the
-/// caller keeps a copy.
-#[inline(never)]
-pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    system: &S,
-    settings: &Settings,
-    state: &mut State<N, M>,
-    mode: &mut S::Mode,
-    h: f64,
-) -> Result<(), StepError> {
-    if settings.adaptive {
-        return in_substeps(system, settings, (state, mode), h);
-    }
-    attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
-    Ok(())
+/// A macro step under way.
+#[derive(Clone, Copy, Debug)]
+pub struct MacroStep {
+    /// Time left, s.
+    rest: f64,
+    /// Work done: passes of the loop, because a transit through a vertex takes no iteration, and weighted iterations.
+    work: u64,
+    /// Length of the next sub-step if a blocked one is to be tried again, s.
+    shorter: f64,
 }
 
-/// A macro step of `duration` seconds in error-controlled sub-steps; the rest is divided into equal parts again after each.
-#[inline(never)]
-fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    base_system: &S,
-    settings: &Settings,
-    (state, mode): (&mut State<N, M>, &mut S::Mode),
-    duration: f64,
-) -> Result<(), StepError> {
-    let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
-    let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
-    let mut search = Search::NONE;
-    let done = state.counters.iterations;
-    // Each pass of the loop counts as one unit of work, because a transit through a vertex takes no iteration.
-    for rounds in 0.. {
-        if rounds + base_system.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
-            break;
+/// Progress of a macro step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// The macro step is done.
+    Done,
+    /// A sub-step of this length, s, has failed next to a bifurcation of the constraints: the caller decides by [`MacroStep::cross`].
+    Blocked(f64),
+}
+
+impl MacroStep {
+    /// Macro step of `h` seconds.
+    pub fn of(h: f64) -> Self {
+        Self { rest: h, work: 0, shorter: h }
+    }
+
+    /// Goes on from `mode`, in one step or in sub-steps. On failure `state` and `mode` are undefined, so the caller keeps a copy.
+    #[inline(never)]
+    pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        state: &mut State<N, M>,
+        mode: &mut S::Mode,
+    ) -> Result<Progress, StepError> {
+        if settings.adaptive {
+            return self.in_substeps(system, settings, (state, mode));
         }
-        let in_mode = base_system.on(*mode);
-        let system: &S = in_mode.borrow();
-        if system.is_at_rest() {
-            state.counters.substeps += 1;
-            return Ok(());
+        let h = self.rest;
+        attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
+        Ok(Progress::Done)
+    }
+
+    /// After a blocked sub-step: applies the transit past the bifurcation, or tries a shorter sub-step where there is none. Returns
+    /// whether the macro step is done.
+    pub fn cross<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        (state, mode): (&mut State<N, M>, &mut S::Mode),
+        transit: Option<&Transit<N>>,
+    ) -> Result<Progress, StepError> {
+        if let Some(transit) = transit {
+            state.counters.rescued += 1;
+            self.pass(system, settings, state, (mode, transit))?;
+        } else {
+            state.substep = self.shorter;
+            state.counters.rejected += 1;
         }
-        let limits = match system.approach(&passage, &state.departure(rest)) {
-            Approach::Clear => StepLimits::NONE,
-            Approach::Limited(limits) => limits,
-            Approach::Passed(transit) => {
-                rest = pass(base_system, settings, state, (mode, &transit), rest)?;
-                if rest <= 0.0 {
-                    return Ok(());
-                }
-                continue;
+        if self.rest <= 0.0 { Ok(Progress::Done) } else { self.advance(system, settings, state, mode) }
+    }
+
+    /// Error-controlled sub-steps; the rest of the macro step is divided into equal parts again after each. A sub-step begins in the mode of
+    /// its start, is tried until its error is admissible, and ends early at an event.
+    fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+        &mut self,
+        base_system: &S,
+        settings: &Settings,
+        (state, mode): (&mut State<N, M>, &mut S::Mode),
+    ) -> Result<Progress, StepError> {
+        let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
+        let (mut h, mut error) = (self.rest, f64::INFINITY);
+        let (mut trials, mut lasting) = (EventTrials::NONE, f64::INFINITY);
+        while self.work <= u64::from(settings.max_work) {
+            if base_system.has_events() && trials.end.is_none() {
+                let (next, longest) = locator::mode_at(base_system, *mode, [&state.q, &state.v], settings.error_tolerance);
+                lasting = longest;
+                enter(base_system, settings, state, (mode, next));
             }
-        };
-        let tolerance = settings.error_tolerance.max(limits.round_off);
-        h = search.next().unwrap_or_else(|| rest / (rest / state.substep.min(limits.longest)).ceil().max(1.0));
-        let attempt = attempt(system, settings, state, h, &limits);
-        error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
-        match attempt {
-            Ok(attempt) if error <= tolerance => {
-                let outcome = if system.has_stick_slip() {
-                    search.judge(system, settings, state, (&attempt.end, h))
-                } else {
-                    Outcome::NoEvent
-                };
-                if outcome == Outcome::Retry {
-                    state.counters.rejected += 1;
-                    continue;
-                }
-                let last = h >= rest;
-                state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
-                if settings.controls_rates(system) {
-                    state.work.input += drive_work(system, h, state, &attempt.end);
-                }
-                attempt.accept(system, state, h);
-                if outcome == Outcome::Event {
-                    events::apply_transition(system, settings, state, mode);
-                }
-                search = Search::NONE;
-                if last {
-                    return Ok(());
-                }
-                rest -= h;
+            let in_mode = base_system.on(*mode);
+            let system: &S = in_mode.borrow();
+            if system.is_at_rest() {
+                state.counters.substeps += 1;
+                return Ok(Progress::Done);
             }
-            _ => {
-                search = Search::NONE;
-                if let Some(transit) = system.cross_bifurcation(&state.q, &state.v, h) {
-                    state.counters.rescued += 1;
-                    rest = pass(base_system, settings, state, (mode, &transit), rest)?;
-                    if rest <= 0.0 {
-                        return Ok(());
+            let limits = match system.approach(&passage, &state.departure(self.rest)) {
+                Approach::Clear => StepLimits::NONE,
+                Approach::Limited(limits) => limits,
+                Approach::Passed(transit) => {
+                    self.work += 1;
+                    self.pass(base_system, settings, state, (mode, &transit))?;
+                    if self.rest <= 0.0 {
+                        return Ok(Progress::Done);
                     }
                     continue;
                 }
-                state.substep = h * CONTROLLER.reduction(error / tolerance);
-                state.counters.rejected += 1;
+            };
+            let tolerance = settings.error_tolerance.max(limits.round_off);
+            let longest = state.substep.min(limits.longest).min(lasting);
+            h = trials.end.unwrap_or_else(|| self.rest / (self.rest / longest).ceil().max(1.0));
+            let iterations = state.counters.iterations;
+            let attempt = attempt(system, settings, state, h, &limits);
+            self.work += 1 + base_system.iteration_work() * (state.counters.iterations - iterations);
+            error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
+            match attempt {
+                Ok(attempt) if error <= tolerance => {
+                    let event = if settings.locates_events(system) {
+                        attempt.check_events(system, settings, state, h, trials.count)
+                    } else {
+                        EventCheck::Clear
+                    };
+                    if let EventCheck::Before(when) = event {
+                        state.counters.rejected += 1;
+                        if when < SHORTEST {
+                            let next = system.next_mode(&state.q, &state.v, settings.error_tolerance);
+                            enter(base_system, settings, state, (mode, next));
+                        }
+                        trials.repeat(h, when.min(self.rest));
+                        continue;
+                    }
+                    let last = h >= self.rest;
+                    let wanted = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
+                    if settings.controls_rates(system) {
+                        state.work.input += drive_work(system, h, state, &attempt.end);
+                    }
+                    state.substep = wanted.min(trials.longest_next(&event, h));
+                    attempt.accept(system, state, h);
+                    if let EventCheck::AtEnd = event {
+                        let next = system.next_mode(&state.q, &state.v, settings.error_tolerance);
+                        enter(base_system, settings, state, (mode, next));
+                    }
+                    if last {
+                        return Ok(Progress::Done);
+                    }
+                    self.rest -= h;
+                }
+                _ => {
+                    self.shorter = h * CONTROLLER.reduction(error / tolerance);
+                    if system.is_near_bifurcation(&state.q, &state.v, h) {
+                        return Ok(Progress::Blocked(h));
+                    }
+                    state.substep = self.shorter;
+                    state.counters.rejected += 1;
+                }
             }
+            trials = EventTrials::NONE;
         }
+        let error = if error.is_nan() { f64::INFINITY } else { error };
+        Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
     }
-    let error = if error.is_nan() { f64::INFINITY } else { error };
-    Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
+
+    /// Applies a transit through a vertex or bifurcation.
+    #[cold]
+    fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+        &mut self,
+        base_system: &S,
+        settings: &Settings,
+        state: &mut State<N, M>,
+        (mode, transit): (&mut S::Mode, &Transit<N>),
+    ) -> Result<(), StepError> {
+        *mode = state.pass_through(base_system, transit, settings.regularization)?;
+        self.rest -= transit.duration;
+        Ok(())
+    }
 }
 
-/// Applies a transit through a vertex or bifurcation, and returns the time left of `rest`, s.
-#[cold]
-fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+/// Sets the mode; if it changes, the rates are projected onto its sticking constraints, and accelerations are evaluated again.
+fn enter<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     base_system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
-    (mode, transit): (&mut S::Mode, &Transit<N>),
-    rest: f64,
-) -> Result<f64, StepError> {
-    state.pass_through(base_system.on(*mode).borrow(), transit, settings.regularization)?;
-    *mode = base_system.mode_of(&state.q, &state.v);
-    Ok(rest - transit.duration)
+    (mode, next): (&mut S::Mode, S::Mode),
+) {
+    if next != *mode {
+        *mode = next;
+        let in_mode = base_system.on(next);
+        state.reinitialize(in_mode.borrow(), &base_system.pose(&state.q), settings.regularization);
+    }
 }
 
 /// A sub-step that converged and is not accepted yet.
@@ -176,6 +245,8 @@ struct Attempt<const N: usize, const M: usize> {
     end: StepEnd<N, M>,
     /// Local error, rad.
     error: f64,
+    /// Energy dissipated by springs that have separated, J.
+    separated: f64,
 }
 
 /// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
@@ -224,10 +295,11 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
+    let separated = if settings.locates_events(system) { separation_loss(system, state, &end) } else { 0.0 };
     if settings.controls_rates(system) {
-        error = error.max(stiff_error(system, &settings, state, h, (&pose, &end)));
+        error = error.max(stiff_error(system, &settings, state, h, (&pose, &end, separated)));
     }
-    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
+    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, separated }) } else { Err(StepError::NotFinite) }
 }
 
 impl Settings {
@@ -236,6 +308,11 @@ impl Settings {
     #[inline(always)]
     fn controls_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
         self.adaptive && system.has_stiff_forces()
+    }
+
+    /// Whether sub-steps end at events.
+    fn locates_events<const N: usize>(&self, system: &impl Events<N>) -> bool {
+        self.adaptive && system.has_events()
     }
 }
 
@@ -248,20 +325,42 @@ fn taylor_step<const N: usize, const M: usize>(
     regularization: f64,
 ) -> Result<Attempt<N, M>, StepError> {
     let end = StepEnd::out_of_line(system, [state.q + h * state.v, state.v + h * state.a], regularization).finite()?;
-    Ok(Attempt { end, error: 0.0 })
+    Ok(Attempt { end, error: 0.0, separated: 0.0 })
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
+    /// Checks the sub-step for events after `tries` trials to end it at a guard. Its dense output is the quintic of both ends, with the
+    /// integral of the rates as displacement: that of the trapezoidal rule differs by the local error, which divided by h would show
+    /// slips that are none.
+    #[cold]
+    fn check_events<S: Implicit<N, M> + Events<N>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        from: &State<N, M>,
+        h: f64,
+        tries: u32,
+    ) -> EventCheck {
+        let Self { end: to, .. } = self;
+        let displacement = h / 2.0 * (from.v + to.v) + h * h / 12.0 * (from.a - to.a);
+        let ends = Quintic::SecondDerivatives([h * h * from.a, h * h * to.a]);
+        let increment = Interpolant::quintic([Vector::ZERO, displacement], [h * from.v, h * to.v], &ends);
+        let path = Path { origin: from.q, increment, length: h };
+        let at_start = system.guard_values(&from.q, &from.v);
+        locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, path, |_| false)
+    }
+
     /// Makes the attempt the new state.
     #[inline(always)]
     fn accept(self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
-        let Self { end, error } = self;
+        let Self { end, error, separated } = self;
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
         }
         if system.follows_work() {
             // Trapezoidal rule, of the order of the method.
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
+            state.work.dissipated += separated;
         }
         state.error_estimate = error;
         state.take_over(&end);

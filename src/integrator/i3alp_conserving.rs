@@ -27,7 +27,7 @@ use fallback::{Recovered, from_equilibrium, recover_by_stages};
 use newton::{Bounds, IterationBudget, StopRule, full_newton, staggered_newton};
 
 /// Settings of the method.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
     /// Largest number of Newton iterations of the first try.
     pub max_iterations: u32,

@@ -3,12 +3,15 @@
 //! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ), which has the same x.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::convergence::Convergence;
 use super::i3alp::local_error;
 use super::{Implicit, State, StepEnd, StepError, TangentPoint};
 use crate::vector::Vector;
 
 /// Settings of the method.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
     /// Penalty factor α, N/m, constant at every h.
     pub penalty: f64,
@@ -42,9 +45,8 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Newton (2), (3): A Δq = −f with f = β [M q̈ + Φ_qᵀ(αΦ + λ*) − Q]; λ* ← λ* + αΦ after every iteration.
     let mut pose = system.pose(&q);
     let mut phi = system.phi(&q, &pose);
-    let mut iterations = 0;
+    let mut convergence = Convergence::new(tolerance, 0.0, Some(tolerance));
     loop {
-        iterations += 1;
         state.counters.iterations += 1;
         let v = velocity(q);
         let inertia = system.mass_times(&pose, &acceleration(q));
@@ -58,12 +60,12 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         phi = system.phi(&q, &pose);
         state.lambda += alpha * phi;
 
-        let (violation, correction) = (phi.max_norm(), correction.max_norm());
-        if violation < tolerance && correction < tolerance {
+        convergence.corrected(correction.max_norm());
+        if convergence.is_met(phi.max_norm()) {
             break;
         }
-        if iterations == settings.max_iterations {
-            return Err(StepError::NotConverged { iterations, violation, tolerance, correction });
+        if convergence.iterations == settings.max_iterations {
+            return Err(convergence.failure());
         }
     }
 

@@ -5,7 +5,9 @@
 
 mod consistency;
 mod controller;
+mod convergence;
 pub mod dense;
+mod dense_output;
 mod discrete;
 mod equilibrium;
 mod error;
@@ -13,6 +15,7 @@ mod events;
 pub mod i3alp;
 pub mod i3alp_conserving;
 pub mod i3alp_printed;
+mod locator;
 mod passage;
 mod projection;
 pub mod rk4;
@@ -29,32 +32,3 @@ pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
 pub use system::{AccelerationTangents, Implicit, Kkt, StickingConstraint, System, TangentPoint, Work};
-
-/// Methods that begin and end a step with each macro step.
-#[derive(Clone, Copy, Debug)]
-pub enum MacroStepMethod {
-    /// Index-3 augmented Lagrangian with projections in dual form, the default.
-    I3alp(i3alp::Settings),
-    /// Index-3 augmented Lagrangian with projections in the penalty form of the paper.
-    I3alpPrinted(i3alp_printed::Settings),
-    /// Classical Runge–Kutta of order 4 with projection.
-    Rk4(rk4::Settings),
-}
-
-impl MacroStepMethod {
-    /// Advances `state` and `mode` by one macro step of `h` seconds. On failure both are undefined, so the caller keeps a copy.
-    #[inline(always)]
-    pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-        &self,
-        system: &S,
-        state: &mut State<N, M>,
-        mode: &mut S::Mode,
-        h: f64,
-    ) -> Result<(), StepError> {
-        match self {
-            Self::I3alp(settings) => i3alp::advance(system, settings, state, mode, h),
-            Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, state, h),
-            Self::Rk4(settings) => rk4::advance(system, settings, state, h),
-        }
-    }
-}

@@ -3,7 +3,9 @@
 //! A method asks its system once per step, and the answer is one of three: no vertex is near, the step is limited, or the system
 //! has passed the vertex and gives the state behind it (`docs/vertices.md`).
 
-use super::{State, StepEnd, StepError, System, Work};
+use std::borrow::Borrow;
+
+use super::{Events, State, StepEnd, StepError, System, Work};
 use crate::vector::Vector;
 
 /// Thresholds for a straight passage through a vertex.
@@ -105,11 +107,9 @@ pub trait Passage<const N: usize> {
         Approach::Clear
     }
 
-    /// Transit over a step of h seconds that a method has failed to take because it ends too close to a bifurcation of the
-    /// constraints.
-    #[inline(always)]
-    fn cross_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
-        None
+    /// Whether a step of h seconds that a method has failed to take begins or ends close to a bifurcation of the constraints.
+    fn is_near_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> bool {
+        false
     }
 
     /// Factor on q̇ at the end of a step of h seconds that restores the energy.
@@ -146,14 +146,18 @@ impl<const N: usize, const M: usize> State<N, M> {
         Departure { q: &self.q, v: &self.v, on_ray: self.on_ray, rest }
     }
 
-    /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there.
+    /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there, and returns the mode in which the motion goes on.
+    /// A transit has no mode: the power is that of the present state at both ends.
     #[cold]
-    pub(super) fn pass_through<S: System<N, M>>(
+    pub(super) fn pass_through<S: System<N, M> + Events<N>>(
         &mut self,
         system: &S,
         transit: &Transit<N>,
         regularization: f64,
-    ) -> Result<(), StepError> {
+    ) -> Result<S::Mode, StepError> {
+        if system.has_events() {
+            self.power = system.power(&self.q, &system.pose(&self.q), &self.v);
+        }
         let mut end_state = StepEnd::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
         if let Some((a, work)) = transit.known {
             end_state.a = a;
@@ -169,6 +173,10 @@ impl<const N: usize, const M: usize> State<N, M> {
             self.alternatives = alternatives;
             self.counters.launches += u64::from(driven);
         }
-        Ok(())
+        let mode = system.mode_of(&self.q, &self.v);
+        if system.has_events() {
+            self.power = system.on(mode).borrow().power(&self.q, &system.pose(&self.q), &self.v);
+        }
+        Ok(mode)
     }
 }

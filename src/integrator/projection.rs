@@ -1,10 +1,8 @@
 //! Projection onto the position and velocity constraints in the mass metric (`docs/method.md`, (15) and (21)).
 
+use super::convergence::Convergence;
 use super::{Kkt, StepError, System};
 use crate::vector::Vector;
-
-/// Violation below which stagnation counts as round-off, relative to the system's size.
-pub(super) const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// Settings of a position projection.
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +25,6 @@ impl Projection {
     }
 
     /// Projects q onto Φ = 0 by Newton's method; returns iterations and pose.
-    #[inline(never)]
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
@@ -37,8 +34,7 @@ impl Projection {
         Ok((self.position_from(system, &mut pose, q)?, pose))
     }
 
-    /// Projects q onto Φ = 0 from the pose at q, inlined and unrolled for one correction, as most steps need; returns the
-    /// iterations.
+    /// Projects q onto Φ = 0 from the pose at q, with corrections in the mass metric; returns the iterations.
     #[inline(always)]
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -46,75 +42,33 @@ impl Projection {
         pose: &mut S::Pose,
         q: &mut Vector<N>,
     ) -> Result<u32, StepError> {
-        let phi = system.phi(q, pose);
-        let violation = phi.max_norm();
-        if violation < self.tolerance {
-            return Ok(0);
-        }
-        let corrected = *q + system.factor_mass(pose, self.regularization).correction(&-phi);
-        let correction = corrected - *q;
-        *pose = system.updated_pose((q, pose), &correction);
-        *q = corrected;
-        if self.max_iterations > 0 && system.phi(q, pose).max_norm() < self.tolerance {
-            return Ok(1);
-        }
-        let iterations;
-        (iterations, *q, *pose) = self.position_after((violation, correction.max_norm()), system, corrected)?;
-        Ok(iterations)
+        self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
     }
 
-    /// Continues [`Self::position_from`] after the first correction, with violation, m, and correction, m and rad, before.
-    /// Arguments by value keep the caller's copies in registers.
-    #[inline(never)]
-    fn position_after<const N: usize, const M: usize, S: System<N, M>>(
-        &self,
-        before: (f64, f64),
-        system: &S,
-        mut q: Vector<N>,
-    ) -> Result<(u32, Vector<N>, S::Pose), StepError> {
-        let mut pose = system.pose(&q);
-        let correction = |pose: &S::Pose, missing| system.factor_mass(pose, self.regularization).correction(&missing);
-        let iterations = self.position_on((1, before), system, &mut pose, &mut q, correction)?;
-        Ok((iterations, q, pose))
-    }
-
-    /// Projects q onto Φ = 0 with corrections by a given map from the residual of Φ to a change of q, instead of the mass metric.
+    /// Projects q onto Φ = 0 with corrections by a given map from the residual of Φ to a change of q.
     #[inline(always)]
     pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
         pose: &mut S::Pose,
         q: &mut Vector<N>,
-        correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
-    ) -> Result<u32, StepError> {
-        self.position_on((0, (f64::INFINITY, 0.0)), system, pose, q, correction)
-    }
-
-    /// Newton loop of the projections from a given iteration count, with the last violation, m, and correction, m and rad.
-    #[inline(always)]
-    fn position_on<const N: usize, const M: usize, S: System<N, M>>(
-        &self,
-        (iterations, (mut violation, mut last)): (u32, (f64, f64)),
-        system: &S,
-        pose: &mut S::Pose,
-        q: &mut Vector<N>,
         mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
     ) -> Result<u32, StepError> {
-        for iteration in iterations..=self.max_iterations {
+        let mut convergence = Convergence::new(self.tolerance, system.length_scale(), None);
+        loop {
             let phi = system.phi(q, pose);
-            let previous = violation;
-            violation = phi.max_norm();
-            let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
-            if violation < self.tolerance || at_round_off {
-                return Ok(iteration);
+            if convergence.is_met(phi.max_norm()) {
+                return Ok(convergence.iterations);
             }
-            let correction = correction(pose, -phi);
-            last = correction.max_norm();
-            let corrected = *q + correction;
-            *pose = system.updated_pose((q, pose), &(corrected - *q));
+            if convergence.iterations >= self.max_iterations {
+                return Err(convergence.failure());
+            }
+            let corrected = *q + correction(pose, -phi);
+            let by = corrected - *q;
+            *pose = system.updated_pose((q, pose), &by);
             *q = corrected;
+            convergence.corrected(by.max_norm());
         }
-        Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }
 }
 

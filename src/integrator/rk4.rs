@@ -3,11 +3,13 @@
 //! (M + Φ_qᵀαΦ_q) q̈ = Q − Φ_qᵀα Φ̇_q q̇ is solved as a saddle-point system with e = 1/α. The stabilising terms 2μωΦ̇ + ω²Φ are
 //! omitted (μ = ω = 0): the projection after each step replaces them exactly.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::equilibrium::equilibrium;
 use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
 
 /// Settings of the method.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
     /// Whether positions and velocities are projected onto the constraints after each step.
     pub projection: bool,

@@ -3,6 +3,8 @@
 //! The tip is the intersection of two circles about the elbows with the radii l₂ and l₃; the distal rates solve
 //! l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = velocity of the right elbow relative to the left one. Singular postures are closed separately (see [`close`]).
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use nalgebra::{Matrix2, Vector2};
 
 use super::coordinates::{THETA, X, Y};
@@ -10,7 +12,7 @@ use super::model::finite;
 use super::{Coordinates, Geometry, Link, SceneError};
 
 /// Side of the arrow from left elbow to right elbow on which the tip lies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Assembly {
     /// To the left of the arrow.
     #[default]

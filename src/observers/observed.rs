@@ -5,7 +5,8 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::{Estimated, Observation};
-use crate::effects::{self, Effect, FrictionGuards, GuardValues, MOTOR_ANGLES, Motion, Wrench};
+use crate::effects::{Effect, MOTOR_ANGLES, Motion, Wrench};
+use crate::hybrid::{self, FrictionGuards, GuardValues};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::{Jacobians, rank_indicator};
 use crate::mechanism::{SceneError, SingularValue, closure};
@@ -23,7 +24,7 @@ pub struct Observed<'a, T> {
 }
 
 /// Number of [`Observed::indicators`].
-pub const INDICATORS: usize = 6 + effects::INDICATORS;
+pub const INDICATORS: usize = 6 + hybrid::INDICATORS;
 
 /// A point of the mechanism with outputs of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,7 +60,9 @@ impl Observed<'_, f64> {
         let [.., direct, inverse] = self.observation.pose.configuration_indicators();
         // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
-        let kinks = GuardValues::new(&self.model.effects, &self.motion(), FrictionGuards::new()).indicators();
+        let at = self.motion();
+        let kinks = GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(&at)), FrictionGuards::new())
+            .indicators();
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&self.observation.pose.configuration_indicators());
         indicators[6..].copy_from_slice(&kinks);

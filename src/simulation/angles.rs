@@ -9,7 +9,7 @@ pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles
 use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
 pub(super) use crate::dynamics::angles::{DISTAL, PROXIMAL, angles, legs};
 use crate::dynamics::placement::by_links;
-use crate::effects::Mode;
+use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
 use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
 use crate::mechanism::coordinates::{D_X, D_Y, E_X, E_Y, G_X, G_Y, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
@@ -206,16 +206,15 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn sticking_constraint(&self, q: &Angles, pose: &Pose, v: &Angles) -> StickingConstraint<ANGLES> {
-        self.friction_reaction_in_angles(q, pose, v)
+        self.sticking(q, pose, v)
     }
 
     fn with_friction_reaction(&self, q: Angles, v: Angles, free: (Angles, AtTip)) -> (Angles, AtTip) {
-        super::stick_slip::with_friction_reaction(self, [q, v], free, self.regularization_by_angles())
+        self.with_reaction([q, v], free)
     }
 
     fn project_sticking(&self, q: Angles, v: Angles) -> Angles {
-        let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
-        angles_of(&super::stick_slip::project_sticking(&self.five_bar, x, rates))
+        self.without_sliding(&q, v)
     }
 
     fn acceleration_tangents(

@@ -3,8 +3,8 @@
 use super::Inputs;
 use super::angles::{LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
-use super::model::{Model, Stepper};
-use super::run::{IntegratorState, Run};
+use super::model::Model;
+use super::run::{Conserving, Integrator, Run};
 use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
@@ -16,13 +16,13 @@ impl Run {
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
         match &self.integrator {
-            IntegratorState::MacroStepped(core, _) => of(&core.q, &core.v),
-            IntegratorState::Conserving(run) => of(&run.q, &run.v),
-            IntegratorState::DenseOutput(run) => {
+            Integrator::MacroStepped(run) => of(&run.core.q, &run.core.v),
+            Integrator::Conserving(run) => of(&run.state.q, &run.state.v),
+            Integrator::DenseOutput(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
                 (LINK_INDICES.map(|i| q[i]), LINK_INDICES.map(|i| v[i]))
             }
-            IntegratorState::ModelExchange(_) => unreachable!("no estimator follows a machine that a master drives"),
+            Integrator::ModelExchange(run) => run.motion(),
         }
     }
 
@@ -43,24 +43,21 @@ impl Run {
         let external_work = energy(&q, &v) - energy(&before.0, &before.1);
         let held = std::mem::replace(&mut self.inputs, *inputs);
         let system = FiveBar::<false>::new(model, inputs, &turns);
-        match (&model.stepper, &mut self.integrator) {
-            (Stepper::MacroStep(_), IntegratorState::MacroStepped(core, stick_slip)) => {
-                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
-                *stick_slip = system.mode.stick_slip;
-                (core.q, core.v, core.on_ray) = (q, v, false);
-                core.configuration_signs = system.configuration_signs(&system.pose(&q));
-                core.work.input += external_work;
-                core.restart(&system, &system.pose(&core.q), model.regularization);
+        let signs = || system.configuration_signs(&system.pose(&q));
+        let work = Work { input: external_work, dissipated: 0.0 };
+        match &mut self.integrator {
+            Integrator::MacroStepped(run) => {
+                (run.core.q, run.core.v, run.core.on_ray, run.core.configuration_signs) = (q, v, false, signs());
+                run.restart(model, (inputs, &turns), work);
             }
-            (Stepper::Conserving(_), IntegratorState::Conserving(run)) => {
-                (run.q, run.v) = (q, v);
-                run.configuration_signs = system.configuration_signs(&system.pose(&q));
-                run.restart(Work { input: external_work, dissipated: 0.0 });
+            Integrator::Conserving(Conserving { state, .. }) => {
+                (state.q, state.v, state.configuration_signs) = (q, v, signs());
+                state.restart(work);
             }
-            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
-                run.resume_from(model, settings, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
+            Integrator::DenseOutput(run) => {
+                run.resume_from(model, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
             }
-            _ => unreachable!("a run is made for its method"),
+            Integrator::ModelExchange(run) => run.move_to(theta, omega, work),
         }
     }
 }

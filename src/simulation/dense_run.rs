@@ -10,7 +10,7 @@ use super::restore::check_stick_slip;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
-use crate::effects::{Mode, StickSlips};
+use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
@@ -18,6 +18,7 @@ use crate::mechanism::{Coordinates, Multipliers};
 /// Step under way, and durations for which inputs were held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct DenseRun {
+    pub(super) settings: Settings,
     pub(super) step: DenseStep<ANGLES, CLOSURES, Mode>,
     /// Numbers of macro steps for which the previous inputs were held (0 at first) and the present ones have been.
     held: [u64; 2],
@@ -25,29 +26,29 @@ pub(super) struct DenseRun {
 
 impl DenseRun {
     /// Run that starts from a state.
-    pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Self {
+    pub(super) fn start(model: &Model, settings: Settings, state: &State) -> Self {
         let system = AngleSystem::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
-        let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), settings);
-        Self { step, held: [0; 2] }
+        let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), &settings);
+        Self { settings, step, held: [0; 2] }
     }
 
     /// Before model or inputs change: truncates the step under way at the present time. A failure leaves the run undefined.
-    pub(super) fn stop(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
+    pub(super) fn stop(&mut self, model: &Model, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
         if self.step.finish() {
             return Ok(());
         }
-        self.step.truncate_and_redo(&AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)), settings)
+        self.step.truncate_and_redo(&AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)), &self.settings)
     }
 
     /// After model or inputs have changed: restarts the step; `work` is the work of the change.
-    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
+    pub(super) fn resume(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
         let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
-        self.step.restart(&system, settings, &system.pose(self.step.end()), work);
+        self.step.restart(&system, &self.settings, &system.pose(self.step.end()), work);
     }
 
     /// Angles, rad, and rates, rad/s, at the present time.
     pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
-        let sample = self.step.sample(&AngleSystem::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
+        let sample = self.step.sample(&AngleSystem::new(FiveBar::<false>::new(model, held, turns)), &self.settings);
         (sample.q, sample.v)
     }
 
@@ -55,13 +56,12 @@ impl DenseRun {
     pub(super) fn resume_from(
         &mut self,
         model: &Model,
-        settings: &Settings,
         ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
         motion: [Angles; 2],
         external_work: f64,
     ) {
         let [before, after] = [held, inputs].map(|inputs| AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)));
-        self.step.resume_from([&before, &after], settings, motion, external_work);
+        self.step.resume_from([&before, &after], &self.settings, motion, external_work);
         self.held = [self.held[1], 0];
     }
 
@@ -69,7 +69,7 @@ impl DenseRun {
     /// only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
         let system = AngleSystem::new(FiveBar::<false>::new(model, held, turns));
-        let sample = self.step.sample(&system, model.dense_settings());
+        let sample = self.step.sample(&system, &self.settings);
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
         let mut core = Core {
             q,
@@ -102,7 +102,7 @@ impl DenseRun {
     }
 
     /// Refuses a run that is inconsistent with this system.
-    pub(super) fn check(&self, system: &AngleSystem<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
+    pub(super) fn check(&self, system: &AngleSystem<'_>, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs are held for more steps than the run has");
         }
@@ -113,7 +113,7 @@ impl DenseRun {
             }
             check_stick_slip(system.model(), &system.five_bar().on(mode), [&x, &rates], ends)?;
         }
-        self.step.check(system, settings, bounds)
+        self.step.check(system, &self.settings, bounds)
     }
 
     /// Limits of the next step while the inputs stay, with `left` macro steps of the call to come.
@@ -129,69 +129,65 @@ impl DenseRun {
         // A step that ends with the call is not interpolated.
         Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
     }
-}
 
-/// A run with mutable access to its held inputs and whole turns.
-pub(super) struct HeldRun<'a> {
-    pub(super) run: &'a mut DenseRun,
-    pub(super) inputs: &'a mut Inputs,
-    /// Whole turns of links 1 to 4 that the angles of the integrator leave out.
-    pub(super) turns: &'a mut [i64; 4],
-}
-
-impl HeldRun<'_> {
     /// Macro steps with `inputs` held. A failure changes nothing.
     pub(super) fn advance(
-        mut self,
+        &mut self,
         model: &Model,
-        settings: &Settings,
+        (held, turns): (&mut Inputs, &mut [i64; 4]),
         inputs: &Inputs,
         steps: MacroSteps,
     ) -> Result<(), StepFailure> {
         // A call that ends inside the step under way, as most do, makes no copy.
-        if steps.count == 1 && self.inputs == inputs && self.run.step.advance_within(steps.h, 1) == 1 {
-            self.run.held[1] += 1;
+        if steps.count == 1 && held == inputs && self.step.advance_within(steps.h, 1) == 1 {
+            self.held[1] += 1;
             return Ok(());
         }
-        let before = (self.run.clone(), *self.inputs, *self.turns);
-        self.forward(model, settings, inputs, steps).inspect_err(|_| (*self.run, *self.inputs, *self.turns) = before)
+        let before = (self.clone(), *held, *turns);
+        self.forward(model, (held, turns), inputs, steps).inspect_err(|_| (*self, *held, *turns) = before)
     }
 
     #[inline(never)]
-    fn forward(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
-        let Self { run, inputs: held, turns } = self;
+    fn forward(
+        &mut self,
+        model: &Model,
+        (held, turns): (&mut Inputs, &mut [i64; 4]),
+        inputs: &Inputs,
+        steps: MacroSteps,
+    ) -> Result<(), StepFailure> {
+        let settings = self.settings;
         let mut changed = !model.same_active_inputs(held, inputs);
         if changed {
-            run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
-            run.held = [run.held[1], 0];
+            self.stop(model, held, turns).map_err(|cause| steps.failure(0, cause))?;
+            self.held = [self.held[1], 0];
         }
-        **held = *inputs;
+        *held = *inputs;
         let mut step = 0;
         loop {
-            let within = run.step.advance_within(steps.h, steps.count - step);
-            run.held[1] += within;
+            let within = self.step.advance_within(steps.h, steps.count - step);
+            self.held[1] += within;
             step += within;
             if step == steps.count {
                 return Ok(());
             }
             // Whole turns are removed before a new step begins, so that no step mixes both counts.
-            remove_whole_turns(&mut run.step, turns);
+            remove_whole_turns(&mut self.step, turns);
             let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
-            let pose = changed.then(|| system.pose(run.step.end()));
+            let pose = changed.then(|| system.pose(self.step.end()));
             if let Some(pose) = &pose {
-                run.step.restart(&system, settings, pose, Work::default());
+                self.step.restart(&system, &settings, pose, Work::default());
                 changed = false;
             }
             let mut at_hand = pose.as_ref();
             loop {
-                let horizon = run.horizon(steps, steps.count - step);
-                run.step
-                    .advance_past(&system, settings, steps.h, horizon, at_hand.take())
+                let horizon = self.horizon(steps, steps.count - step);
+                self.step
+                    .advance_past(&system, &settings, steps.h, horizon, at_hand.take())
                     .map_err(|cause| steps.failure(step, cause))?;
-                let within = run.step.advance_within(steps.h, steps.count - step - 1);
-                run.held[1] += 1 + within;
+                let within = self.step.advance_within(steps.h, steps.count - step - 1);
+                self.held[1] += 1 + within;
                 step += 1 + within;
-                if step == steps.count || has_whole_turns(&run.step) {
+                if step == steps.count || has_whole_turns(&self.step) {
                     break;
                 }
             }

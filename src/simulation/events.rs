@@ -1,14 +1,17 @@
-//! Event interface ([`Events`]) of the five-bar, in the link angles and in the twelve coordinates: guards, modes and transitions.
+//! The five-bar as a hybrid system ([`Events`], [`Frictional`]), in the link angles and in the twelve coordinates: guards, modes and
+//! transitions, and the friction places with their rows.
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, AngleSystem, Angles, DISTAL, LINK_INDICES, PROXIMAL};
+use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
 use super::five_bar::FiveBar;
-use super::stick_slip::{friction_guards, resolved, reverses_between};
-use crate::effects::{self, FrictionGuards, GuardValues, Mode, StickSlips, stick_velocity};
+use crate::effects::{FrictionElement, FrictionElements, Motion};
+use crate::hybrid::{
+    self, FrictionConstraint, FrictionConstraints, FrictionGuards, Frictional, GuardValues, Mode, StickSlips, stick_velocity,
+};
 use crate::integrator::{Events, Extremes, System};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
-use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, Pose};
+use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
 use crate::vector::Vector;
 
 /// A system in a mode: borrowed where modes do not matter, which saves a copy per step.
@@ -27,54 +30,130 @@ impl<S> Borrow<S> for InMode<'_, S> {
     }
 }
 
+impl<'a, const BARE: bool> FiveBar<'a, BARE> {
+    /// Guard values at a motion, given those of friction.
+    fn guards(&self, at: &Motion, friction_guards: FrictionGuards) -> GuardValues<'a> {
+        GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(at)), friction_guards)
+    }
+
+    /// Friction places that are active at a motion, as constraints.
+    fn friction<const N: usize>(
+        &self,
+        at: &Motion,
+        constraint: impl Fn(&FrictionElement) -> (Vector<N>, f64),
+    ) -> FrictionConstraints<N> {
+        let mut elements = FrictionElements::new();
+        for effect in &self.model.effects {
+            effect.add_friction(at, &mut elements);
+        }
+        let geometry = &self.model.mechanism.geometry;
+        let carried = |element: FrictionElement| {
+            let ((row, drift), FrictionElement { place, rate, bound, wrench }) = (constraint(&element), element);
+            FrictionConstraint { place, rate, bound, row, drift, arms: wrench.lever_arms(geometry) }
+        };
+        elements.into_iter().map(carried).collect()
+    }
+
+    /// Closure branch of a state with coaxial motors.
+    fn closure_branch(&self, [q, v]: [[crate::mechanism::legs::Legs; 2]; 2]) -> Option<ClosureBranch> {
+        ClosureBranch::of(&self.model.mechanism.geometry, q, v)
+    }
+}
+
+/// Bounds on the link angles out of bounds on all coordinates.
+fn of_links<const N: usize>(extremes: &Extremes<N>, links: [usize; LINKS]) -> hybrid::Extremes {
+    let of = |x: &Vector<N>| Vector::from_fn(|link| x[links[link]]);
+    let Extremes { rates, accelerations, jerks, snaps } = extremes;
+    Extremes { rates: of(rates), accelerations: of(accelerations), jerks: of(jerks), snaps: of(snaps) }
+}
+
+impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
+    fn stick_slip(&self) -> &StickSlips {
+        &self.five_bar().mode.stick_slip
+    }
+
+    fn with_stick_slip(&self, stick_slip: StickSlips) -> Self {
+        self.in_mode(self.five_bar().mode.with_stick_slip(stick_slip))
+    }
+
+    fn friction_constraints(&self, q: &Angles, pose: &Pose, v: &Angles) -> FrictionConstraints<ANGLES> {
+        self.five_bar().friction(&self.motion(pose, q, v), |FrictionElement { wrench, .. }| {
+            (angles(wrench.torques_in_angles(pose)), wrench.drift_in_angles(pose, legs(v)))
+        })
+    }
+
+    fn regularization(&self) -> f64 {
+        self.regularization_by_angles()
+    }
+
+    fn stick_velocity(&self) -> f64 {
+        stick_velocity(self.model().settings.error_tolerance)
+    }
+}
+
+impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+    fn stick_slip(&self) -> &StickSlips {
+        &self.mode.stick_slip
+    }
+
+    fn with_stick_slip(&self, stick_slip: StickSlips) -> Self {
+        self.on(self.mode.with_stick_slip(stick_slip))
+    }
+
+    fn friction_constraints(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints<COORDINATES> {
+        self.friction(&self.motion(q, pose, v), |FrictionElement { wrench, .. }| {
+            (wrench.in_coordinates(pose), wrench.drift_in_coordinates(pose, v))
+        })
+    }
+
+    fn regularization(&self) -> f64 {
+        self.model.regularization
+    }
+
+    fn stick_velocity(&self) -> f64 {
+        stick_velocity(self.model.settings.error_tolerance)
+    }
+}
+
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
 
-    #[inline]
     fn has_events(&self) -> bool {
         self.model().has_events
     }
 
-    #[inline]
     fn has_modes(&self) -> bool {
         self.has_events() || self.model().mechanism.geometry.base_distance == 0.0
     }
 
-    #[inline]
     fn regularization_velocity(&self) -> f64 {
         self.model().regularization_velocity
     }
 
-    #[inline]
     fn has_sharp_nonlinearity(&self) -> bool {
         self.model().has_sharp_nonlinearity
     }
 
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        let friction_guards = self.five_bar().friction_guards(&x, &pose, &rates);
-        GuardValues::new(&self.model().effects, &self.motion(&pose, q, v), friction_guards)
+        let friction_guards = if self.model().sticks { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        self.five_bar().guards(&self.motion(&pose, q, v), friction_guards)
     }
 
-    #[inline]
     fn mode_of(&self, q: &Angles, v: &Angles) -> Mode {
-        if !self.has_events() {
-            return self.select_branch(Mode::OF_STATE, q, v);
+        let mut mode = self.select_branch(Mode::OF_STATE, q, v);
+        if self.has_events() {
+            mode = self.five_bar().guards(&self.motion(&self.pose(q), q, v), FrictionGuards::new()).mode(mode);
         }
-        let pose = self.pose(q);
-        let springs = GuardValues::new(&self.model().effects, &self.motion(&pose, q, v), FrictionGuards::new()).mode();
-        self.with_resolved_stick_slip(self.select_branch(springs, q, v), q, v)
+        if self.model().sticks { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
-    #[inline(always)]
     fn select_branch(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
         if self.model().mechanism.geometry.base_distance != 0.0 || mode.closure_branch.is_some() {
             return mode;
         }
-        let pairs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
-        let closure_branch = ClosureBranch::of(&self.model().mechanism.geometry, pairs(q), pairs(v));
+        let closure_branch = self.five_bar().closure_branch([legs(q), legs(v)]);
         match closure_branch {
             Some(closure_branch) if self.model().sticks => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
             _ => mode,
@@ -82,18 +161,17 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         .with_closure_branch(closure_branch)
     }
 
-    #[inline]
     fn on(&self, mode: Mode) -> impl Borrow<Self> {
         if self.has_modes() { InMode::Others(self.in_mode(mode)) } else { InMode::Same(self) }
     }
 
     fn guard_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.guard_residual(&self.five_bar().mode(), tolerance)
+        at.guard_residual(&self.five_bar().mode, tolerance)
     }
 
     fn next_mode(&self, q: &Angles, v: &Angles, tolerance: f64) -> Mode {
-        let mode = self.guard_values(q, v).next_mode(self.five_bar().mode(), tolerance);
-        self.with_resolved_stick_slip(mode, q, v)
+        let mode = self.guard_values(q, v).next_mode(self.five_bar().mode, tolerance);
+        if self.model().sticks { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
     fn has_stick_slip(&self) -> bool {
@@ -101,59 +179,27 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     }
 
     fn has_active_contact(&self) -> bool {
-        self.five_bar().mode().has_active_contact()
+        self.five_bar().mode.has_active_contact()
     }
 
     fn separation_energy(&self, at: &GuardValues<'a>) -> f64 {
-        at.separation_energy(&self.five_bar().mode())
+        at.separation_energy(&self.five_bar().mode)
     }
 
     fn dwell_time(&self, at: &GuardValues<'a>) -> f64 {
-        at.dwell_time(&self.five_bar().mode())
+        at.dwell_time(&self.five_bar().mode)
     }
 
     fn is_at_rest(&self) -> bool {
         self.five_bar().mode.stick_slip.at_rest()
     }
 
-    fn sticks_in_motion(&self, at: &GuardValues<'a>) -> bool {
-        at.any_sticks_while_moving(&self.five_bar().mode())
-    }
-
     fn breakaway_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.breakaway_residual(&self.five_bar().mode(), tolerance)
+        at.breakaway_residual(&self.five_bar().mode, tolerance)
     }
 
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, &self.five_bar().mode(), duration, &of_links(extremes, LINK_INDICES), tolerance)
-    }
-}
-
-/// Bounds of the link rates and accelerations out of bounds of all coordinates.
-fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes<N>, links: [usize; LINKS]) -> effects::Extremes {
-    let of = |x: &Vector<N>| links.map(|i| x[i]);
-    effects::Extremes {
-        rates: of(rates),
-        accelerations: of(accelerations),
-        higher: higher.as_ref().map(|[jerks, snaps]| [of(jerks), of(snaps)]),
-    }
-}
-
-impl AngleSystem<'_> {
-    /// Mode with the stick-slip states that follow from the state.
-    fn with_resolved_stick_slip(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
-        if !self.model().sticks {
-            return mode;
-        }
-        let (x, rates) = self.coordinates(&self.pose(q), q, v);
-        mode.with_stick_slip(resolved(&self.five_bar().on(mode), &x, &rates))
-    }
-}
-
-impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// Friction guards, none without stick-slip friction.
-    fn friction_guards(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionGuards {
-        if self.model.sticks { friction_guards(&self.general(), q, pose, v) } else { FrictionGuards::new() }
+        GuardValues::stay_in_phase(ends, &self.five_bar().mode, duration, &of_links(extremes, LINK_INDICES), tolerance)
     }
 }
 
@@ -166,27 +212,18 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         !BARE && self.model.has_events
     }
 
-    #[inline(always)]
-    fn may_make_contact(&self) -> bool {
-        !BARE && self.model.may_make_contact
-    }
-
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let friction_guards = self.friction_guards(q, &pose, v);
-        GuardValues::new(&self.model.effects, &self.motion(q, &pose, v), friction_guards)
+        let friction_guards = if self.model.sticks { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        self.guards(&self.motion(q, &pose, v), friction_guards)
     }
 
-    /// Initial mode: phases of unilateral springs follow from the state; stick-slip states are resolved from it.
-    #[inline]
     fn mode_of(&self, q: &Coordinates, v: &Coordinates) -> Mode {
-        if BARE || !self.model.sticks {
+        if !self.has_events() {
             return Mode::OF_STATE;
         }
-        let pairs = |x: &Coordinates| [legs_of(x, P_THETA), legs_of(x, D_THETA)];
-        let closure_branch = ClosureBranch::of(&self.model.mechanism.geometry, pairs(q), pairs(v));
-        let still = closure_branch.map_or(StickSlips::OPEN, |closure_branch| StickSlips::OPEN.on_branch(closure_branch));
-        Mode::of_stick_slip(resolved(&self.general().on(Mode::of_stick_slip(still)), q, v))
+        let mode = self.guards(&self.motion(q, &self.pose(q), v), FrictionGuards::new()).mode(Mode::OF_STATE);
+        self.with_resolved_friction(mode, q, v)
     }
 
     #[inline(always)]
@@ -204,20 +241,40 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         !BARE && self.mode.stick_slip.at_rest()
     }
 
-    fn knows_stick_slip(&self, at: &GuardValues<'a>) -> bool {
-        at.are_known(&self.mode.stick_slip)
-    }
-
     fn guard_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.guard_residual(&self.mode(), tolerance)
+        at.guard_residual(&self.mode, tolerance)
     }
 
-    fn reverses_between(&self, ends: [[&Coordinates; 3]; 2], duration: f64, tolerance: f64) -> bool {
-        reverses_between(&self.general(), ends, duration, stick_velocity(tolerance))
+    fn next_mode(&self, q: &Coordinates, v: &Coordinates, tolerance: f64) -> Mode {
+        self.with_resolved_friction(self.guard_values(q, v).next_mode(self.mode, tolerance), q, v)
     }
 
-    /// Springs alone: reversals of slipping contacts are found by [`Events::reverses_between`], which knows the accelerations.
+    fn separation_energy(&self, at: &GuardValues<'a>) -> f64 {
+        at.separation_energy(&self.mode)
+    }
+
+    fn dwell_time(&self, at: &GuardValues<'a>) -> f64 {
+        at.dwell_time(&self.mode)
+    }
+
+    fn breakaway_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
+        at.breakaway_residual(&self.mode, tolerance)
+    }
+
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
-        GuardValues::endpoints_bound_penetration(ends, duration, &of_links(extremes, THETA), tolerance)
+        GuardValues::stay_in_phase(ends, &self.mode, duration, &of_links(extremes, THETA), tolerance)
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The mode with the stick-slip states that follow from the state. Coordinates know no closure branch, so the joints that one keeps
+    /// still are found anew.
+    fn with_resolved_friction(&self, mode: Mode, q: &Coordinates, v: &Coordinates) -> Mode {
+        if !self.model.sticks {
+            return mode;
+        }
+        let pairs = |x: &Coordinates| [legs_of(x, P_THETA), legs_of(x, D_THETA)];
+        let still = self.closure_branch([pairs(q), pairs(v)]).map_or(StickSlips::OPEN, |branch| StickSlips::OPEN.on_branch(branch));
+        mode.with_stick_slip(FiveBar::on(self, mode.with_stick_slip(still)).resolved(q, v))
     }
 }

@@ -2,7 +2,8 @@
 
 use super::model::Model;
 use crate::dynamics::{Conditions, TipArm};
-use crate::effects::{Inputs, Mode, Motion, Slopes, Wrench};
+use crate::effects::{Inputs, Motion, Slopes, Wrench};
+use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{Events, Implicit, StepError, StickingConstraint, System, TangentPoint, Work};
 use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, largest_angle, legs_of};
@@ -55,11 +56,6 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     #[inline(always)]
     pub(super) fn on(&self, mode: Mode) -> Self {
         Self { mode, ..*self }
-    }
-
-    /// Mode of the system.
-    pub(super) fn mode(&self) -> Mode {
-        self.mode
     }
 
     /// Inputs, turns and mode under which the force laws act.
@@ -216,7 +212,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     fn sticking_constraint(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
-        super::stick_slip::held(&self.general(), q, pose, v)
+        self.sticking(q, pose, v)
     }
 
     fn with_friction_reaction(
@@ -225,11 +221,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         v: Coordinates,
         free: (Coordinates, Multipliers),
     ) -> (Coordinates, Multipliers) {
-        super::stick_slip::with_friction_reaction(&self.general(), [q, v], free, self.model.regularization)
+        self.with_reaction([q, v], free)
     }
 
     fn project_sticking(&self, q: Coordinates, v: Coordinates) -> Coordinates {
-        super::stick_slip::project_sticking(&self.general(), q, v)
+        self.without_sliding(&q, v)
     }
 
     #[inline(always)]

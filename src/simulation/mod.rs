@@ -4,6 +4,7 @@
 //! held over each macro step.
 
 pub mod angles;
+mod bifurcation;
 mod correction;
 mod cut_five_bar;
 mod dense_run;
@@ -13,6 +14,7 @@ mod five_bar_steps;
 mod following;
 mod join;
 mod linearised;
+pub mod methods;
 pub mod model;
 mod model_exchange;
 mod passage;
@@ -21,22 +23,22 @@ mod run;
 mod settings;
 mod signal;
 mod state;
-mod stick_slip;
 mod variation;
 
 use crate::effects;
 use crate::estimator;
 use crate::integrator::CONFIGURATION_SIGNS;
 use crate::mechanism::constraints::largest;
-use crate::mechanism::{self, Coordinates, SceneError, closure};
+use crate::mechanism::{self, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 pub use following::{Estimate, Following};
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
-use run::{IntegratorState, MacroSteps};
+use run::{Integrator, MacroSteps};
 pub use run::{Run, StepFailure};
+use settings::sticking_law;
 pub use settings::{Method, Settings};
 pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
@@ -55,14 +57,17 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(parameters, model, [q, v], inputs)
+        let run = Run::start(&model, q, v, inputs);
+        Self::started(parameters, model, run)
     }
 
     /// Simulation for model exchange: proximal angles and rates are states that come from outside ([`Simulation::set_states`]).
     pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
-        let model = Model::for_model_exchange(parameters)?;
+        refuse_sticking(parameters)?;
+        let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(parameters, model, [q, v], inputs)
+        let run = Run::start_for_model_exchange(&model, [q, v], inputs, parameters.start.assembly);
+        Self::started(parameters, model, run)
     }
 
     /// Simulation that starts from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the
@@ -70,7 +75,8 @@ impl Simulation {
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
-        let simulation = Self::started(parameters, model, [q, v], inputs)?;
+        let run = Run::start(&model, q, v, inputs);
+        let simulation = Self::started(parameters, model, run)?;
         let (mechanism, core) = (&simulation.model.mechanism, simulation.state().core);
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
@@ -87,8 +93,8 @@ impl Simulation {
     }
 
     #[cold]
-    fn started(parameters: &Parameters, model: Model, [q, v]: [Coordinates; 2], inputs: &Inputs) -> Result<Self, SceneError> {
-        let simulation = Self { parameters: parameters.clone(), run: Run::start(&model, q, v, inputs), model };
+    fn started(parameters: &Parameters, model: Model, run: Run) -> Result<Self, SceneError> {
+        let simulation = Self { parameters: parameters.clone(), run, model };
         let state = simulation.state();
         if !state.core.a.iter().chain(state.core.lambda.iter()).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(SceneError(
@@ -102,8 +108,12 @@ impl Simulation {
 
     /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
     #[cold]
-    pub fn restored(parameters: &Parameters, run: Run) -> Result<Self, SceneError> {
-        let model = if run.is_model_exchange() { Model::for_model_exchange(parameters)? } else { Model::new(parameters)? };
+    pub fn restored(parameters: &Parameters, mut run: Run) -> Result<Self, SceneError> {
+        if run.is_model_exchange() {
+            refuse_sticking(parameters)?;
+        }
+        let model = Model::new(parameters)?;
+        run.configure(&model).map_err(|what| SceneError(what.into()))?;
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
         Ok(simulation)
@@ -171,20 +181,16 @@ impl Simulation {
     /// Counters of the integrator since the start.
     pub fn counters(&self) -> Counters {
         match &self.run.integrator {
-            IntegratorState::MacroStepped(core, _) => core.counters,
-            IntegratorState::Conserving(run) => run.counters,
-            IntegratorState::DenseOutput(_) => self.state().core.counters,
-            IntegratorState::ModelExchange(_) => Counters::default(),
+            Integrator::MacroStepped(run) => run.core.counters,
+            Integrator::Conserving(run) => run.state.counters,
+            Integrator::DenseOutput(_) => self.state().core.counters,
+            Integrator::ModelExchange(_) => Counters::default(),
         }
     }
 
     /// Number of steps that the conserving method took by its last fallback stage.
-    #[inline(always)]
     pub fn fallbacks(&self) -> u64 {
-        match &self.run.integrator {
-            IntegratorState::Conserving(run) => run.counters.fallbacks,
-            IntegratorState::MacroStepped(..) | IntegratorState::DenseOutput(_) | IntegratorState::ModelExchange(_) => 0,
-        }
+        if let Integrator::Conserving(run) = &self.run.integrator { run.state.counters.fallbacks } else { 0 }
     }
 
     /// Number of singularities met since the start; see [`Counters::singular`].
@@ -214,11 +220,20 @@ impl Simulation {
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
     pub fn is_stiff(&self) -> bool {
-        matches!(&self.run.integrator, IntegratorState::DenseOutput(run) if run.step.is_stiff())
+        matches!(&self.run.integrator, Integrator::DenseOutput(run) if run.step.is_stiff())
     }
 
     /// Names of the active effects, e.g. `gravity`.
     pub fn active_effects(&self) -> &[&'static str] {
         &self.model.effect_names
     }
+}
+
+/// Refuses set-valued friction in model exchange, whose master does not know which joints stick.
+fn refuse_sticking(parameters: &Parameters) -> Result<(), SceneError> {
+    let Some(name) = sticking_law(&parameters.effects) else { return Ok(()) };
+    Err(SceneError(format!(
+        "{name} = stick is not allowed in model exchange, whose master does not know which joints stick: it must be smooth, or the \
+         unit instantiated for co-simulation."
+    )))
 }

@@ -2,13 +2,12 @@
 
 use arrayvec::ArrayVec;
 
-use super::settings::{Settings, sticking_law};
+use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
 use crate::estimator;
-use crate::integrator::{MacroStepMethod, dense, i3alp_conserving};
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// Parameters that define a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,19 +24,6 @@ pub struct Parameters {
     pub estimator: estimator::Parameters,
 }
 
-/// Integration scheme with its settings.
-#[derive(Clone, Copy, Debug)]
-pub enum Stepper {
-    /// Fixed or divided steps that end with the macro step.
-    MacroStep(MacroStepMethod),
-    /// Error control in the link angles: steps run past the macro step, whose end is interpolated.
-    Dense(dense::Settings),
-    /// Strictly fixed steps that conserve energy.
-    Conserving(i3alp_conserving::Settings),
-    /// No integrator: proximal angles and rates come from outside; the distal ones follow in this assembly.
-    ModelExchange(Assembly),
-}
-
 /// Constant part of a simulation.
 #[derive(Clone, Debug)]
 pub struct Model {
@@ -51,7 +37,7 @@ pub struct Model {
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
     /// Whether all forces have a potential.
     pub conservative: bool,
-    /// Whether any effect has events that a method may locate.
+    /// Whether any effect has events, and the method ends its steps at them.
     pub has_events: bool,
     /// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
     pub(super) regularization_velocity: f64,
@@ -59,8 +45,6 @@ pub struct Model {
     pub(super) may_make_contact: bool,
     /// Whether any effect has set-valued dry friction (stick-slip).
     pub(super) sticks: bool,
-    /// Local error allowed per sub-step, rad.
-    pub(super) error_tolerance: f64,
     /// Whether any effect has a force that changes steeply somewhere.
     pub has_stiff_forces: bool,
     /// Whether any effect has a sharp nonlinearity without an event, while none has stick-slip friction.
@@ -81,10 +65,8 @@ pub struct Model {
     pub regularization: f64,
     /// e of the saddle-point systems in the link angles, 1/kg.
     pub(super) regularization_by_angles: f64,
-    /// Largest number of Newton iterations.
-    pub(super) max_iterations: u32,
-    /// Integration scheme.
-    pub stepper: Stepper,
+    /// Settings of the solver.
+    pub settings: Settings,
 }
 
 impl Model {
@@ -103,17 +85,16 @@ impl Model {
         let regularization_by_angles =
             if geometry.base_distance == 0.0 { COAXIAL_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
         let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism)?);
-        Ok(Self {
+        let mut model = Self {
             typical_inertia: TypicalInertia::new(&geometry),
-            conservative: effects.iter().all(|effect| effect.conservative()),
-            has_events: effects.iter().any(|effect| effect.may_make_contact() || effect.sticks()),
-            regularization_velocity: regularization_velocity(&effects),
-            may_make_contact: effects.iter().any(|effect| effect.may_make_contact()),
-            sticks: effects.iter().any(|effect| effect.sticks()),
-            error_tolerance: settings.error_tolerance,
-            has_stiff_forces: effects.iter().any(|effect| effect.has_stiff_forces()),
-            has_sharp_nonlinearity: has_sharp_nonlinearity(&effects),
-            has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
+            conservative: true,
+            has_events: false,
+            regularization_velocity: f64::INFINITY,
+            may_make_contact: false,
+            sticks: false,
+            has_stiff_forces: false,
+            has_sharp_nonlinearity: false,
+            has_servo: false,
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
             weight_torques: Weight::new(&mechanism, &weight),
@@ -124,36 +105,29 @@ impl Model {
             effects,
             regularization,
             regularization_by_angles,
-            max_iterations: settings.max_iterations,
-            stepper: settings.stepper(&geometry, regularization, regularization_by_angles),
-        })
+            settings: settings.clone(),
+        };
+        model.note_properties();
+        Ok(model)
     }
 
-    /// Model of a simulation for model exchange: `solver.method` is not used.
-    pub fn for_model_exchange(parameters: &Parameters) -> Result<Self, SceneError> {
-        if let Some(name) = sticking_law(&parameters.effects) {
-            return Err(SceneError(format!(
-                "{name} = stick is not allowed in model exchange, whose master does not know which joints stick: it must be smooth, or the \
-                 unit instantiated for co-simulation."
-            )));
-        }
-        Ok(Self { stepper: Stepper::ModelExchange(parameters.start.assembly), ..Self::new(parameters)? })
+    /// Notes the properties of the active effects that methods ask for in every step.
+    fn note_properties(&mut self) {
+        let any = |property: &dyn Fn(&Effect) -> bool| self.effects.iter().any(property);
+        (self.may_make_contact, self.sticks) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.sticks()));
+        self.has_events = self.settings.follows_error() && (self.may_make_contact || self.sticks);
+        self.conservative = !any(&|effect| !effect.conservative());
+        self.has_stiff_forces = any(&|effect| effect.has_stiff_forces());
+        self.has_sharp_nonlinearity = !self.sticks && any(&|effect| effect.has_sharp_nonlinearity());
+        self.has_servo = any(&|effect| matches!(effect, Effect::Servo(_)));
+        let velocities = self.effects.iter().map(|effect| effect.regularization_velocity());
+        self.regularization_velocity = velocities.fold(f64::INFINITY, f64::min);
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
     #[inline(always)]
     pub(super) fn is_bare(&self) -> bool {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
-    }
-
-    /// Settings of the error-controlled methods in the link angles.
-    pub(super) fn dense_settings(&self) -> &dense::Settings {
-        match &self.stepper {
-            Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::ModelExchange(_) => {
-                unreachable!("a run is made for its method")
-            }
-        }
     }
 
     /// Gives the active effects new parameters; the set of effects stays. Returns whether anything has changed; a refusal changes nothing.
@@ -165,23 +139,15 @@ impl Model {
             if !is_dense && LinearSolve::choose(&geometry) == LinearSolve::Dense {
                 return Err(inertia_ratio_refusal(in_force, tuned));
             }
-            *self = match self.stepper {
-                Stepper::ModelExchange(_) => Self::for_model_exchange(tuned)?,
-                _ => Self::new(tuned)?,
-            };
+            *self = Self::new(tuned)?;
             return Ok(true);
         }
         let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         (self.weight, self.weight_torques) = (weight, Weight::new(&self.mechanism, &weight));
-        self.conservative = effects.iter().all(|effect| effect.conservative());
-        self.has_events = effects.iter().any(|effect| effect.may_make_contact() || effect.sticks());
-        self.regularization_velocity = regularization_velocity(&effects);
-        self.has_sharp_nonlinearity = has_sharp_nonlinearity(&effects);
-        self.may_make_contact = effects.iter().any(|effect| effect.may_make_contact());
-        self.sticks = effects.iter().any(|effect| effect.sticks());
         self.effects = effects;
+        self.note_properties();
         Ok(changed)
     }
 
@@ -247,13 +213,3 @@ const ANGLE_REGULARIZATION: f64 = 1e-20;
 /// e in the link angles for coaxial motors, relative to 1 over the mean mass: larger, because rank is lost along whole lines of
 /// configurations and a motion on none of the known closure branches needs bounded joint forces there.
 const COAXIAL_REGULARIZATION: f64 = 1e-10;
-
-/// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
-fn regularization_velocity(effects: &Active) -> f64 {
-    effects.iter().map(|effect| effect.regularization_velocity()).fold(f64::INFINITY, f64::min)
-}
-
-/// Whether any effect has a sharp nonlinearity, while none has stick-slip friction.
-fn has_sharp_nonlinearity(effects: &Active) -> bool {
-    effects.iter().any(|effect| effect.has_sharp_nonlinearity()) && !effects.iter().any(|effect| effect.sticks())
-}

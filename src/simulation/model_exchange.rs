@@ -10,8 +10,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{Angles, LINK_INDICES};
 use super::five_bar::FiveBar;
-use super::model::Stepper;
-use super::run::IntegratorState;
+use super::run::Integrator;
 use super::state::Core;
 use super::{Inputs, Model, Simulation};
 use crate::integrator::{Bounds, Inconsistency, Work};
@@ -31,18 +30,20 @@ pub(super) struct ModelExchangeState {
     completed: [f64; 2],
     /// Work put in and dissipated by changes of the payload, J.
     work: Work,
+    /// Assembly in which the distal links follow.
+    assembly: Assembly,
 }
 
 impl ModelExchangeState {
     /// Starts at these angles, rad, and rates, rad/s, of links 1 to 4.
-    pub(super) fn start(theta: [f64; 4], omega: [f64; 4]) -> Self {
-        Self { theta, omega, completed: [theta[1], theta[2]], work: Work::default() }
+    pub(super) fn start(theta: [f64; 4], omega: [f64; 4], assembly: Assembly) -> Self {
+        Self { theta, omega, completed: [theta[1], theta[2]], work: Work::default(), assembly }
     }
 
     /// Run with other states; refused in a direct singularity.
-    pub(super) fn moved(&self, model: &Model, assembly: Assembly, states: [f64; STATES]) -> Result<Self, SceneError> {
+    fn moved(&self, model: &Model, states: [f64; STATES]) -> Result<Self, SceneError> {
         let [left, right, left_rate, right_rate] = states;
-        let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly };
+        let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly: self.assembly };
         let [mut theta, omega] = closure::links_from_proximal(&model.mechanism.geometry, &start)?;
         for (angle, completed) in theta[1..3].iter_mut().zip(self.completed) {
             *angle += TAU * ((completed - *angle) / TAU).round();
@@ -51,8 +52,19 @@ impl ModelExchangeState {
     }
 
     /// Completes an integrator step: the master has accepted the present states.
-    pub(super) fn complete(&mut self) {
+    fn complete(&mut self) {
         self.completed = [self.theta[1], self.theta[2]];
+    }
+
+    /// Angles, rad, and rates, rad/s, of links 1 to 4.
+    pub(super) fn motion(&self) -> ([f64; 4], [f64; 4]) {
+        (self.theta, self.omega)
+    }
+
+    /// Moves to other angles, rad, and rates, rad/s, of links 1 to 4, and adds work, J.
+    pub(super) fn move_to(&mut self, theta: [f64; 4], omega: [f64; 4], work: Work) {
+        (self.theta, self.omega) = (theta, omega);
+        self.work += work;
     }
 
     /// Changes the rates, where given, and adds work, J.
@@ -84,23 +96,20 @@ impl Simulation {
     /// Sets the states: proximal angles, rad, left and right, and their rates, rad/s. Refused, with everything unchanged, in a direct
     /// singularity.
     pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
-        let (model, assembly, for_model_exchange) = self.model_exchange_parts();
-        *for_model_exchange = for_model_exchange.moved(model, assembly, states)?;
+        let Integrator::ModelExchange(run) = &mut self.run.integrator else {
+            return Err(SceneError(
+                "states are not set in co-simulation: the unit must be instantiated for model exchange.".into(),
+            ));
+        };
+        *run = run.moved(&self.model, states)?;
         Ok(())
     }
 
     /// Completes an integrator step at the present states under these inputs.
     pub fn complete(&mut self, inputs: &Inputs) {
-        self.model_exchange_parts().2.complete();
-        self.run.inputs = *inputs;
-    }
-
-    fn model_exchange_parts(&mut self) -> (&Model, Assembly, &mut ModelExchangeState) {
-        match (&self.model.stepper, &mut self.run.integrator) {
-            (Stepper::ModelExchange(assembly), IntegratorState::ModelExchange(for_model_exchange)) => {
-                (&self.model, *assembly, for_model_exchange)
-            }
-            _ => unreachable!("a run is made for its method"),
+        if let Integrator::ModelExchange(run) = &mut self.run.integrator {
+            run.complete();
         }
+        self.run.inputs = *inputs;
     }
 }

@@ -9,11 +9,9 @@
 //! All quantities are in the four link angles. No function here changes a state: [`AngleSystem::approach`] decides, and returns the end of a
 //! straight motion.
 
-use std::borrow::Borrow;
-
-use super::angles::{ANGLES, AngleSystem, Angles, LINK_INDICES, angles_of, legs};
+use super::angles::{ANGLES, AngleSystem, Angles, angles_of};
+use super::bifurcation;
 use super::five_bar::FiveBar;
-use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{
     Approach, Departure, EnergyBalance, Events, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
     equilibrium, velocity_correction,
@@ -42,11 +40,6 @@ const LARGEST_ENERGY_CHANGE: f64 = 0.01;
 
 /// Largest variation of the power over a step of high order, relative to the kinetic energy, for which the energy is corrected.
 const LARGEST_POWER_VARIATION: f64 = 1e-6;
-/// Distance from all links in line, rad, below which the twelve coordinates may fail with coaxial motors.
-const NEAR_BIFURCATION: f64 = 1e-2;
-
-/// Largest number of evaluations of a step past a bifurcation of the closure.
-const MOST_WORK: u32 = 20_000;
 
 /// Kinetic energy, relative to the other energies, below which it is lost in their round-off.
 const NEGLIGIBLE_KINETIC_ENERGY: f64 = 1e-9;
@@ -127,35 +120,6 @@ impl AngleSystem<'_> {
         }
         let part = (before.energy + work - potential) / kinetic - 1.0;
         if part.abs() > LARGEST_ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
-    }
-
-    /// Step of h seconds along a closure branch near a bifurcation, integrated in the angles, where it is no special configuration.
-    /// Returned in the twelve coordinates.
-    #[cold]
-    #[inline(never)]
-    fn along_branch(&self, [q, v]: [Angles; 2], h: f64) -> Option<Transit<COORDINATES>> {
-        let model = self.model();
-        let settings = Settings {
-            schemes: Schemes::Automatic,
-            error_tolerance: model.error_tolerance,
-            energy_scale: f64::INFINITY,
-            first_step: h,
-            max_iterations: model.max_iterations,
-            max_work: MOST_WORK,
-            regularization: self.regularization_by_angles(),
-        };
-        if angle_to_bifurcation(&(q + h * v)).min(angle_to_bifurcation(&q)) > NEAR_BIFURCATION {
-            return None;
-        }
-        let mut step = DenseStep::start(self, q, v, &settings);
-        step.mode().closure_branch?;
-        step.advance(self, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
-        let sample = step.sample(self, &settings);
-        let on_branch = self.on(step.mode());
-        let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
-        let (x, rates) = self.coordinates(&sample.pose, &sample.q, &sample.v);
-        let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
-        Some(Transit { q: x, v: rates, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
     }
 
     /// Passage, or step limits, near a vertex at this offset.
@@ -295,14 +259,8 @@ impl AngleSystem<'_> {
     /// Projection onto the closure down to round-off.
     fn projection(&self) -> Projection {
         let model = self.model();
-        Projection::to_round_off(model.length_scale, self.regularization_by_angles(), model.max_iterations)
+        Projection::to_round_off(model.length_scale, self.regularization_by_angles(), model.settings.max_iterations)
     }
-}
-
-/// Distance from all links in line: sines of the left elbow's angle and of the angle between the proximal links, the larger one.
-fn angle_to_bifurcation(q: &Angles) -> f64 {
-    let [left, elbow, _, right] = LINK_INDICES;
-    f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
 /// First time at which position + speed t + acceleration t²/2 equals `reach`, s, if any.
@@ -327,12 +285,8 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         }
     }
 
-    #[inline(always)]
-    fn cross_bifurcation(&self, q: &Coordinates, v: &Coordinates, h: f64) -> Option<Transit<COORDINATES>> {
-        if self.model.mechanism.geometry.base_distance != 0.0 {
-            return None;
-        }
-        AngleSystem::new(self.general()).along_branch([angles_of(q), angles_of(v)], h)
+    fn is_near_bifurcation(&self, q: &Coordinates, v: &Coordinates, h: f64) -> bool {
+        bifurcation::is_near(self.model, [&angles_of(q), &angles_of(v)], h)
     }
 
     fn energy_scale(&self, before: &EnergyBalance, q: &Coordinates, v: &Coordinates, h: f64) -> Result<f64, StepError> {

@@ -2,12 +2,11 @@
 
 use super::angles::AngleSystem;
 use super::five_bar::FiveBar;
-use super::model::{Model, Stepper};
+use super::model::Model;
 use super::passage::VERTEX_REGULARIZATION;
-use super::run::{IntegratorState, Run};
-use super::stick_slip;
+use super::run::{Integrator, Run};
 use super::{Method, Parameters, Settings};
-use crate::effects::{Mode, StickSlips};
+use crate::hybrid::{Frictional, StickSlips};
 use crate::integrator::{Bounds, Inconsistency};
 use crate::mechanism::{Coordinates, SceneError};
 
@@ -26,22 +25,18 @@ impl Run {
             return Err(SceneError("an input or an energy is not finite".into()));
         }
         let system = FiveBar::<false>::new(model, inputs, turns);
-        match (&model.stepper, integrator) {
-            (Stepper::MacroStep(_), IntegratorState::MacroStepped(core, stick_slip)) => {
-                let system = system.on(Mode::of_stick_slip(*stick_slip));
-                check_stick_slip(model, &system, [&core.q, &core.v], false)
-                    .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
+        let bounds = bounds(model, &parameters.settings);
+        match integrator {
+            Integrator::MacroStepped(run) => {
+                let system = system.on(run.mode);
+                check_stick_slip(model, &system, [&run.core.q, &run.core.v], false).and_then(|()| run.core.check(&system, &bounds))
             }
-            (Stepper::Conserving(_), IntegratorState::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
-            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
-                let e = settings.regularization;
-                let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
-                run.check(&AngleSystem::new(system), settings, &bounds)
+            Integrator::Conserving(run) => run.state.check(&system, &bounds),
+            Integrator::DenseOutput(run) => {
+                let e = run.settings.regularization;
+                run.check(&AngleSystem::new(system), &Bounds { regularizations: [e, e], ..bounds })
             }
-            (Stepper::ModelExchange(_), IntegratorState::ModelExchange(run)) => {
-                run.check(model, inputs, &bounds(model, &parameters.settings))
-            }
-            _ => Err("its run was made by another solver.method"),
+            Integrator::ModelExchange(run) => run.check(model, inputs, &bounds),
         }
         .map_err(|what| SceneError(what.into()))
     }
@@ -54,11 +49,7 @@ pub(super) fn check_stick_slip(
     [q, v]: [&Coordinates; 2],
     just_stopped: bool,
 ) -> Result<(), Inconsistency> {
-    let possible = if model.sticks {
-        stick_slip::are_possible(system, q, v, just_stopped)
-    } else {
-        system.mode.stick_slip == StickSlips::OPEN
-    };
+    let possible = if model.sticks { system.are_possible(q, v, just_stopped) } else { system.mode.stick_slip == StickSlips::OPEN };
     if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 

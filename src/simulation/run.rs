@@ -1,22 +1,25 @@
-//! A run under way: inputs, whole turns and integrator state, by macro steps, with dense output, conserving, or for model exchange.
+//! A run under way: inputs, whole turns, and the integrator with its settings and state, by macro steps, with dense output, conserving, or
+//! for model exchange.
 
 use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::dense_run::{DenseRun, HeldRun};
+use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
 use super::join::Discontinuity;
-use super::model::{Model, Stepper};
+use super::methods::{MacroStepMethod, MethodSettings, method_settings};
+use super::model::Model;
 use super::model_exchange::ModelExchangeState;
 use super::state::{Core, State, remove_whole_turns};
+use crate::effects::Inputs;
 use crate::effects::payload::Join;
-use crate::effects::{Inputs, Mode, StickSlips};
-use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, System, i3alp};
+use crate::hybrid::{Mode, StickSlips};
+use crate::integrator::i3alp_conserving::{self, ConservingRun};
+use crate::integrator::{Counters, StepError, System, Work};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates};
+use crate::mechanism::{Assembly, COORDINATES, Coordinates};
 
 /// Changing part of a simulation. A copy is a complete snapshot.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -27,21 +30,36 @@ pub struct Run {
     pub(super) inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub(super) energy_at_start: f64,
-    pub(super) integrator: IntegratorState,
+    pub(super) integrator: Integrator,
 }
 
-/// State of the integrator, by the kind of its steps.
+/// Integrator with its settings and state, by the kind of its steps.
 #[expect(clippy::large_enum_variant, reason = "a copy is a snapshot, and a step allocates nothing")]
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) enum IntegratorState {
-    /// Steps end with the macro step: state and stick-slip states.
-    MacroStepped(Core, StickSlips),
-    /// Steps run past the macro step: the step under way.
+pub(super) enum Integrator {
+    /// Steps end with the macro step.
+    MacroStepped(MacroStepped),
+    /// Steps run past the macro step.
     DenseOutput(DenseRun),
-    /// Steps of the conserving method: accelerations and joint forces are not part of the state.
-    Conserving(ConservingRun<COORDINATES, CUT_UNKNOWNS>),
+    /// Steps of the conserving method.
+    Conserving(Conserving),
     /// States set by a master.
     ModelExchange(ModelExchangeState),
+}
+
+/// Run by a method whose steps end with the macro step.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct MacroStepped {
+    pub(super) method: MacroStepMethod,
+    pub(super) core: Core,
+    pub(super) mode: Mode,
+}
+
+/// Run by the conserving method: accelerations and joint forces are not part of the state.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Conserving {
+    pub(super) settings: i3alp_conserving::Settings,
+    pub(super) state: ConservingRun<COORDINATES, CUT_UNKNOWNS>,
 }
 
 /// Failure of an advance. The simulation is as it was before the call.
@@ -79,115 +97,128 @@ impl MacroSteps {
     }
 }
 
+impl MacroStepped {
+    /// Continues from a state that has jumped, or with other inputs, which did the given work, J: the mode follows from the state.
+    pub(super) fn restart(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
+        let Self { core, mode, .. } = self;
+        let system = FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v]);
+        *mode = system.mode;
+        core.work += work;
+        core.restart(&system, &system.pose(&core.q), model.regularization);
+    }
+}
+
 impl Run {
     /// Starts from q and q̇, which satisfy the constraints.
     #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
-        let (stick_slip, mut core) = (system.mode.stick_slip, Core::start(&system, q, v, model.regularization));
-        // States set from outside keep their whole turns.
-        if !matches!(model.stepper, Stepper::ModelExchange(_)) {
-            remove_whole_turns(&mut core.q, &mut turns);
-        }
-        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, stick_slip };
+        let (mode, mut core) = (system.mode, Core::start(&system, q, v, model.regularization));
+        remove_whole_turns(&mut core.q, &mut turns);
+        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, stick_slip: mode.stick_slip };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
-        let integrator = match &model.stepper {
-            Stepper::MacroStep(_) => IntegratorState::MacroStepped(core, stick_slip),
-            Stepper::Conserving(_) => {
+        let energy_at_start = state.energy_at_start;
+        let integrator = match method_settings(model, energy_at_start) {
+            MethodSettings::MacroStep(method) => Integrator::MacroStepped(MacroStepped { method, core, mode }),
+            MethodSettings::Conserving(settings) => {
                 let system = FiveBar::<false>::new(model, inputs, &turns);
-                IntegratorState::Conserving(ConservingRun::start(&system, core.q, core.v))
+                Integrator::Conserving(Conserving { settings, state: ConservingRun::start(&system, core.q, core.v) })
             }
-            Stepper::Dense(settings) => IntegratorState::DenseOutput(DenseRun::start(model, settings, &state)),
-            Stepper::ModelExchange(_) => {
-                IntegratorState::ModelExchange(ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i])))
-            }
+            MethodSettings::Dense(settings) => Integrator::DenseOutput(DenseRun::start(model, settings, &state)),
         };
-        Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, integrator }
+        Self { turns, inputs: *inputs, energy_at_start, integrator }
+    }
+
+    /// Starts a run whose proximal angles and rates are set by a master; they keep their whole turns. The distal links stay in `assembly`.
+    #[cold]
+    pub(super) fn start_for_model_exchange(model: &Model, [q, v]: [Coordinates; 2], inputs: &Inputs, assembly: Assembly) -> Self {
+        let states = ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]), assembly);
+        let core = states.core(model, inputs);
+        let state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0, stick_slip: StickSlips::OPEN };
+        let energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
+        Self { turns: [0; 4], inputs: *inputs, energy_at_start, integrator: Integrator::ModelExchange(states) }
     }
 
     /// Whether proximal angles and rates are set by a master (model exchange).
     pub fn is_model_exchange(&self) -> bool {
-        matches!(self.integrator, IntegratorState::ModelExchange(_))
+        matches!(self.integrator, Integrator::ModelExchange(_))
     }
 
-    /// Advances by macro steps with `inputs` held. A failure changes nothing.
+    /// Takes the settings of the model's method; refused if the run was made by a method of another kind.
+    pub(super) fn configure(&mut self, model: &Model) -> Result<(), crate::integrator::Inconsistency> {
+        match (method_settings(model, self.energy_at_start), &mut self.integrator) {
+            (MethodSettings::MacroStep(method), Integrator::MacroStepped(run)) => run.method = method,
+            (MethodSettings::Conserving(settings), Integrator::Conserving(run)) => run.settings = settings,
+            (MethodSettings::Dense(settings), Integrator::DenseOutput(run)) => run.settings = settings,
+            (_, Integrator::ModelExchange(_)) => {}
+            _ => return Err("its run was made by another solver.method"),
+        }
+        Ok(())
+    }
+
+    /// Advances by macro steps with `inputs` held; the states of model exchange stay. A failure changes nothing.
     #[inline(never)] // called from five places
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
-        match (&model.stepper, &mut self.integrator) {
-            (Stepper::MacroStep(method), IntegratorState::MacroStepped(core, stick_slip)) => {
-                let before = (*core, *stick_slip, self.turns, self.inputs);
-                if !model.same_active_inputs(&self.inputs, inputs) {
-                    let system = FiveBar::<false>::resolved(model, inputs, &self.turns, [&core.q, &core.v]);
-                    *stick_slip = system.mode.stick_slip;
-                    core.restart(&system, &system.pose(&core.q), model.regularization);
+        let Self { turns, inputs: held, .. } = self;
+        match &mut self.integrator {
+            Integrator::MacroStepped(run) => {
+                let before = (*run, *turns, *held);
+                if !model.same_active_inputs(held, inputs) {
+                    run.restart(model, (inputs, turns), Work::default());
                 }
-                self.inputs = *inputs;
-                let held = (&self.inputs, &mut self.turns);
-                let mut mode = Mode::of_stick_slip(*stick_slip);
-                let advanced = match method {
-                    // The default method has a form compiled for the bare mechanism; of the other methods the saving is not worth the code
-                    // size.
-                    MacroStepMethod::I3alp(settings) if model.is_bare() => {
-                        macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, settings, core, &mut mode, h)
-                        })
-                    }
-                    MacroStepMethod::I3alp(settings) => {
-                        let settings = i3alp::Settings { energy_at_start: self.energy_at_start, ..*settings };
-                        macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, &settings, core, &mut mode, h)
-                        })
-                    }
-                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
-                        method.advance(system, core, &mut mode, h)
-                    }),
-                };
-                *stick_slip = mode.stick_slip;
-                advanced.inspect_err(|_| (*core, *stick_slip, self.turns, self.inputs) = before)
-            }
-            (Stepper::Conserving(settings), IntegratorState::Conserving(run)) => {
-                let before = (*run, self.turns, self.inputs);
-                if !model.same_active_inputs(&self.inputs, inputs) {
-                    run.change();
-                }
-                self.inputs = *inputs;
-                let held = (&self.inputs, &mut self.turns);
+                *held = *inputs;
+                let MacroStepped { method, mode, core } = run;
                 let advanced = if model.is_bare() {
-                    macro_steps::<true, _>(model, run, held, steps, |system, run, h| {
+                    macro_steps::<true, _>(model, core, (held, turns), steps, |system, core, h| {
+                        method.advance(system, core, mode, h)
+                    })
+                } else {
+                    macro_steps::<false, _>(model, core, (held, turns), steps, |system, core, h| {
+                        method.advance(system, core, mode, h)
+                    })
+                };
+                advanced.inspect_err(|_| (*run, *turns, *held) = before)
+            }
+            Integrator::Conserving(run) => {
+                let before = (*run, *turns, *held);
+                if !model.same_active_inputs(held, inputs) {
+                    run.state.change();
+                }
+                *held = *inputs;
+                let Conserving { settings, state } = run;
+                let advanced = if model.is_bare() {
+                    macro_steps::<true, _>(model, state, (held, turns), steps, |system, run, h| {
                         run.advance((system, &system.general()), settings, h)
                     })
                 } else {
-                    macro_steps::<false, _>(model, run, held, steps, |system, run, h| {
+                    macro_steps::<false, _>(model, state, (held, turns), steps, |system, run, h| {
                         run.advance((system, &system.general()), settings, h)
                     })
                 };
-                advanced.inspect_err(|_| (*run, self.turns, self.inputs) = before)
+                advanced.inspect_err(|_| (*run, *turns, *held) = before)
             }
-            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
-                HeldRun { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
-            }
-            _ => unreachable!("a run is made for its method"),
+            Integrator::DenseOutput(run) => run.advance(model, (held, turns), inputs, steps),
+            Integrator::ModelExchange(_) => Ok(()),
         }
     }
 
     /// Present state, with the q̈ and λ that belong to `inputs`.
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
-        let &Self { turns, energy_at_start, ref integrator, .. } = self;
-        let same = model.same_active_inputs(&self.inputs, inputs);
-        let (core, stick_slip) = match integrator {
-            IntegratorState::MacroStepped(core, stick_slip) if same => (*core, *stick_slip),
-            IntegratorState::MacroStepped(core, _) => {
+        let &Self { turns, energy_at_start, .. } = self;
+        let (core, stick_slip) = match &self.integrator {
+            Integrator::MacroStepped(run) if model.same_active_inputs(&self.inputs, inputs) => (run.core, run.mode.stick_slip),
+            Integrator::MacroStepped(MacroStepped { core, .. }) => {
                 let mut core = *core;
                 let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
                 core.balance(&system, &system.pose(&core.q), model.regularization);
                 (core, system.mode.stick_slip)
             }
-            IntegratorState::Conserving(run) => {
-                (run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), StickSlips::OPEN)
+            Integrator::Conserving(run) => {
+                (run.state.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), StickSlips::OPEN)
             }
-            IntegratorState::DenseOutput(run) => run.core(model, [&self.inputs, inputs], &turns),
-            IntegratorState::ModelExchange(run) => (run.core(model, inputs), StickSlips::OPEN),
+            Integrator::DenseOutput(run) => run.core(model, [&self.inputs, inputs], &turns),
+            Integrator::ModelExchange(run) => (run.core(model, inputs), StickSlips::OPEN),
         };
         State { core, turns, inputs: *inputs, energy_at_start, stick_slip }
     }
@@ -196,55 +227,54 @@ impl Run {
     /// nothing.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
-        if let (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) = (&before.stepper, &mut tuned.integrator) {
-            run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
+        if let Integrator::DenseOutput(run) = &mut tuned.integrator {
+            run.stop(before, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
         let Discontinuity { work, motion } = Discontinuity::new(&present, before, after, join);
-        match (&after.stepper, &mut tuned.integrator) {
-            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
+        // The method stays.
+        let _ = tuned.configure(after);
+        let held = (&tuned.inputs, &tuned.turns);
+        match &mut tuned.integrator {
+            Integrator::DenseOutput(run) => {
                 if let Some(motion) = motion {
                     run.step.jump(&motion.rates);
                 }
-                run.resume(after, settings, (&tuned.inputs, &tuned.turns), work);
+                run.resume(after, held, work);
             }
-            (_, IntegratorState::Conserving(run)) => {
+            Integrator::Conserving(Conserving { state, .. }) => {
                 if let Some(motion) = motion {
-                    (run.q, run.v) = (motion.q, motion.v);
+                    (state.q, state.v) = (motion.q, motion.v);
                 }
-                run.restart(work);
+                state.restart(work);
             }
-            (_, IntegratorState::ModelExchange(run)) => run.jump(work, motion.map(|motion| motion.rates)),
-            (_, IntegratorState::MacroStepped(core, stick_slip)) => {
+            Integrator::ModelExchange(run) => run.jump(work, motion.map(|motion| motion.rates)),
+            Integrator::MacroStepped(run) => {
                 if let Some(motion) = motion {
-                    (core.q, core.v) = (motion.q, motion.v);
+                    (run.core.q, run.core.v) = (motion.q, motion.v);
                 }
-                core.work += work;
-                let system = FiveBar::<false>::resolved(after, &tuned.inputs, &tuned.turns, [&core.q, &core.v]);
-                *stick_slip = system.mode.stick_slip;
-                core.restart(&system, &system.pose(&core.q), after.regularization);
+                run.restart(after, held, work);
             }
-            _ => unreachable!("a run is made for its method"),
         }
         *self = tuned;
         Ok(())
     }
 }
 
-/// Runs whose steps end with the macro step.
-trait MacroStepped {
+/// States of runs whose steps end with the macro step.
+trait Counted {
     /// Coordinates, whose whole turns are counted separately, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 }
 
-impl MacroStepped for Core {
+impl Counted for Core {
     #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
     }
 }
 
-impl MacroStepped for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
+impl Counted for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
     #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
@@ -253,7 +283,7 @@ impl MacroStepped for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
 
 /// Macro steps by a method whose steps end with them. A failure leaves the state undefined.
 #[inline(always)]
-fn macro_steps<const BARE: bool, R: MacroStepped>(
+fn macro_steps<const BARE: bool, R: Counted>(
     model: &Model,
     run: &mut R,
     (inputs, turns): (&Inputs, &mut [i64; 4]),

@@ -1,10 +1,7 @@
-//! Settings of the solver: the `solver.*` variables, and the settings that each method takes from them.
+//! Settings of the solver: the `solver.*` variables, and which of them a scene may have.
 
-use super::model::Stepper;
 use crate::effects::{self, Law};
-use crate::integrator::dense::{Scheme, Schemes};
-use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
-use crate::mechanism::{Geometry, SceneError};
+use crate::mechanism::SceneError;
 
 /// Integration method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,17 +44,6 @@ pub struct Settings {
     pub penalty_scale: f64,
 }
 
-/// Energy tolerance of an i3-ALP step relative to that of an error-controlled one: 0.2, because an event leaves several steps whose work is
-/// known at their ends only.
-const I3ALP_ENERGY_SHARE: f64 = 0.2;
-
-/// Rate of the reference motion whose kinetic energy scales the energy tolerance of forces with events, 1/s: the rate of the error norm.
-const REFERENCE_RATE: f64 = 10.0;
-
-/// e of the conserving step relative to 1 over the mean mass. It weighs increments only: with smaller values Newton's method finds fewer
-/// roots next to vertices; with larger ones it takes more iterations.
-const CONSERVING_REGULARIZATION: f64 = 1e-7;
-
 /// Name of the variable that selects stick-slip friction in an active effect, if any does.
 pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
     let (friction, contact) = (&effects.friction, &effects.contact);
@@ -69,46 +55,13 @@ pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str
 }
 
 impl Settings {
-    /// Integration scheme with the settings that it reads.
-    pub(super) fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
-        let &Self { tolerance, max_iterations, .. } = self;
-        let energy_scale = geometry.mean_mass() * (geometry.length_scale() * REFERENCE_RATE).powi(2);
-        Stepper::MacroStep(match self.method {
-            Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
-                adaptive: self.adaptive,
-                error_tolerance: self.error_tolerance,
-                energy_scale: I3ALP_ENERGY_SHARE * energy_scale,
-                energy_at_start: 0.0,
-                tolerance,
-                max_iterations,
-                max_work: self.max_work,
-                regularization,
-            }),
-            Method::I3alpPrinted => {
-                MacroStepMethod::I3alpPrinted(i3alp_printed::Settings { penalty: self.penalty, max_iterations })
-            }
-            Method::Rk4 => MacroStepMethod::Rk4(rk4::Settings { projection: true, regularization, tolerance, max_iterations }),
-            Method::I3alpConserving => {
-                return Stepper::Conserving(i3alp_conserving::Settings {
-                    max_iterations,
-                    max_work: self.max_work,
-                    regularization: CONSERVING_REGULARIZATION * regularization * self.penalty_scale,
-                    equilibrium: regularization,
-                });
-            }
-            Method::Dop853 | Method::Automatic => {
-                let schemes = if self.method == Method::Automatic { Schemes::Automatic } else { Schemes::Only(Scheme::Dop853) };
-                return Stepper::Dense(dense::Settings {
-                    schemes,
-                    error_tolerance: self.error_tolerance,
-                    energy_scale,
-                    first_step: self.step_size,
-                    max_iterations,
-                    max_work: self.max_work,
-                    regularization: regularization_by_angles,
-                });
-            }
-        })
+    /// Whether the method follows its error, so that its steps may end at events.
+    pub(super) fn follows_error(&self) -> bool {
+        match self.method {
+            Method::Dop853 | Method::Automatic => true,
+            Method::I3alp => self.adaptive,
+            Method::I3alpPrinted | Method::Rk4 | Method::I3alpConserving => false,
+        }
     }
 
     /// Refuses stick-slip friction with a method whose steps cannot end at an event.

@@ -2,10 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use super::Model;
 use super::five_bar::FiveBar;
-use super::{Model, stick_slip};
 use crate::dynamics::Conditions;
-use crate::effects::{FRICTION_PLACES, Inputs, Mode, Motion, StickSlips};
+use crate::effects::{Inputs, Motion};
+use crate::hybrid::{FRICTION_PLACES, Frictional, Mode, StickSlips};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -56,11 +57,7 @@ impl State {
 
     /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 where nothing sticks.
     pub fn holding(&self, model: &Model) -> [f64; FRICTION_PLACES] {
-        if self.stick_slip.any_sticks() {
-            stick_slip::holding(&self.system(model), &self.core.q, &self.core.v)
-        } else {
-            [0.0; FRICTION_PLACES]
-        }
+        if self.stick_slip.any_sticks() { self.system(model).holding(&self.core.q, &self.core.v) } else { [0.0; FRICTION_PLACES] }
     }
 
     /// System under the present inputs, with the present stick-slip states.

@@ -9,9 +9,10 @@
 //! The matrix is that of the equations of motion; K and C are those of the implicit steps; δq and δq̇ follow from the proximal variations
 //! by J_x ([`closure::varied`]).
 
-use super::{Model, State, stick_slip};
+use super::{Model, State};
 use crate::dynamics::change_of_motion;
 use crate::effects::{Effect, Inputs, Motion, MotionChange, Slopes, Wrench};
+use crate::hybrid::Frictional;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
@@ -73,7 +74,7 @@ impl State {
         let rates = pose.phi_q_varied_times(&core.v, &v);
         let centripetal = -turning - arms - 2.0 * rates;
         let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
-        let (a, lambda) = stick_slip::varied(&system, [&core.q, &core.v], (a, lambda))?;
+        let (a, lambda) = system.varied([&core.q, &core.v], (a, lambda))?;
         Ok(Variation { q, v, motion, inputs, a, lambda })
     }
 }

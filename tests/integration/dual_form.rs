@@ -103,7 +103,7 @@ fn penalty_and_dual_steps_agree() {
                 regularization: model.regularization,
             };
             let system = FiveBar::<true>::new(model, &inputs, &[0; 4]);
-            i3alp::advance(&system, &settings, &mut dual, &mut { Mode::OF_STATE }, h).expect("step");
+            i3alp::MacroStep::of(h).advance(&system, &settings, &mut dual, &mut { Mode::OF_STATE }).expect("step");
             // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6 leaves
             // 1e-6 of the violation, itself below 1e-6 of the velocity.
             for ((what, bound), (dual, penalty)) in

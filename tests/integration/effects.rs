@@ -11,7 +11,7 @@ use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Multipliers};
 use fivebar::observers;
 use fivebar::simulation::five_bar::FiveBar;
-use fivebar::simulation::model::Stepper;
+use fivebar::simulation::methods::{MethodSettings, method_settings};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -177,7 +177,7 @@ fn methods_agree_with_all_effects_on() {
 fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve) -> Coordinates {
     let mut model = scene.model().clone();
     model.solver.choose(solve);
-    let Stepper::MacroStep(method) = model.stepper else { panic!("the default is i3-ALP") };
+    let MethodSettings::MacroStep(method) = method_settings(&model, 0.0) else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
         method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, &mut { Mode::OF_STATE }, 1e-3).expect("step");

@@ -312,7 +312,7 @@ fn absurd_machines_take_bounded_work() {
     };
     let system = FiveBar::<false>::new(simulation.model(), &inputs, &[0; 4]);
     let mut core = before.core;
-    i3alp::advance(&system, &settings, &mut core, &mut { Mode::OF_STATE }, 0.5).expect_err("more than it may do");
+    i3alp::MacroStep::of(0.5).advance(&system, &settings, &mut core, &mut { Mode::OF_STATE }).expect_err("more than it may do");
     assert_eq!(system.iteration_work(), 16);
     let done = 16 * core.counters.iterations + core.counters.substeps + core.counters.rejected;
     let attempt = 16 * (2 * 10 + 60 * 31);

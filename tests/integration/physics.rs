@@ -2,12 +2,12 @@
 
 use fivebar::effects::Mode;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
-use fivebar::integrator::{self, MacroStepMethod, i3alp};
+use fivebar::integrator;
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
 use fivebar::simulation::five_bar::FiveBar;
-use fivebar::simulation::model::Stepper;
+use fivebar::simulation::methods::{MethodSettings, method_settings};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, fall_90_120, run, torque, unequal};
@@ -78,10 +78,10 @@ fn a_reversed_motion_returns() {
 
     let model = there.model();
     let system = FiveBar::<false>::new(model, &inputs, &[0; 4]);
-    let Stepper::MacroStep(MacroStepMethod::I3alp(settings)) = model.stepper else { panic!("the default is i3-ALP") };
+    let MethodSettings::MacroStep(method) = method_settings(model, 0.0) else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, -end.v, model.regularization);
     for _ in 0..2000 {
-        i3alp::advance(&system, &settings, &mut back, &mut { Mode::OF_STATE }, 1e-4).expect("step");
+        method.advance(&system, &mut back, &mut { Mode::OF_STATE }, 1e-4).expect("step");
     }
     let error = angle_error(&back.q, &start.state().core.q);
     // A local error of 3e-9 rad in each of 2 × 2000 steps, all of one sign at worst.

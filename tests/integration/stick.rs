@@ -4,8 +4,9 @@
 use std::f64::consts::PI;
 
 use fivebar::effects::Law;
-use fivebar::effects::stick_slip::{FrictionProblem, SlipDirection, StickSlip, StickSlips};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::hybrid::friction::FrictionProblem;
+use fivebar::hybrid::{SlipDirection, StickSlip, StickSlips};
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};

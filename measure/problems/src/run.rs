@@ -129,7 +129,9 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, con
         };
         for step in 1..=(self.duration / h).round() as u64 {
             match method {
-                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, &mut mode, h)?,
+                Method::I3alp(settings) => {
+                    i3alp::MacroStep::of(h).advance(system, &settings, &mut state, &mut mode)?;
+                }
                 Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h)?,
                 Method::Dop853(settings) => {
                     running.as_mut().map_or(Ok(()), |running| advance(system, &settings, running, &mut state, h))?

@@ -2,12 +2,10 @@
 
 use std::borrow::Borrow;
 
-use super::dop853::Dop853;
-use super::plan::{Outcome, Plan, Try};
+use super::driver::{LONGEST, Outcome, Plan, Try};
+use super::explicit::{Dop853, Explicit, Tsit5};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
-use super::step::LONGEST;
 use super::trial::{Origin, StageDerivative, Trial};
-use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, LEAST_LOG_ERROR, Memory, Scheme, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Events, Passage, State, StepError, System};
@@ -89,8 +87,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let system = system.borrow();
         Ok(match self.scheme {
             scheme if !settings.schemes.allow(scheme, settings.error_tolerance) => false,
-            Scheme::Tsit5 => self.reproduces_end_by::<Tsit5<N>, S>(system, settings),
-            Scheme::Dop853 => self.reproduces_end_by::<Dop853<N>, S>(system, settings),
+            Scheme::Tsit5 => self.reproduces_end_by::<Explicit<Tsit5, N>, S>(system, settings),
+            Scheme::Dop853 => self.reproduces_end_by::<Explicit<Dop853, N>, S>(system, settings),
             Scheme::Rodas4 => self.reproduces_end_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
             Scheme::Rodas5p => self.reproduces_end_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
         })

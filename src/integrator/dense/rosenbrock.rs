@@ -16,11 +16,10 @@ mod tableau;
 
 use std::marker::PhantomData;
 
-use super::hermite::{self, HermiteData};
-use super::step_end::project_to_energy;
-use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each};
+use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, project_to_energy};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
+use crate::integrator::dense_output::{Interpolant, Quintic};
 use crate::integrator::state::StepEnd;
 use crate::integrator::{
     AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
@@ -150,10 +149,11 @@ impl<const N: usize> StiffProjection<'_, N> {
         let (iterations, pose, mass) = if system.can_project(&q) {
             self.project(system, settings, pose, [&mut q, &mut v]).ok()?
         } else {
-            settings.project(system, &mut q, &mut v).ok()?
+            let mass = system.factor_mass(&pose, settings.regularization);
+            (0, pose, mass)
         };
         v = project_to_energy(system, [&q, &v], energy_target).ok()?;
-        StepResult::at(iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
+        StepResult::finite(Work::default(), iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
     }
 
     /// Projects q and q̇ onto the constraints in the metric of the implicit step: corrections are (1 − hγ C − (hγ)² K)⁻¹ times
@@ -279,6 +279,8 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
         }
-        hermite::coefficients(ends, self.h, HermiteData::Middle(middle))
+        let ([from, to], h) = (ends, self.h);
+        let middle = Quintic::Middle([middle[0], h * middle[1]]);
+        StageDerivative::of_positions(Interpolant::quintic([from.q, to.q], [h * from.v, h * to.v], &middle))
     }
 }

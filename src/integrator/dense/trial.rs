@@ -1,12 +1,13 @@
-//! Interface of all schemes: how a step is made, judged and completed; error weights, and evaluation of stages.
+//! Interface of all schemes: how a step is made, judged and ended; error weights, evaluation of stages, projection of the end.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
+use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::acceleration_near;
 use crate::integrator::state::StepEnd;
-use crate::integrator::{EnergyBalance, Passage, State, System, Work};
+use crate::integrator::{EnergyBalance, Passage, Projection, State, StepError, System, Work, velocity_correction};
 use crate::vector::Vector;
 use wide::f64x2;
 
@@ -76,15 +77,9 @@ pub(super) struct StepResult<const N: usize, const M: usize> {
 }
 
 impl<const N: usize, const M: usize> StepResult<N, M> {
-    /// Result without work; `None` unless the end is finite.
-    #[inline(always)]
-    pub(super) fn at(iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
-        Self::after(Work::default(), iterations, end_state)
-    }
-
     /// Result with the given work, J; `None` unless the end is finite.
     #[inline(always)]
-    pub(super) fn after(work: Work, iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
+    pub(super) fn finite(work: Work, iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
         end_state.is_finite().then_some(Self { iterations, end_state, work })
     }
 }
@@ -121,19 +116,7 @@ impl ErrorWeights {
         let Work { input, dissipated } = work();
         mean + (input * input + dissipated * dissipated) / (admissible * admissible)
     }
-}
 
-impl Settings {
-    /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
-    /// exceeds the admissible error, the step is refused with the error in tolerances.
-    #[inline]
-    pub(super) fn checked_work(&self, work: Work) -> Result<Work, f64> {
-        let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
-        if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
-    }
-}
-
-impl ErrorWeights {
     /// Work of a step, corrected by [`Settings::checked_work`]; with events that happens after their location.
     #[inline]
     pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
@@ -151,6 +134,71 @@ impl ErrorWeights {
     }
 }
 
+impl Settings {
+    /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
+    /// exceeds the admissible error, the step is refused with the error in tolerances.
+    #[inline]
+    pub(super) fn checked_work(&self, work: Work) -> Result<Work, f64> {
+        let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
+        if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
+    }
+
+    /// Ends a step at q and q̇, given with the increment from the origin: projects it onto the constraints and, if `evaluated`, solves for
+    /// q̈, λ and power there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
+    #[inline(always)]
+    pub(super) fn conclude<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        evaluated: bool,
+        system: &S,
+        (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
+        [mut q, mut v]: [Vector<N>; 2],
+        energy_target: Option<(EnergyBalance, f64)>,
+        work: Work,
+    ) -> Option<StepResult<N, M>> {
+        let mut pose = origin.pose_at(system, &by);
+        let (iterations, mass) = self.project(system, &mut pose, &mut q, &mut v).ok()?;
+        v = project_to_energy(system, [&q, &v], energy_target).ok()?;
+        let end_state = match evaluated {
+            true => StepEnd::in_balance(system, [q, v], &pose, &mass),
+            false => StepEnd::without_balance(system, [q, v], &pose),
+        };
+        StepResult::finite(work, iterations, end_state)
+    }
+
+    /// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; returns
+    /// iterations and mass factor.
+    #[inline(always)]
+    pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: &mut S::Pose,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Mass), StepError> {
+        if !system.can_project(q) {
+            return Ok((0, system.factor_mass(pose, self.regularization)));
+        }
+        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+        let iterations = projection.position_from(system, pose, q)?;
+        let mass = system.factor_mass(pose, self.regularization);
+        *v += velocity_correction(system, pose, &mass, v);
+        if system.has_sticking() {
+            *v = system.project_sticking(*q, *v);
+        }
+        Ok((iterations, mass))
+    }
+}
+
+/// Velocity q̇ scaled to the energy that was there `h` seconds before, if one is to be conserved.
+pub(super) fn project_to_energy<const N: usize>(
+    system: &impl Passage<N>,
+    [q, v]: [&Vector<N>; 2],
+    energy_target: Option<(EnergyBalance, f64)>,
+) -> Result<Vector<N>, StepError> {
+    let Some((energy, h)) = &energy_target else { return Ok(*v) };
+    Ok(system.energy_scale(energy, q, v, *h)? * *v)
+}
+
 /// Derivatives of q, q̇ and work at a stage, or a weighted sum of them.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct StageDerivative<const N: usize> {
@@ -161,6 +209,11 @@ pub(super) struct StageDerivative<const N: usize> {
 
 impl<const N: usize> StageDerivative<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
+
+    /// Higher coefficients of one polynomial for coordinates and rates.
+    pub(super) fn of_positions(positions: Interpolant<N>) -> [Self; 4] {
+        positions.higher().map(|q| Self { q, ..Self::NONE })
+    }
 
     /// Evaluates acceleration and power at an increment from the origin. One copy of the code for all stages fits into the
     /// processor's cache of decoded instructions.
@@ -200,12 +253,6 @@ impl<P, const N: usize> Origin<P, N> {
     pub(super) fn pose_at<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
         system.pose_from_base((&self.q, &self.trig_base), by)
     }
-}
-
-/// Larger of `most` and |x|, element by element; `most` is not negative.
-#[inline]
-pub(super) fn max_magnitude<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
-    Vector::from_fn(|i| most[i].max(x[i].abs()))
 }
 
 /// Fastest rate r, 1/s, from r² |Δq| + r |Δq̇| = |Δq̈| for differences between two states: frequency of a spring, decay rate of a

@@ -1,8 +1,8 @@
 //! Newton's method on the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
 
-use super::super::projection::ROUND_OFF;
 use super::Settings;
 use super::stiff_forces::RATE;
+use crate::integrator::convergence::Convergence;
 use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, TangentPoint};
 use crate::vector::Vector;
 
@@ -96,27 +96,21 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 ) -> Result<Solution<N, S::Pose>, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
-    let (mut violation, mut last) = (f64::INFINITY, f64::INFINITY);
-    let mut iterations = 0;
+    let mut convergence = Convergence::new(step.tolerance, system.length_scale(), Some(LAST_CORRECTION));
     let mut held = None;
     let (mut q, mut pose);
     loop {
         q = step.q();
         pose = system.pose_in_place(&q);
         let phi = system.phi(&q, &pose);
-        let previous = violation;
-        violation = phi.max_norm();
-        if iterations > 0 {
-            let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
-            let met = (violation < step.tolerance || at_round_off) && last < LAST_CORRECTION;
-            if met && (!settings.controls_rates(system) || rates_converged(system, settings, step, held, (&q, &pose))) {
-                break;
-            }
-            if iterations >= max_iterations {
-                return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction: last });
-            }
+        // Before the first iteration the correction is infinite.
+        let met = convergence.is_met(phi.max_norm());
+        if met && (!settings.controls_rates(system) || rates_converged(system, settings, step, held, (&q, &pose))) {
+            break;
         }
-        iterations += 1;
+        if convergence.iterations >= max_iterations {
+            return Err(convergence.failure());
+        }
         counters.iterations += 1;
         let v = step.velocity();
         // Right-hand side of (9), then its solution: the correction Δq and y = β λ.
@@ -130,7 +124,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         step.lambda = y / beta;
         step.delta += correction;
-        last = correction.max_norm();
+        convergence.corrected(correction.max_norm());
     }
     Ok(Solution { q, pose, v: step.velocity() })
 }

@@ -2,7 +2,7 @@
 //! link angles do not show; and the work of drives (`docs/method.md`, section 5.6).
 
 use super::Settings;
-use crate::integrator::{Events, Extremes, Implicit, State, StepEnd, TangentPoint, Work};
+use crate::integrator::{Events, Implicit, State, StepEnd, TangentPoint, Work};
 use crate::vector::Vector;
 
 /// Rate added to |q̇| in the admissible error of a rate, 1/s: a rate may be off by the sum times the error tolerance of an angle.
@@ -15,19 +15,16 @@ const WORK_ROUND_OFF: f64 = 4.0;
 const EXACT: f64 = 1e-4;
 
 /// Local error with stiff forces, rad: the larger of the rate error, in units of [`RATE`] + |q̇|, and the error of the energy
-/// balance, in units of the energy scale. A step across a discontinuity changes the motion little and the work much. Infinite where
-/// a contact may have been missed.
+/// balance, in units of the energy scale; `separated` is the loss of separated springs, J. A step across a discontinuity changes the
+/// motion little and the work much.
 #[cold]
-pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
+pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
-    (pose, to): (&S::Pose, &StepEnd<N, M>),
+    (pose, to, separated): (&S::Pose, &StepEnd<N, M>, f64),
 ) -> f64 {
-    if system.may_make_contact() && may_miss_contact(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
-        return f64::INFINITY;
-    }
     let unpredicted = to.a - from.a - h * from.jerk;
     let mut rates = rate_error(system, h, &unpredicted, &to.v);
     if rates > settings.error_tolerance {
@@ -40,7 +37,7 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M> + Ev
     }
     let external_work = |work: Work| work.input - work.dissipated;
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + drive_work(system, h, from, to);
+    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + drive_work(system, h, from, to) - separated;
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - external_work(from.work);
     // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
@@ -88,17 +85,13 @@ pub(super) fn rate_error<const N: usize, const M: usize>(
     h / 12.0 * system.error_norm(unpredicted) / (RATE + system.error_norm(v))
 }
 
-/// Whether a contact deeper than the event tolerance may lie between two states, given by q, q̇ and q̈, `h` seconds apart.
-fn may_miss_contact<const N: usize>(
+/// Energy that separated springs dissipate between two states, J.
+pub(super) fn separation_loss<const N: usize, const M: usize>(
     system: &impl Events<N>,
-    settings: &Settings,
-    [from, to]: [&[Vector<N>; 3]; 2],
-    h: f64,
-) -> bool {
-    /// Factor on the larger rates and accelerations of both ends that bounds them in between.
-    const MARGIN: f64 = 1.5;
-    let [before, after] = [from, to].map(|[q, v, _]| system.guard_values(q, v));
-    let [rates, accelerations] = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
-    let extremes = Extremes { rates, accelerations, higher: None };
-    !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
+    from: &State<N, M>,
+    to: &StepEnd<N, M>,
+) -> f64 {
+    let stored = |q: &Vector<N>, v: &Vector<N>| system.separation_energy(&system.guard_values(q, v));
+    let before = stored(&from.q, &from.v);
+    if before > 0.0 { (before - stored(&to.q, &to.v)).max(0.0) } else { 0.0 }
 }

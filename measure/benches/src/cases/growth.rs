@@ -18,7 +18,7 @@ fn row<const N: usize, const M: usize>() -> Case {
         let mut state = State::start(&problem.system, problem.q, problem.v, problem.regularization);
         let work: Work = Box::new(move || {
             for _ in 0..STEPS {
-                i3alp::advance(black_box(&problem.system), &settings, &mut state, &mut (), 1e-3).expect("a step");
+                i3alp::MacroStep::of(1e-3).advance(black_box(&problem.system), &settings, &mut state, &mut ()).expect("a step");
             }
         });
         Ok(work)

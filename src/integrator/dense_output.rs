@@ -1,15 +1,28 @@
-//! Interpolating polynomial of degree 7 between the ends of a step (Hairer, Nørsett, Wanner I, section II.6), with rigorous bounds
-//! from its Bernstein coefficients.
+//! Dense output: the interpolating polynomial between the ends of a step, of degree 7 with the stages of DOP853 (Hairer, Nørsett,
+//! Wanner I, section II.6), of degree 5 by Hermite's conditions, with rigorous bounds from its Bernstein coefficients.
 
-use super::trial::max_magnitude;
 use crate::vector::Vector;
 
 /// Polynomial c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) in the part θ of the step.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Interpolant<const K: usize>([Vector<K>; 8]);
+
+/// Further conditions on a quintic beside values and derivatives at both ends.
+pub(super) enum Quintic<const K: usize> {
+    /// Second derivatives at both ends, times the square of the step.
+    SecondDerivatives([Vector<K>; 2]),
+    /// Value and derivative, times the step, in the middle. With stiff forces second derivatives would carry the error of the ends, times
+    /// h².
+    Middle([Vector<K>; 2]),
+}
+
+/// Larger of `most` and |x|, element by element; `most` is not negative.
+pub(super) fn max_magnitude<const K: usize>(most: &Vector<K>, x: &Vector<K>) -> Vector<K> {
+    Vector::from_fn(|i| most[i].max(x[i].abs()))
+}
 
 impl<const K: usize> Interpolant<K> {
     /// Interpolant from values and derivatives (times the step) at both ends, and the higher coefficients.
-    #[inline]
     pub(super) fn new([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], [d, e, f, g]: [Vector<K>; 4]) -> Self {
         let difference = to - from;
         let second = rate - difference;
@@ -17,8 +30,34 @@ impl<const K: usize> Interpolant<K> {
         Self([from, difference, second, third, d, e, f, g])
     }
 
+    /// Hermite quintic from values, derivatives (times the step) and further conditions.
+    pub(super) fn quintic([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], conditions: &Quintic<K>) -> Self {
+        let cubic = Self::new([from, to], [rate, rate_to], [Vector::ZERO; 4]);
+        let [_, displacement, second, third, ..] = cubic.0;
+        // Coefficients of the basis functions θ²(1−θ)² and θ³(1−θ)².
+        let [fourth, fifth] = match *conditions {
+            Quintic::SecondDerivatives([at_from, at_to]) => {
+                // Second derivatives of the basis functions at the ends: 2 and 2, 0 and 2.
+                let fourth = 0.5 * at_from + second - third;
+                [fourth, 0.5 * at_to + second + 2.0 * third - fourth]
+            }
+            Quintic::Middle([value, rate]) => {
+                // Values and derivatives of the basis functions in the middle: 1/16 and 0, 1/32 and 1/16.
+                let fifth = 16.0 * (rate - displacement - 0.25 * third);
+                let off = value - (0.5 * (from + to) + 0.25 * second + 0.125 * third);
+                [16.0 * off - 0.5 * fifth, fifth]
+            }
+        };
+        Self([from, displacement, second, third, fourth, fifth, Vector::ZERO, Vector::ZERO])
+    }
+
+    /// Higher coefficients, which values and derivatives at the ends do not determine.
+    pub(super) fn higher(&self) -> [Vector<K>; 4] {
+        let [.., d, e, f, g] = self.0;
+        [d, e, f, g]
+    }
+
     /// Value at a part θ of the step.
-    #[inline]
     pub(super) fn at(&self, part: f64) -> Vector<K> {
         let rest = 1.0 - part;
         let [from, difference, second, third, d, e, f, g] = self.0;
@@ -79,7 +118,6 @@ impl<const K: usize> Interpolant<K> {
 
     /// Bounds on the magnitudes of the first four derivatives with respect to θ: the largest Bernstein coefficients, which no value
     /// exceeds.
-    #[inline(never)]
     pub(super) fn derivative_bounds(&self) -> [Vector<K>; 4] {
         let mut coefficients: [Vector<K>; 7] =
             std::array::from_fn(|row| (1..8).fold(Vector::ZERO, |sum, k| sum + RATES[row][k] * self.0[k]));

@@ -1,54 +1,97 @@
-//! Coefficients of DOP853: the method of order 8 by Dormand and Prince with error estimates of order 5 and 3, and dense output of
-//! order 7.
+//! DOP853, the explicit Runge–Kutta method of order 8 by Dormand and Prince: error estimates of order 5 and 3, and dense output of
+//! order 7 from three further stages.
 //!
 //! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6, with the
 //! digits of the authors' code `dop853.f`, rounded to double precision. The test below checks the order conditions.
 
+use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
+use crate::integrator::controller::StepSizeController;
+use crate::integrator::dense::trial::{Origin, StageDerivative};
+use crate::integrator::{State, System, Work};
+
 /// Coefficients of a sum over stages: (stage, coefficient) without zeros.
-pub(super) type Row = &'static [(usize, f64)];
+type Row = &'static [(usize, f64)];
 
-/// Number of stages.
-pub(super) const STAGES: usize = 12;
 /// Row and stage of the end of the step, whose derivative begins the next step and enters the dense output.
-pub(super) const END: usize = STAGES;
+const END: usize = MAX_STAGES;
 /// Number of stages with those of the dense output.
-pub(super) const ALL: usize = 16;
+const ALL: usize = 16;
 
-/// Number of rows in [`COEFFICIENTS`]: those of [`A`], then two error estimates.
-const SUMS: usize = ALL + 2;
-/// Row of [`ERROR_5`] in [`COEFFICIENTS`].
-pub(super) const AT_ERROR_5: usize = ALL;
-/// Row of [`ERROR_3`] in [`COEFFICIENTS`].
-pub(super) const AT_ERROR_3: usize = ALL + 1;
-
-/// Coefficients of every row for every stage, with zeros, which the compiler omits.
-pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
-    let mut all = [[0.0; ALL]; SUMS];
-    let mut sum = 0;
-    while sum < SUMS {
-        let row = match sum {
-            AT_ERROR_5 => ERROR_5,
-            AT_ERROR_3 => ERROR_3,
-            _ => A[sum],
-        };
-        let mut i = 0;
-        while i < row.len() {
-            all[sum][row[i].0] = row[i].1;
-            i += 1;
-        }
-        sum += 1;
+/// A row with its zeros.
+const fn full(row: Row) -> Weights {
+    let mut weights = [0.0; MAX_STAGES];
+    let mut i = 0;
+    while i < row.len() {
+        weights[row[i].0] = row[i].1;
+        i += 1;
     }
-    all
-};
+    weights
+}
 
-/// Last coefficient of a row that is not 0.
-pub(super) const fn last(row: usize) -> f64 {
-    let coefficients = A[row];
-    coefficients[coefficients.len() - 1].1
+/// Order 8 by twelve stages.
+pub(in super::super) struct Dop853;
+
+impl Tableau for Dop853 {
+    const SCHEME: Scheme = Scheme::Dop853;
+    const STAGES: usize = MAX_STAGES;
+    const A: [Weights; MAX_STAGES] = {
+        let mut stages = [[0.0; MAX_STAGES]; MAX_STAGES];
+        let mut stage = 0;
+        while stage < MAX_STAGES {
+            stages[stage] = full(A[stage]);
+            stage += 1;
+        }
+        stages
+    };
+    const END: Weights = full(A[END]);
+    const FINE: Weights = full(ERROR_5);
+    const COARSE: Weights = full(ERROR_3);
+    const DAMPING: f64 = 0.01;
+    const SECOND: Option<Weights> = Some(full(SECOND_ERROR));
+    const EVALUATES_END: bool = true;
+    /// Memory and a growth limit of 3 leave a quarter of the rejections of the classical controller.
+    const CONTROLLER: StepSizeController = StepSizeController {
+        exponent: 1.0 / 8.0 - 0.75 * 0.02,
+        memory: 0.02,
+        accepted: [0.3, 3.0],
+        rejected: [0.3, 0.85],
+        failed: 0.3,
+    };
+
+    /// Coefficients of the dense output, from three further stages.
+    fn dense<const N: usize, const M: usize, S: System<N, M>>(
+        stages: &Stages<N>,
+        system: &S,
+        regularization: f64,
+        [_, end]: [&State<N, M>; 2],
+    ) -> [StageDerivative<N>; 4] {
+        let mut slopes = [StageDerivative::NONE; ALL];
+        slopes[..END].copy_from_slice(&stages.slopes);
+        slopes[END] = StageDerivative { q: end.v, v: end.a, power: end.power };
+        let origin = Origin::new(system, &stages.q, &system.pose(&stages.q), regularization);
+        for stage in END + 1..ALL {
+            let increment = weighted_sum(stages.h, &slopes, A[stage]);
+            slopes[stage].q = slopes[0].q + increment.v;
+            slopes[stage].evaluate_acceleration(system, &origin, &increment.q);
+        }
+        DENSE.map(|row| weighted_sum(stages.h, &slopes, row))
+    }
+}
+
+/// h times the weighted sum of slopes, as a loop, since few steps need their interpolant.
+fn weighted_sum<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
+    let mut sum = StageDerivative::NONE;
+    for &(stage, coefficient) in row {
+        let StageDerivative { q, v, power } = &slopes[stage];
+        sum.q += coefficient * *q;
+        sum.v += coefficient * *v;
+        sum.power = sum.power.plus(coefficient, *power);
+    }
+    StageDerivative { q: h * sum.q, v: h * sum.v, power: Work::default().plus(h, sum.power) }
 }
 
 /// Coefficients of the stages. Row [`END`] is the solution of order 8.
-pub(super) const A: [Row; ALL] = [
+const A: [Row; ALL] = [
     &[],
     &[(0, 0.05260015195876773)],
     &[(0, 0.0197250569845379), (1, 0.0591751709536137)],
@@ -170,7 +213,7 @@ const ERROR_3: Row = &[
 /// Second error estimate of order 5, for sharp nonlinearities. Sums over the stages that meet the conditions of order 5 form a
 /// space of three dimensions. Among 7,800 steps under friction with known errors this direction best detects those that [`ERROR_5`]
 /// underestimates; it is twice as long, which took the fewest steps for a given error.
-pub(super) const SECOND_ERROR: Row = &[
+const SECOND_ERROR: Row = &[
     (0, 0.03594421965334723),
     (5, -0.4741121613850806),
     (6, -1.1021348694695676),
@@ -182,7 +225,7 @@ pub(super) const SECOND_ERROR: Row = &[
 ];
 
 /// Higher coefficients of the dense output.
-pub(super) const DENSE: [Row; 4] = [
+const DENSE: [Row; 4] = [
     &[
         (0, -8.428938276109013),
         (5, 0.5667149535193777),

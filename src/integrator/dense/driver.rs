@@ -1,36 +1,69 @@
-//! One accepted step: approach to vertices, choice of scheme, trials, error control.
+//! The driver of all schemes: begin, try, accept, end at an event, pass a vertex. One accepted step after the other; what follows a step,
+//! past a communication point or made again up to one, is in `dense.rs`.
 
 use std::borrow::Borrow;
 
-use super::dop853::Dop853;
-use super::events::EventCheck;
-use super::plan::{Outcome, Plan, Try};
+use super::explicit::{Dop853, Explicit, Tsit5};
 use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
 use super::trial::{ErrorWeights, Origin, RATE, StageDerivative, StepResult, Trial};
-use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
-use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System};
+use crate::integrator::locator::{self, EventCheck, EventTrials, SHORTEST};
+use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System, Transit, Work};
+use crate::vector::Vector;
 
-/// Shortest step that is rejected for another trial, s.
-pub(super) const SHORTEST: f64 = 1e-15;
 /// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
 /// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
 /// steps.
 const OUTPUT_MARGIN: f64 = 1.000_001;
-/// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
-const LARGEST_INCONSISTENCY: f64 = 1e3;
 /// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
 const SLOW_RATE_PART: f64 = 0.3;
-/// Largest next step, relative to a step whose interpolant has shown a false event, or an event early in the step. Oscillation
-/// about a guard is so resolved within a few steps.
-const AFTER_FALSE_EVENT: f64 = 0.3;
-/// Part of the original step below which a truncated step counts as ended early.
-const EARLY: f64 = 0.01;
-/// Round-off of a difference of coordinates, rad.
-const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
+/// Plan of the next step.
+pub(super) struct Plan<'a, P> {
+    /// Step length, s.
+    pub(super) h: f64,
+    /// Step length that the error control wants, s.
+    pub(super) wanted: f64,
+    /// Longest admissible step, s.
+    pub(super) longest: f64,
+    /// Whether a vertex is near, where the energy may have to be conserved.
+    pub(super) near: bool,
+    /// Whether events are located; not so when a step is made again for comparison.
+    pub(super) locates_events: bool,
+    /// Time of the next output and limit of the step while inputs are constant.
+    pub(super) horizon: Horizon,
+    /// Pose at the beginning of the step, if known.
+    pub(super) pose: Option<&'a P>,
+}
+
+/// One trial of a step.
+pub(super) struct Try {
+    /// Step length, s.
+    pub(super) h: f64,
+    /// Length, s, and error of the last rejected trial.
+    pub(super) rejected: Option<[f64; 2]>,
+    /// Trials that are to end at a guard.
+    pub(super) event_trials: EventTrials,
+}
+
+impl Try {
+    /// First trial of a step, of `h` seconds.
+    pub(super) fn of(h: f64) -> Self {
+        Self { h, rejected: None, event_trials: EventTrials::NONE }
+    }
+}
+
+/// Outcome of a trial.
+pub(super) enum Outcome {
+    /// The step is accepted.
+    Accepted,
+    /// The error, in tolerances, is too large or NaN.
+    Rejected(f64),
+    /// The step has to end at an event, this many seconds after its beginning.
+    EventAt(f64),
+}
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Makes the next step from the end of the current one, whose pose may be known.
@@ -76,8 +109,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let plan = Plan { h, wanted, longest, near, locates_events: true, horizon, pose };
         match scheme {
-            Scheme::Tsit5 => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
-            Scheme::Dop853 => self.attempt::<Dop853<N>, S>(system, settings, &plan),
+            Scheme::Tsit5 => self.attempt::<Explicit<Tsit5, N>, S>(system, settings, &plan),
+            Scheme::Dop853 => self.attempt::<Explicit<Dop853, N>, S>(system, settings, &plan),
             Scheme::Rodas4 => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
             Scheme::Rodas5p => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
         }
@@ -121,21 +154,19 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
         let mut this = Try::of(plan.h);
         loop {
-            let Some(basis) = &linearization else { return self.attempt::<Dop853<N>, S>(system, settings, plan) };
+            let Some(basis) = &linearization else { return self.attempt::<Explicit<Dop853, N>, S>(system, settings, plan) };
             match self.try_once::<T, S>(in_mode.borrow(), settings, plan, (basis, &origin), &this) {
                 Outcome::Accepted => return Ok(()),
                 Outcome::EventAt(when) => {
                     self.reset_to_start();
                     self.end.counters.rejected += 1;
-                    this.event_trials += 1;
-                    if when < SHORTEST {
-                        this.event_shown_by = f64::INFINITY;
+                    this.event_trials.repeat(this.h, when.min(plan.longest));
+                    if let Some(end) = this.event_trials.end {
+                        this.h = end;
+                    } else {
                         self.apply_transition(system, settings);
                         in_mode = system.on(self.mode);
                         linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
-                    } else {
-                        this.event_shown_by = this.h;
-                        this.h = when.min(plan.longest);
                     }
                 }
                 Outcome::Rejected(error) => {
@@ -161,30 +192,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
         (basis, origin): (&T::Linearization, &Origin<S::TrigBase, N>),
-        &Try { h, rejected, event_trials, event_shown_by }: &Try,
+        Try { h, rejected, event_trials }: &Try,
     ) -> Outcome {
-        let &Plan { wanted, near, locates_events, horizon, .. } = plan;
+        let (&Plan { wanted, near, locates_events, horizon, .. }, h) = (plan, *h);
         let energy_target = if near { self.energy_target(on, h) } else { None };
         let mut trial = T::new(on, basis, (&self.start, origin), h);
         let (error, step_result) = trial.conclude(on, settings, origin, &settings.error_weights(on), energy_target);
         let Some(step_result) = step_result else { return Outcome::Rejected(error) };
         self.accept(&step_result, h, T::SCHEME);
-        let mut tried = f64::INFINITY;
+        let mut longest_next = f64::INFINITY;
         if on.has_events() && locates_events {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.event_check(on, settings, &mut dense, event_trials) {
-                // The event that the interpolant of a longer trial has shown does not exist.
-                EventCheck::Clear => tried = event_shown_by,
-                EventCheck::AtEnd => {
-                    self.next_mode_at_end = on.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
-                    tried = if self.truncated_from > 0.0 { self.truncated_from } else { event_shown_by };
-                    tried = if self.length < EARLY * tried { tried } else { f64::INFINITY };
+            match self.check_events(on, settings, &mut dense, event_trials.count) {
+                Ok(EventCheck::Before(when)) => return Outcome::EventAt(when),
+                Ok(event) if self.truncated_from > 0.0 => {
+                    longest_next = event_trials.longest_after(&event, (self.length, self.truncated_from));
                 }
-                EventCheck::Before(when) => return Outcome::EventAt(when),
-                EventCheck::WorkError(error) => {
+                Ok(event) => longest_next = event_trials.longest_next(&event, h),
+                Err(error) => {
                     self.reset_to_start();
-                    self.next_mode_at_end = self.mode;
                     return Outcome::Rejected(error);
                 }
             }
@@ -198,7 +225,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.error_estimate = error * settings.error_tolerance;
         self.adapt::<T>(h, error, wanted, rejected.is_some());
         let next = self.next_length::<T>();
-        *next = next.min((AFTER_FALSE_EVENT * tried).max(SHORTEST));
+        *next = next.min(longest_next);
         // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
         // no stage at their end.
         let chooses = settings.schemes == Schemes::Automatic;
@@ -268,25 +295,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.work += *work;
     }
 
-    /// Whether the interpolant is consistent: its rates are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`].
-    /// Stages may miss a force that the further stages of the dense output meet. Schemes with one polynomial for both are always
-    /// consistent.
-    #[cold]
-    pub(super) fn interpolant_is_consistent(&self, settings: &Settings) -> bool {
-        if self.scheme != Scheme::Dop853 {
-            return true;
-        }
-        let (positions, velocities) = (self.positions(), self.velocities());
-        [0.125, 0.5, 0.875].into_iter().all(|part| {
-            let v = velocities.at(part);
-            let defect = positions.rate_at(part) - self.length * v;
-            (0..N).all(|i| {
-                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
-                defect[i].abs() <= admissible + ROUND_OFF * (1.0 + self.end.q[i].abs())
-            })
-        })
-    }
-
     /// Sets the length of the next step from the error of one of `h` seconds.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
@@ -310,6 +318,93 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Length of the next step of scheme `T`, s.
     fn next_length<T: Trial<N>>(&mut self) -> &mut f64 {
         if T::SCHEME == Scheme::Tsit5 { &mut self.memory.stiffness_switch.tsit5_step } else { &mut self.end.substep }
+    }
+
+    /// Sets the mode at the beginning of a step, after all transitions due there, and returns the longest useful step in that mode,
+    /// s.
+    fn reinitialize<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
+        if !system.has_modes() {
+            return f64::INFINITY;
+        }
+        self.truncated_from = 0.0;
+        let (mode, lasting) =
+            locator::mode_at(system, self.next_mode_at_end, [&self.start.q, &self.start.v], settings.error_tolerance);
+        self.set_mode(system, settings, mode);
+        lasting
+    }
+
+    /// Applies the transition at a guard that the step crosses at its very beginning.
+    fn apply_transition<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
+        let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
+        self.set_mode(system, settings, mode);
+    }
+
+    /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
+    fn set_mode<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
+        if mode != self.mode {
+            let [before, next_mode] = [system.on(self.mode), system.on(mode)];
+            self.start.reinitialize(next_mode.borrow(), &system.pose(&self.start.q), settings.regularization);
+            if before.borrow().has_active_contact() != next_mode.borrow().has_active_contact() {
+                std::mem::swap(&mut self.start.substep, &mut self.memory.substep_in_other_mode);
+                self.before = self.memory;
+            }
+            self.end = self.start;
+        }
+        (self.mode, self.next_mode_at_end) = (mode, mode);
+    }
+
+    /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard; or refuses it with the error
+    /// of its work, in tolerances. `system` is in the mode of the step, and `dense` evaluates the interpolant's coefficients.
+    #[inline(never)]
+    fn check_events<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        dense: &mut dyn FnMut(&State<N, M>) -> [StageDerivative<N>; 4],
+        tries: u32,
+    ) -> Result<EventCheck, f64> {
+        let from = system.guard_values(&self.start.q, &self.start.v);
+        let (shown, length) = (system.separation_energy(&from), self.length);
+        let end = self.evaluated_end(system, settings);
+        self.dense = dense(&end);
+        let (of, path) = ((system, settings.error_tolerance), self.path());
+        // Events are located on a dense output that agrees with the stages of the step; one that does not gives no error estimate.
+        if !self.interpolant_is_consistent(settings) {
+            return Err(f64::NAN);
+        }
+        let event =
+            locator::check(of, from, ([&end.q, &end.v, &end.a], length), tries, path, |when| self.truncate(system, settings, when));
+        if let EventCheck::Before(_) = event {
+            return Ok(event);
+        }
+        settings.checked_work(Work::of_pair(self.end.work.pair() - self.start.work.pair()))?;
+        self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated);
+        if shown > 0.0 {
+            self.end.work.dissipated += self.separation_energy(system, [&self.end.q, &self.end.v]);
+        }
+        if let EventCheck::AtEnd = event {
+            self.next_mode_at_end = system.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
+        }
+        Ok(event)
+    }
+
+    /// Energy dissipated by separated springs between the beginning of the step and a state q, q̇, J.
+    pub(super) fn separation_energy<S: Events<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
+        let shown = system.separation_energy(&system.guard_values(&self.start.q, &self.start.v));
+        if shown > 0.0 { (shown - system.separation_energy(&system.guard_values(q, v))).max(0.0) } else { 0.0 }
+    }
+
+    /// Makes a straight step through a vertex.
+    #[cold]
+    fn pass_through<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+        &mut self,
+        system: &S,
+        transit: &Transit<N>,
+        settings: &Settings,
+    ) -> Result<(), StepError> {
+        self.next_mode_at_end = self.end.pass_through(system, transit, settings.regularization)?;
+        (self.length, self.is_linear) = (transit.duration, true);
+        Ok(())
     }
 }
 

@@ -1,0 +1,526 @@
+//! Dry friction as a set-valued law: stick and slip as a complementarity problem.
+//!
+//! A friction place is a direction in which bodies slide on each other: the rotation of a joint, or the tip along the plane. A slipping
+//! place has a friction force against its sliding rate w; a sticking place has the force that keeps w = 0, up to the bound b. A method
+//! stores the states ([`StickSlips`]).
+//!
+//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise
+//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
+//! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so that at most two independent places stick,
+//! and then nothing moves.
+
+use arrayvec::ArrayVec;
+
+use super::guards::Extremes;
+use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
+use crate::integrator::{Kkt, StickingConstraint, System};
+use crate::mechanism::{LINKS, SceneError};
+use crate::vector::Vector;
+
+/// Law of dry friction: the `….law` variables.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Law {
+    /// Regularised: a smooth function of the sliding rate, which creeps under load.
+    #[default]
+    Smooth,
+    /// Set-valued: sticks up to its bound.
+    Stick,
+}
+
+/// Active friction place at a state, as a constraint on the sliding rate w = row·q̇ that friction may hold at 0.
+#[derive(Clone, Copy, Debug)]
+pub struct FrictionConstraint<const N: usize> {
+    /// Index of the place in [`StickSlips`].
+    pub place: usize,
+    /// Sliding rate, rad/s or m/s.
+    pub rate: f64,
+    /// Largest friction torque or force while sticking, N·m or N.
+    pub bound: f64,
+    /// Generalised force of a friction torque of 1 N·m, or of a friction force of 1 N, which is the row of the constraint.
+    pub row: Vector<N>,
+    /// Part of ẇ that depends on the rates alone: ẇ = row·q̈ + drift.
+    pub drift: f64,
+    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
+    pub arms: [f64; LINKS],
+}
+
+/// Constraints of all friction places that are active at a state.
+pub type FrictionConstraints<const N: usize> = ArrayVec<FrictionConstraint<N>, FRICTION_PLACES>;
+
+/// A mechanical system with dry friction that may stick.
+pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
+    /// Stick-slip states in force.
+    fn stick_slip(&self) -> &StickSlips;
+    /// The system with other stick-slip states.
+    fn with_stick_slip(&self, stick_slip: StickSlips) -> Self;
+    /// Friction constraints at q with its pose and q̇.
+    fn friction_constraints(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionConstraints<N>;
+    /// Regularisation e of the saddle-point systems, 1/kg.
+    fn regularization(&self) -> f64;
+    /// Sliding rate below which a friction place counts as at rest, rad/s or m/s.
+    fn stick_velocity(&self) -> f64;
+
+    /// Stick-slip states that follow from a state without history.
+    fn resolved(&self, q: &Vector<N>, v: &Vector<N>) -> StickSlips {
+        let constraints = self.friction_constraints(q, &self.pose(q), v);
+        if v.max_norm() <= REST_RATE * self.stick_velocity() {
+            let at_rest = self.friction_problem(q, &Vector::ZERO, &|_| true);
+            if at_rest.can_rest() {
+                return self.stick_slip().resting(at_rest.places.into_iter());
+            }
+        }
+        let mut stick_slip = self.slipping(&constraints);
+        let rests = |constraint: &FrictionConstraint<N>| constraint.rate.abs() <= STICKING_RATE * self.stick_velocity();
+        if constraints.iter().any(rests) {
+            self.friction_problem(q, v, &rests).resolve_motion(&mut stick_slip);
+        }
+        stick_slip
+    }
+
+    /// All places slip but those that the closure branch keeps still.
+    fn slipping(&self, constraints: &FrictionConstraints<N>) -> StickSlips {
+        let mut stick_slip = self.stick_slip().opened();
+        for constraint in constraints.iter().filter(|constraint| !self.stick_slip().is_still(constraint.place)) {
+            stick_slip.set(constraint.place, StickSlip::Slips(SlipDirection::of(constraint.rate)));
+        }
+        stick_slip
+    }
+
+    /// Whether a place can stick: its bound is positive and the closure branch lets it move.
+    fn is_able(&self, constraint: &FrictionConstraint<N>) -> bool {
+        constraint.bound > 0.0 && !self.stick_slip().is_still(constraint.place)
+    }
+
+    /// Friction problem of the places that may stick, while the others slip.
+    fn friction_problem(&self, q: &Vector<N>, v: &Vector<N>, rests: &dyn Fn(&FrictionConstraint<N>) -> bool) -> FrictionProblem {
+        let pose = self.pose(q);
+        let constraints = self.friction_constraints(q, &pose, v);
+        let resting: FrictionConstraints<N> =
+            constraints.iter().filter(|constraint| self.is_able(constraint) && rests(constraint)).copied().collect();
+        let mut stick_slip = self.slipping(&constraints);
+        for constraint in &resting {
+            stick_slip.set(constraint.place, StickSlip::Sticks(SlipDirection::Forward));
+        }
+        let mass = self.factor_mass(&pose, self.regularization());
+        let forces = self.with_stick_slip(stick_slip).forces(q, &pose, v);
+        let (a, _) = mass.solve(&forces, &-self.phi_q_dot_times(&pose, v));
+        let mut friction_problem = FrictionProblem::default();
+        for (i, constraint) in resting.iter().enumerate() {
+            let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
+            friction_problem.places.push(constraint.place);
+            friction_problem.bounds[i] = constraint.bound;
+            friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
+            for (j, other) in resting.iter().enumerate() {
+                friction_problem.mobility[j][i] = other.row.dot(&by_torque);
+            }
+        }
+        friction_problem
+    }
+
+    /// Constraint or reaction by which friction holds the system.
+    fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
+        let constraints = self.friction_constraints(q, pose, v);
+        if self.stick_slip().at_rest() {
+            let able = constraints.iter().filter(|constraint| self.is_able(constraint));
+            let parts = able.zip(self.friction_problem(q, v, &|_| true).resting_torques());
+            let force = parts.fold(Vector::ZERO, |sum, (constraint, torque)| sum + torque * constraint.row);
+            return StickingConstraint::All { force };
+        }
+        let Some(first) = first(self.stick_slip(), &constraints) else { return StickingConstraint::Nothing };
+        let shares = shares(self.stick_slip(), &constraints);
+        let force = shares.fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
+        StickingConstraint::Direction { row: first.row, drift: first.drift, force }
+    }
+
+    /// Friction reactions of sticking places: torques in the joints, N·m, and force on the tip, N.
+    fn holding(&self, q: &Vector<N>, v: &Vector<N>) -> [f64; FRICTION_PLACES] {
+        let pose = self.pose(q);
+        let mut holding = [0.0; FRICTION_PLACES];
+        if self.stick_slip().at_rest() {
+            let friction_problem = self.friction_problem(q, v, &|_| true);
+            for (place, torque) in friction_problem.places.iter().zip(friction_problem.resting_torques()) {
+                holding[*place] = torque;
+            }
+            return holding;
+        }
+        let StickingConstraint::Direction { row, drift, force } = self.sticking(q, &pose, v) else { return holding };
+        let mass = self.factor_mass(&pose, self.regularization());
+        let (a, _) = mass.solve(&self.forces(q, &pose, v), &-self.phi_q_dot_times(&pose, v));
+        let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
+        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints(q, &pose, v)) {
+            holding[constraint.place] = part * share;
+        }
+        holding
+    }
+
+    /// q̈ and λ with the friction reactions, from those without.
+    fn with_reaction(&self, [q, v]: [Vector<N>; 2], (a, lambda): (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
+        let pose = self.pose(&q);
+        match self.sticking(&q, &pose, &v) {
+            StickingConstraint::Nothing => (a, lambda),
+            StickingConstraint::Direction { row, drift, force } => {
+                let (by_force, by_force_lambda) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
+                let part = held_at_zero(row.dot(&a) + drift, row.dot(&by_force));
+                (a + part * by_force, lambda + part * by_force_lambda)
+            }
+            StickingConstraint::All { force } => {
+                let held = self.forces(&q, &pose, &v) + force;
+                (Vector::ZERO, self.factor_mass(&pose, self.regularization()).solve(&held, &Vector::ZERO).1)
+            }
+        }
+    }
+
+    /// Velocity without its component along the sticking direction: the projection that is smallest in the mass metric.
+    fn without_sliding(&self, q: &Vector<N>, v: Vector<N>) -> Vector<N> {
+        if self.stick_slip().at_rest() {
+            return Vector::ZERO;
+        }
+        let pose = self.pose(q);
+        let StickingConstraint::Direction { row, force, .. } = self.sticking(q, &pose, &v) else { return v };
+        let (by_force, _) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
+        v + held_at_zero(row.dot(&v), row.dot(&by_force)) * by_force
+    }
+
+    /// Friction guards at a state, for event location.
+    fn friction_guards(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionGuards {
+        let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
+        let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
+        let guard = |FrictionConstraint { place, rate, bound, arms, .. }: FrictionConstraint<N>| FrictionGuard {
+            place,
+            rate,
+            load: [holding[place], bound],
+            arms,
+        };
+        self.friction_constraints(q, pose, v).into_iter().map(guard).collect()
+    }
+
+    /// Directional derivative of q̈ and λ with sticking joints, from those without friction: accelerations of sticking places stay 0.
+    /// Refused where friction holds the whole mechanism or the tip.
+    fn varied(&self, [q, v]: [&Vector<N>; 2], (a, lambda): (Vector<N>, Vector<M>)) -> Result<(Vector<N>, Vector<M>), SceneError> {
+        let stick_slip = self.stick_slip();
+        if !stick_slip.any_sticks() {
+            return Ok((a, lambda));
+        }
+        if stick_slip.at_rest() || matches!(stick_slip.at(TIP_FRICTION), StickSlip::Sticks(_)) {
+            return Err(SceneError(
+                "the tip sticks or friction locks the machine: derivatives are available only where joints alone stick and the \
+                 machine can move."
+                    .into(),
+            ));
+        }
+        let pose = self.pose(q);
+        let StickingConstraint::Direction { row, force, .. } = self.sticking(q, &pose, v) else { return Ok((a, lambda)) };
+        let (by_force, by_force_lambda) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
+        let part = held_at_zero(row.dot(&a), row.dot(&by_force));
+        Ok((a + part * by_force, lambda + part * by_force_lambda))
+    }
+
+    /// Whether a run can have reached a state with its stick-slip states; `just_stopped` allows the residual rates of a stop.
+    fn are_possible(&self, q: &Vector<N>, v: &Vector<N>, just_stopped: bool) -> bool {
+        /// Largest rate by which a stick-slip state may contradict the motion, in stick velocities: a hundredfold of the event tolerance.
+        const LARGEST_CONTRADICTION: f64 = 100.0;
+        let stick_slip = self.stick_slip();
+        if stick_slip.at_rest() {
+            let all = self.friction_problem(q, &Vector::ZERO, &|_| true);
+            let slowest = if just_stopped { REST_RATE * self.stick_velocity() } else { 0.0 };
+            return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
+        }
+        let guards = self.friction_guards(q, &self.pose(q), v);
+        let far = LARGEST_CONTRADICTION * self.stick_velocity();
+        let there = |place: usize| guards.iter().any(|guard| guard.place == place);
+        let held = |constraint: &FrictionConstraint<N>| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
+        self.friction_problem(q, v, &held).is_single_motion()
+            && (0..FRICTION_PLACES)
+                .all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
+            && guards.iter().all(|guard| match stick_slip.at(guard.place) {
+                StickSlip::Inactive => false,
+                StickSlip::Still => guard.rate.abs() <= far,
+                StickSlip::Slips(way) => way.sign() * guard.rate >= -far,
+                StickSlip::Sticks(_) => guard.rate.abs() <= far && guard.load[0].abs() <= (1.0 + 1e-3) * guard.load[1].abs() + 1e-9,
+            })
+    }
+}
+
+/// Largest rate of a mechanism that friction can bring to rest, in stick velocities: residual motion below that is within tolerances.
+const REST_RATE: f64 = 1e3;
+
+/// Largest rate at which a place may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
+const STICKING_RATE: f64 = 2.0;
+
+/// Friction torque or force that brings a change along its row to 0, by the mobility of the row; 0 where nothing moves it.
+fn held_at_zero(change: f64, mobility: f64) -> f64 {
+    if mobility > 0.0 { -change / mobility } else { 0.0 }
+}
+
+/// First sticking place.
+fn first<'a, const N: usize>(
+    stick_slip: &StickSlips,
+    constraints: &'a FrictionConstraints<N>,
+) -> Option<&'a FrictionConstraint<N>> {
+    constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_)))
+}
+
+/// Sticking places of one motion with their torque per unit of the first: all use an equal fraction of their bounds.
+fn shares<'a, const N: usize>(
+    stick_slip: &'a StickSlips,
+    constraints: &'a FrictionConstraints<N>,
+) -> impl Iterator<Item = (&'a FrictionConstraint<N>, f64)> {
+    let first = first(stick_slip, constraints);
+    constraints.iter().filter_map(move |constraint| {
+        let StickSlip::Sticks(way) = stick_slip.at(constraint.place) else { return None };
+        let leader = first?;
+        let share = if constraint.place == leader.place { 1.0 } else { way.sign() * constraint.bound / leader.bound };
+        Some((constraint, share))
+    })
+}
+
+/// A friction place at a state, with its distance from the next transition between stick and slip.
+#[derive(Clone, Copy, Debug)]
+pub struct FrictionGuard {
+    /// Index in [`StickSlips`].
+    pub place: usize,
+    /// Rate, rad/s or m/s.
+    pub rate: f64,
+    /// Friction torque or force while sticking, and its bound, N·m or N; 0 while slipping.
+    pub load: [f64; 2],
+    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
+    pub arms: [f64; LINKS],
+}
+
+/// Guards of all friction places that are active at a state.
+pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
+
+/// Sliding rate below which a friction place counts as at rest, rad/s or m/s, at an angular tolerance, rad.
+pub fn stick_velocity(tolerance: f64) -> f64 {
+    /// Rate per tolerated angle, 1/s: a rate counts as the displacement in 0.1 s, as in the error norm of the error-controlled methods.
+    const PER_ANGLE: f64 = 10.0;
+    (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
+}
+
+impl FrictionGuard {
+    /// Guard value in units of the event tolerance, positive past the guard: reversed rate while slipping, load above its bound while
+    /// sticking.
+    pub fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
+        match stick_slip.at(self.place) {
+            StickSlip::Inactive | StickSlip::Still => f64::NEG_INFINITY,
+            StickSlip::Slips(direction) => -direction.sign() * self.rate / stick_velocity(tolerance),
+            StickSlip::Sticks(_) => {
+                let [load, bound] = self.load;
+                (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
+            }
+        }
+    }
+
+    /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
+    /// derivative of the rate, or on the distance of the rate from its chord.
+    pub fn stays(
+        &self,
+        to: &Self,
+        stick_slip: &StickSlips,
+        duration: f64,
+        Extremes { rates, accelerations, jerks, .. }: &Extremes,
+        tolerance: f64,
+    ) -> bool {
+        let StickSlip::Slips(direction) = stick_slip.at(self.place) else { return true };
+        let [from, to] = [self.rate, to.rate].map(|rate| direction.sign() * rate);
+        let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * of(link)).sum::<f64>();
+        let most = along(&|link| accelerations[link] + rates[link] * rates[link]);
+        if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
+            return true;
+        }
+        let curvature = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
+        from.min(to) - curvature * duration * duration / 8.0 >= -stick_velocity(tolerance)
+    }
+}
+
+/// Complementarity problem of the friction places whose sliding rate is 0: ẇ = G T + c with |T| ≤ b, T = −b sign ẇ where ẇ ≠ 0.
+#[derive(Clone, Debug, Default)]
+pub struct FrictionProblem {
+    /// Indices of the places in [`StickSlips`].
+    pub places: ArrayVec<usize, FRICTION_PLACES>,
+    /// Matrix G: sliding accelerations per unit of friction torque or force at each place.
+    pub mobility: [[f64; FRICTION_PLACES]; FRICTION_PLACES],
+    /// Vector c: sliding accelerations without friction at these places, rad/s² or m/s².
+    pub change: [f64; FRICTION_PLACES],
+    /// Bounds b, N·m or N, all positive.
+    pub bounds: [f64; FRICTION_PLACES],
+}
+
+/// Relative tolerance of the inequalities, as a part of the bounds: far above round-off, far below any physical load.
+const TOLERANCE: f64 = 1e-9;
+
+/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace: makes torques unique that equilibrium leaves open.
+const RIDGE: f64 = 1e-12;
+
+/// A candidate solution of a [`FrictionProblem`]: the stick-slip state of each of its places.
+type Candidate = [StickSlip; FRICTION_PLACES];
+
+impl FrictionProblem {
+    fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s².
+    fn scale(&self, i: usize) -> f64 {
+        self.mobility[i][i] * self.bounds[i]
+    }
+
+    /// Whether friction can keep all places at rest, and that stops the whole mechanism.
+    pub fn can_rest(&self) -> bool {
+        let n = self.len();
+        let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
+        all && (self.least_squares_torques().is_some()
+            || self.least_violating(2..=2).is_some_and(|(violation, _)| violation <= TOLERANCE))
+    }
+
+    /// Whether all places constrain the same motion.
+    pub fn is_single_motion(&self) -> bool {
+        (1..self.len()).all(|i| self.are_parallel(0, i))
+    }
+
+    /// Whether two places constrain the same motion: their rows are parallel.
+    fn are_parallel(&self, i: usize, j: usize) -> bool {
+        let g = &self.mobility;
+        g[i][j] * g[i][j] >= (1.0 - TOLERANCE) * g[i][i] * g[j][j]
+    }
+
+    /// Torques or forces, N·m or N, by which all places stick: those of least sum of squares relative to the bounds, or, where these
+    /// exceed the bounds, those with all but two places at their bounds.
+    pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
+        self.least_squares_torques().unwrap_or_else(|| {
+            self.least_violating(2..=2).map_or([0.0; FRICTION_PLACES], |(_, candidate)| self.torques(&candidate))
+        })
+    }
+
+    /// Torques of least squares: (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method; `None` where a bound is exceeded
+    /// or an acceleration remains.
+    fn least_squares_torques(&self) -> Option<[f64; FRICTION_PLACES]> {
+        let n = self.len();
+        let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
+        if trace <= 0.0 {
+            return None;
+        }
+        // Cholesky, row by row.
+        let mut lower = [[0.0; FRICTION_PLACES]; FRICTION_PLACES];
+        let mut x = [0.0; FRICTION_PLACES];
+        for i in 0..n {
+            for j in 0..=i {
+                let entry = self.bounds[i] * self.mobility[i][j] * self.bounds[j] + if i == j { RIDGE * trace } else { 0.0 };
+                let rest = entry - (0..j).map(|k| lower[i][k] * lower[j][k]).sum::<f64>();
+                if i == j && rest <= 0.0 {
+                    return None;
+                }
+                lower[i][j] = if i == j { rest.sqrt() } else { rest / lower[j][j] };
+            }
+            let known: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
+            x[i] = (-self.bounds[i] * self.change[i] - known) / lower[i][i];
+        }
+        for i in (0..n).rev() {
+            let known: f64 = (i + 1..n).map(|k| lower[k][i] * x[k]).sum();
+            x[i] = (x[i] - known) / lower[i][i];
+        }
+        let mut torques = [0.0; FRICTION_PLACES];
+        for i in 0..n {
+            torques[i] = self.bounds[i] * x[i];
+        }
+        // If no torques keep all places at rest, those of least squares leave accelerations.
+        let left = self.accelerations(&torques);
+        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
+        holds.then_some(torques)
+    }
+
+    /// Sliding accelerations ẇ = G T + c, rad/s² or m/s².
+    fn accelerations(&self, torques: &[f64; FRICTION_PLACES]) -> [f64; FRICTION_PLACES] {
+        std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
+    }
+
+    /// Torques or forces of a candidate, N·m or N: the bounds at slipping places, the solution of ẇ = 0 at up to two sticking places.
+    fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
+        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match candidate[i] {
+            StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
+            StickSlip::Sticks(_) | StickSlip::Inactive | StickSlip::Still => 0.0,
+        });
+        let left = self.accelerations(&torques);
+        let mut held = (0..self.len()).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_)));
+        match (held.next(), held.next()) {
+            (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
+            (Some(i), Some(j)) => {
+                let [[a, b], [c, d]] = [[i, i], [j, j]].map(|[row, _]| [self.mobility[row][i], self.mobility[row][j]]);
+                let determinant = a * d - b * c;
+                torques[i] = quotient(b * left[j] - d * left[i], determinant);
+                torques[j] = quotient(c * left[i] - a * left[j], determinant);
+            }
+            _ => {}
+        }
+        torques
+    }
+
+    /// The candidate of least violation, as a part of the bounds, among those whose number of sticking places is in a range.
+    fn least_violating(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Candidate)> {
+        let n = self.len();
+        let mut least_violating: Option<(f64, Candidate)> = None;
+        for mut code in 0..3_usize.pow(n as u32) {
+            let mut candidate = [StickSlip::Inactive; FRICTION_PLACES];
+            for joint in &mut candidate[..n] {
+                *joint = [
+                    StickSlip::Sticks(SlipDirection::Forward),
+                    StickSlip::Slips(SlipDirection::Forward),
+                    StickSlip::Slips(SlipDirection::Backward),
+                ][code % 3];
+                code /= 3;
+            }
+            let sticking: ArrayVec<usize, FRICTION_PLACES> =
+                (0..n).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_))).collect();
+            // Two places that constrain the same motion leave the other motion free.
+            if !holds.contains(&sticking.len()) || matches!(sticking[..], [i, j] if self.are_parallel(i, j)) {
+                continue;
+            }
+            let torques = self.torques(&candidate);
+            let left = self.accelerations(&torques);
+            let violation = (0..n).fold(0.0, |most: f64, i| {
+                most.max(match candidate[i] {
+                    StickSlip::Sticks(_) => torques[i].abs() / self.bounds[i] - 1.0,
+                    StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
+                    StickSlip::Inactive | StickSlip::Still => 0.0,
+                })
+            });
+            if least_violating.is_none_or(|(least, _)| violation < least) {
+                least_violating = Some((violation, candidate));
+            }
+        }
+        least_violating
+    }
+
+    /// Sets the states where the mechanism moves or begins to: at most one place sticks, and with it those that constrain the same motion.
+    pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
+        let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
+        let left = self.accelerations(&self.torques(&candidate));
+        if let Some(sticking_place) = candidate.iter().position(|joint| matches!(joint, StickSlip::Sticks(_))) {
+            // The round-off of strong places accelerates a weak one.
+            let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
+            let with =
+                |i: usize| i == sticking_place || self.are_parallel(sticking_place, i) && left[i].abs() <= TOLERANCE * greatest(i);
+            // Directions are relative to the first of these places, which need not be `sticking_place`.
+            let first = (0..sticking_place).find(|i| with(*i)).unwrap_or(sticking_place);
+            for i in (first..self.len()).filter(|i| with(*i)) {
+                candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
+            }
+        }
+        for (place, joint) in self.places.iter().zip(candidate) {
+            stick_slip.set(*place, joint);
+        }
+    }
+}
+
+/// The quotient x/y; where y is (nearly) 0, a value so large that it violates any bound.
+fn quotient(x: f64, y: f64) -> f64 {
+    /// Largest magnitude of the quotient: above any bound, and its square is still finite.
+    const LARGEST_QUOTIENT: f64 = 1e100;
+    if x == 0.0 {
+        0.0
+    } else if x.abs() < LARGEST_QUOTIENT * y.abs() {
+        x / y
+    } else {
+        LARGEST_QUOTIENT * x.signum()
+    }
+}

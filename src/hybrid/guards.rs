@@ -1,0 +1,97 @@
+//! Guards: functions of the state whose zeros separate two smooth branches of a force law. They belong to the unilateral springs of stops
+//! and contact (penetration, ramp, push) and to set-valued dry friction. Smooth friction and servos have none.
+
+use arrayvec::ArrayVec;
+
+use super::friction::{FrictionGuard, FrictionGuards};
+use super::mode::{INDICATORS, Mode, SPRINGS, StickSlip};
+use super::unilateral::{Phase, UnilateralGuard};
+use crate::integrator;
+use crate::mechanism::LINKS;
+
+/// Bounds on the derivatives of the link angles over a step.
+pub type Extremes = integrator::Extremes<LINKS>;
+
+/// Guard values of a scene at a state.
+pub struct GuardValues<'a> {
+    springs: ArrayVec<UnilateralGuard<'a>, SPRINGS>,
+    friction_guards: FrictionGuards,
+}
+
+impl<'a> GuardValues<'a> {
+    /// Guard values of springs and friction at a state.
+    pub fn new(springs: impl Iterator<Item = UnilateralGuard<'a>>, friction_guards: FrictionGuards) -> Self {
+        Self { springs: springs.collect(), friction_guards }
+    }
+
+    /// The mode with the springs in the phases of the present state.
+    pub fn mode(&self, mut mode: Mode) -> Mode {
+        for guard in &self.springs {
+            mode.springs[guard.place] = Some(guard.spring.phase(guard.depth, guard.rate));
+        }
+        mode
+    }
+
+    /// Event indicators, m or rad, which change sign at a discontinuity of a force law; 1 for absent springs.
+    pub fn indicators(&self) -> [f64; INDICATORS] {
+        let mut indicators = [1.0; INDICATORS];
+        for guard in &self.springs {
+            indicators[3 * guard.place..][..3].copy_from_slice(&guard.spring.indicators(guard.depth, guard.rate));
+        }
+        indicators
+    }
+
+    /// Largest excess of a sticking load over its bound while the mechanism moves, in units of the event tolerance; −∞ where nothing
+    /// sticks, or everything does.
+    pub fn breakaway_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
+        let sticks =
+            |guard: &&FrictionGuard| !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.place), StickSlip::Sticks(_));
+        let residuals = self.friction_guards.iter().filter(sticks).map(|guard| guard.guard_residual(&mode.stick_slip, tolerance));
+        residuals.fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Largest guard value of a state in units of the event tolerance, at an angular tolerance, rad: positive past a guard, negative
+    /// where the mode holds.
+    pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
+        let phase_guards =
+            self.springs.iter().filter_map(|guard| guard.deciding(mode, tolerance)).map(|phase_guard| phase_guard.guard_residual);
+        let friction_guards =
+            self.friction_guards.iter().map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance));
+        phase_guards.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Elastic energy still stored in springs that have separated, J; its decrease is dissipated.
+    pub fn separation_energy(&self, mode: &Mode) -> f64 {
+        let free = self.springs.iter().filter(|guard| guard.depth > 0.0 && guard.phase(mode) == Phase::Free);
+        free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
+    }
+
+    /// Estimated time that springs on their ramps remain there, s.
+    pub fn dwell_time(&self, mode: &Mode) -> f64 {
+        let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(mode), guard.depth, guard.rate));
+        lasting.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The mode after the transitions of all springs whose guards the state has passed, or, where none is passed, of the nearest one.
+    pub fn next_mode(&self, mode: Mode, tolerance: f64) -> Mode {
+        let nearest = self.guard_residual(&mode, tolerance).min(0.0);
+        let mut next_mode = mode;
+        for guard in &self.springs {
+            if let Some(phase_guard) = guard.deciding(&mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)
+            {
+                next_mode.springs[guard.place] = Some(phase_guard.next_phase);
+            }
+        }
+        next_mode
+    }
+
+    /// Whether springs provably stay in their phases and slip keeps its direction between two states `duration` seconds apart, to the
+    /// event tolerance at an angular tolerance, rad. Sticking loads have no such bound.
+    pub fn stay_in_phase(ends: [&Self; 2], mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let [from, to] = ends;
+        let mut friction_guards = from.friction_guards.iter().zip(&to.friction_guards);
+        let mut springs = from.springs.iter().zip(&to.springs);
+        friction_guards.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
+            && springs.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
+    }
+}

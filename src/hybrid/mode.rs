@@ -1,0 +1,169 @@
+//! Discrete state of a hybrid system, the [`Mode`]: phases of unilateral springs, stick-slip states of friction places, branch of the
+//! closure. An error-controlled method ends its step where the trajectory crosses a guard and begins the next step in the next mode:
+//! within a step every force is one smooth formula, so the method keeps its order. By [`Mode::OF_STATE`], as for all other methods, every
+//! formula is the one of the present state.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::unilateral::Phase;
+use crate::mechanism::ClosureBranch;
+
+/// Number of unilateral springs: one of the contact, two stops on each motor axis.
+pub const SPRINGS: usize = 5;
+
+/// Number of event indicators: three for each unilateral spring.
+pub const INDICATORS: usize = 3 * SPRINGS;
+
+/// Index of the contact among the unilateral springs.
+pub const CONTACT: usize = 0;
+
+/// Indices of the lower and the upper stop of each motor among the unilateral springs.
+pub const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
+
+/// Number of friction places: five joints, and the tip on the plane.
+pub const FRICTION_PLACES: usize = 6;
+
+/// Index of the tip among the friction places.
+pub const TIP_FRICTION: usize = FRICTION_PLACES - 1;
+
+/// Mode of the hybrid system: phases of the springs, stick-slip states of friction, branch of the closure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub struct Mode {
+    /// Phase of every unilateral spring; `None`: of the present state.
+    pub springs: [Option<Phase>; SPRINGS],
+    /// Stick-slip state of every friction place.
+    pub stick_slip: StickSlips,
+    /// Branch of the closure; `None` away from the branches of a reducible closure (`closure_branch.rs`).
+    pub closure_branch: Option<ClosureBranch>,
+}
+
+impl Mode {
+    /// No stored mode: every force law takes the branch of the present state.
+    pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
+
+    /// Whether any spring pushes.
+    pub fn has_active_contact(&self) -> bool {
+        self.springs.iter().flatten().any(|phase| phase.pushes())
+    }
+
+    /// A copy of the mode with other stick-slip states.
+    pub fn with_stick_slip(self, stick_slip: StickSlips) -> Self {
+        Self { stick_slip, ..self }
+    }
+
+    /// A copy of the mode on another branch of the closure.
+    pub fn with_closure_branch(self, closure_branch: Option<ClosureBranch>) -> Self {
+        Self { closure_branch, ..self }
+    }
+
+    /// The mode with these stick-slip states, and springs in the phase of the present state.
+    pub fn of_stick_slip(stick_slip: StickSlips) -> Self {
+        Self::OF_STATE.with_stick_slip(stick_slip)
+    }
+}
+
+/// Direction of slip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum SlipDirection {
+    /// Positive sliding rate.
+    Forward,
+    /// Negative sliding rate.
+    Backward,
+}
+
+impl SlipDirection {
+    /// Direction of a sliding rate by its sign; forward at 0.
+    pub fn of(x: f64) -> Self {
+        if x < 0.0 { Self::Backward } else { Self::Forward }
+    }
+
+    /// Sign of the direction, ±1.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::Forward => 1.0,
+            Self::Backward => -1.0,
+        }
+    }
+}
+
+/// Stick-slip state of a friction place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum StickSlip {
+    /// Inactive: no friction, the smooth law, or no contact.
+    Inactive,
+    /// Slips in a direction.
+    Slips(SlipDirection),
+    /// Sticks. Where several places hold the same motion, the direction is that of this place's share relative to the first.
+    Sticks(SlipDirection),
+    /// Still: the closure branch keeps the joint from turning, so that friction there has no effect.
+    Still,
+}
+
+/// Stick-slip states of all friction places.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub struct StickSlips {
+    places: [StickSlip; FRICTION_PLACES],
+    /// Whether friction keeps the whole mechanism at rest.
+    at_rest: bool,
+}
+
+impl StickSlips {
+    /// No friction place is active.
+    pub const OPEN: Self = Self { places: [StickSlip::Inactive; FRICTION_PLACES], at_rest: false };
+
+    /// State of one friction place.
+    pub fn at(&self, place: usize) -> StickSlip {
+        self.places[place]
+    }
+
+    /// Sets the state of one friction place.
+    pub fn set(&mut self, place: usize, joint: StickSlip) {
+        self.places[place] = joint;
+    }
+
+    /// Whether friction keeps the whole mechanism at rest.
+    pub fn at_rest(&self) -> bool {
+        self.at_rest
+    }
+
+    /// The states with the joints still that a closure branch keeps from turning.
+    pub fn on_branch(mut self, closure_branch: ClosureBranch) -> Self {
+        closure_branch.still_joints().iter().for_each(|joint| self.set(*joint, StickSlip::Still));
+        self
+    }
+
+    /// Whether the closure branch keeps a friction place from moving.
+    pub fn is_still(&self, place: usize) -> bool {
+        self.places[place] == StickSlip::Still
+    }
+
+    /// The states with every place inactive but the still ones.
+    pub fn opened(&self) -> Self {
+        let mut stick_slip = Self::OPEN;
+        (0..FRICTION_PLACES).filter(|place| self.is_still(*place)).for_each(|place| stick_slip.set(place, StickSlip::Still));
+        stick_slip
+    }
+
+    /// The mechanism at rest with these places sticking.
+    pub fn resting(self, places: impl Iterator<Item = usize>) -> Self {
+        let mut stick_slip = Self { at_rest: true, ..self.opened() };
+        places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
+        stick_slip
+    }
+
+    /// Whether any friction place sticks.
+    pub fn any_sticks(&self) -> bool {
+        self.places.iter().any(|joint| matches!(joint, StickSlip::Sticks(_)))
+    }
+
+    /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored
+    /// state that of the rate.
+    pub fn direction(&self, place: usize, rate: f64) -> f64 {
+        match self.places[place] {
+            StickSlip::Slips(slip_direction) => slip_direction.sign(),
+            StickSlip::Sticks(_) | StickSlip::Still => 0.0,
+            StickSlip::Inactive if rate == 0.0 => 0.0,
+            StickSlip::Inactive => SlipDirection::of(rate).sign(),
+        }
+    }
+}

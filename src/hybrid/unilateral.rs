@@ -1,0 +1,570 @@
+//! Unilateral spring and damper: the reaction of a stop or a contact plane.
+//!
+//! ```text
+//! N = max(0, s(d) (k d + c ḋ))      d the penetration, s = 6u⁵ − 15u⁴ + 10u³, u = min(d/width, 1)
+//! ```
+//!
+//! The reaction never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N
+//! twice differentiable at d = 0; where max(0, ·) becomes 0, on fast separation, N has a kink. The potential is that of the spring
+//! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
+//! Phases are free, ramp and full; their guards are d = 0, d = width and k d + c ḋ = 0.
+//!
+//! Between two states the guard values have upper bounds, so that no crossing is missed: given values and slopes at both ends and bounds on
+//! higher derivatives, a function lies below two parabolas, below the parabola over its chord, and within a remainder of the cubic Hermite
+//! polynomial.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::guards::Extremes;
+use super::mode::Mode;
+use crate::mechanism::LINKS;
+
+/// A unilateral spring and damper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnilateralSpring {
+    /// Stiffness k, N/m or N·m/rad.
+    pub stiffness: f64,
+    /// Damping c, N·s/m or N·m·s/rad.
+    pub damping: f64,
+    /// Penetration over which the ramp rises, m or rad.
+    pub width: f64,
+}
+
+/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly past the guards of the phase.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum Phase {
+    /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
+    Free,
+    /// Reaction on the ramp, 0 < d < width.
+    Ramp,
+    /// Reaction past the ramp, d ≥ width.
+    Full,
+}
+
+/// A guard of a phase.
+#[derive(Clone, Copy, Debug)]
+pub struct PhaseGuard {
+    /// Guard value, m or rad: positive past the guard, negative where the phase holds.
+    pub guard_residual: f64,
+    /// Derivatives of the guard value by penetration, 1, and by its rate, s.
+    by: [f64; 2],
+    /// The phase past the guard.
+    pub next_phase: Phase,
+}
+
+/// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the error-controlled methods.
+const RATE_TIME: f64 = 0.1;
+
+impl PhaseGuard {
+    /// A copy of the guard with its value in another unit.
+    pub fn in_units_of(self, unit: f64) -> Self {
+        Self { guard_residual: self.guard_residual / unit, ..self }
+    }
+}
+
+impl Phase {
+    /// Whether the spring pushes.
+    pub fn pushes(self) -> bool {
+        matches!(self, Self::Ramp | Self::Full)
+    }
+}
+
+impl UnilateralSpring {
+    /// The phase of a state: penetration, m or rad, and its rate, m/s or rad/s.
+    pub fn phase(&self, depth: f64, rate: f64) -> Phase {
+        match (depth > 0.0 && self.push(depth, rate) > 0.0, depth < self.width) {
+            (false, _) => Phase::Free,
+            (true, true) => Phase::Ramp,
+            (true, false) => Phase::Full,
+        }
+    }
+
+    /// Guards of a phase: the phase ends where any of them is passed, or, for a free spring, where all of them are.
+    pub fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
+        let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
+        let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
+        let push = |sign: f64, next_phase| {
+            let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
+            // Without damping every contact pushes.
+            (self.damping > 0.0).then(|| PhaseGuard { guard_residual: sign * self.push_as_distance(depth, rate), by, next_phase })
+        };
+        match phase {
+            Phase::Free => {
+                let next_phase = if depth < self.width { Phase::Ramp } else { Phase::Full };
+                [deeper(0.0, next_phase), push(1.0, next_phase), None]
+            }
+            Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), push(-1.0, Phase::Free)],
+            Phase::Full => [None, shallower(self.width, Phase::Ramp), push(-1.0, Phase::Free)],
+        }
+    }
+
+    /// The element that decides on the end of a phase: the largest guard value, or the smallest for a free spring.
+    pub fn deciding<T>(phase: Phase, phase_guards: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
+        let all = phase == Phase::Free;
+        phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
+    }
+
+    /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
+    /// the ramp far past its ends.
+    pub fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        /// Least remaining part of the ramp, relative to its width: keeps the time from vanishing at the end of the ramp.
+        const LEAST: f64 = 0.1;
+        let ahead = match phase {
+            Phase::Ramp if rate > 0.0 => self.width - depth,
+            Phase::Ramp => depth,
+            Phase::Free | Phase::Full => return f64::INFINITY,
+        };
+        if rate == 0.0 { f64::INFINITY } else { ahead.max(LEAST * self.width) / rate.abs() }
+    }
+
+    /// Event indicators of a spring, m or rad: penetration, penetration less the ramp's width, and the scaled push.
+    pub fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
+        [depth, depth - self.width, self.push_as_distance(depth, rate)]
+    }
+
+    /// Unramped push k d + c ḋ as a distance, m or rad.
+    fn push_as_distance(&self, depth: f64, rate: f64) -> f64 {
+        self.push(depth, rate) / self.push_scale()
+    }
+
+    /// Divisor that turns the unramped push into a distance, N/m or N·m/rad.
+    fn push_scale(&self) -> f64 {
+        (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
+    }
+
+    /// Unramped push k d + c ḋ, N or N·m.
+    fn push(&self, depth: f64, rate: f64) -> f64 {
+        self.stiffness * depth + self.damping * rate
+    }
+
+    /// Ramp s and its derivative ds/dd, 1/m or 1/rad.
+    fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
+        match self.strain_phase(phase, depth) {
+            Phase::Free => [0.0, 0.0],
+            Phase::Full => [1.0, 0.0],
+            Phase::Ramp => {
+                let u = depth / self.width;
+                [u * u * u * (u * (6.0 * u - 15.0) + 10.0), 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.width]
+            }
+        }
+    }
+
+    /// Phase whose formula gives the elastic energy: it follows from the penetration alone, since a spring that has separated at a positive
+    /// penetration still stores energy.
+    fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
+        match phase {
+            Phase::Free if depth >= self.width => Phase::Full,
+            Phase::Free if depth > 0.0 => Phase::Ramp,
+            phase => phase,
+        }
+    }
+
+    /// Reaction N, N or N·m.
+    pub fn force(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        if phase.pushes() { self.ramp(phase, depth)[0] * self.push(depth, rate) } else { 0.0 }
+    }
+
+    /// Derivatives ∂N/∂d, N/m or N·m/rad, and ∂N/∂ḋ, N·s/m or N·m·s/rad.
+    pub fn slopes(&self, phase: Phase, depth: f64, rate: f64) -> [f64; 2] {
+        if !phase.pushes() {
+            return [0.0; 2];
+        }
+        let [ramp, slope] = self.ramp(phase, depth);
+        [slope * self.push(depth, rate) + ramp * self.stiffness, ramp * self.damping]
+    }
+
+    /// Potential U, J.
+    pub fn potential(&self, phase: Phase, depth: f64) -> f64 {
+        /// Integral ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
+        const RAMP: f64 = 5.0 / 14.0;
+        let Self { stiffness: k, width, .. } = *self;
+        match self.strain_phase(phase, depth) {
+            Phase::Free => 0.0,
+            Phase::Full => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
+            Phase::Ramp => {
+                let u = depth / width;
+                k * width * width * (u * u * u * u * u) * (u * (6.0 / 7.0 * u - 2.5) + 2.0)
+            }
+        }
+    }
+
+    /// Dissipated power, W; of a separated spring the loss of its elastic energy.
+    pub fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
+    }
+}
+
+/// Mean reaction of a unilateral spring and damper over a step.
+pub struct MeanReaction {
+    /// Mean of N, N or N·m: times the increment of the penetration, it equals the gain of potential plus the dissipation, J.
+    pub force: f64,
+    /// Derivative of the mean by the penetration at the step's end, N/m or N·m/rad.
+    pub slope: f64,
+    /// Energy dissipated, J.
+    pub dissipated: f64,
+}
+
+impl UnilateralSpring {
+    /// Mean reaction over a step of h seconds from a penetration `depth` with the increment `change`, m or rad. The damper takes the mean
+    /// rate and the mean of the ramp.
+    pub fn mean_reaction(&self, depth: f64, change: f64, h: f64) -> MeanReaction {
+        let end = depth + change;
+        if depth <= 0.0 && end <= 0.0 {
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: 0.0 };
+        }
+        let [elastic, stiffness] = self.mean_elastic(depth, change);
+        let ramp = |depth: f64| self.ramp(self.phase(depth, 0.0), depth);
+        let ([from, _], [to, slope]) = (ramp(depth), ramp(end));
+        let damping = self.damping / h;
+        let drag = 0.5 * (from + to) * damping * change;
+        if elastic + drag <= 0.0 {
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: -elastic * change };
+        }
+        let slope = stiffness + 0.5 * damping * (from + to + slope * change);
+        MeanReaction { force: elastic + drag, slope, dissipated: drag * change }
+    }
+
+    /// Mean of s k d over a step, (U(d₁) − U(d₀))/(d₁ − d₀) without cancellation, N or N·m, and its derivative by d₁, N/m or N·m/rad.
+    /// Between the ends of the ramp both are polynomials that Gauss's rule with four points integrates exactly.
+    fn mean_elastic(&self, depth: f64, change: f64) -> [f64; 2] {
+        /// Abscissas and weights of Gauss's rule with four points on the interval from −1 to 1.
+        const GAUSS: [[f64; 2]; 4] = [
+            [-0.861_136_311_594_052_6, 0.347_854_845_137_453_85],
+            [-0.339_981_043_584_856_26, 0.652_145_154_862_546_2],
+            [0.339_981_043_584_856_26, 0.652_145_154_862_546_2],
+            [0.861_136_311_594_052_6, 0.347_854_845_137_453_85],
+        ];
+        let cut = |level: f64| if change == 0.0 { 0.0 } else { ((level - depth) / change).clamp(0.0, 1.0) };
+        let (a, b) = (cut(0.0), cut(self.width));
+        let (mut mean, mut slope) = (0.0, 0.0);
+        for [from, to] in [[0.0, a.min(b)], [a.min(b), a.max(b)], [a.max(b), 1.0]] {
+            let half = 0.5 * (to - from);
+            for [place, weight] in GAUSS {
+                let part = from + half * (1.0 + place);
+                let x = depth + part * change;
+                if half > 0.0 && x > 0.0 {
+                    let [ramp, rise] = self.ramp(self.phase(x, 0.0), x);
+                    mean += half * weight * ramp * self.stiffness * x;
+                    slope += half * weight * part * self.stiffness * (ramp + rise * x);
+                }
+            }
+        }
+        [mean, slope]
+    }
+}
+
+/// A unilateral spring at a state, with the quantities of its guards.
+#[derive(Clone, Copy)]
+pub struct UnilateralGuard<'a> {
+    /// Index in [`Mode`].
+    pub place: usize,
+    /// The spring.
+    pub spring: &'a UnilateralSpring,
+    /// Penetration, m or rad.
+    pub depth: f64,
+    /// Rate of penetration, m/s or rad/s.
+    pub rate: f64,
+    /// Lever arms: largest |∂d/∂θ| of the penetration by the angle of each link, m/rad or 1.
+    pub arms: &'a [f64; LINKS],
+}
+
+impl UnilateralGuard<'_> {
+    /// Whether the spring neither pushes nor dissipates.
+    pub fn is_idle(&self, mode: &Mode) -> bool {
+        mode.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
+    }
+
+    /// Normal force or torque N of the spring, N or N·m.
+    pub fn force(&self, mode: &Mode) -> f64 {
+        self.spring.force(self.phase(mode), self.depth, self.rate)
+    }
+
+    /// Derivatives ∂N/∂d, N/m or N·m/rad, and ∂N/∂ḋ, N·s/m or N·m·s/rad.
+    pub fn slopes(&self, mode: &Mode) -> [f64; 2] {
+        self.spring.slopes(self.phase(mode), self.depth, self.rate)
+    }
+
+    /// Potential U of the spring, J.
+    pub fn potential(&self, mode: &Mode) -> f64 {
+        self.spring.potential(self.phase(mode), self.depth)
+    }
+
+    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`GuardValues::separation_energy`]).
+    pub fn dissipation(&self, mode: &Mode) -> f64 {
+        self.spring.dissipation(self.phase(mode), self.depth, self.rate)
+    }
+
+    /// The phase by the mode, or else of the present state.
+    pub fn phase(&self, mode: &Mode) -> Phase {
+        mode.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
+    }
+
+    /// Event tolerance in penetration, m or rad, at an angular tolerance, rad: the error of the trajectory or a part of the ramp's width,
+    /// the smaller, but no less than round-off.
+    fn event_tolerance(&self, tolerance: f64) -> f64 {
+        /// Largest event tolerance as a part of the ramp's width: 1 % of a ramp is below any effect on the force.
+        const RAMP_PART: f64 = 0.01;
+        /// Round-off of an angle, rad: some hundred units in the last place of 1 rad.
+        const ANGLE_ROUND_OFF: f64 = 1e-13;
+        let scale: f64 = self.arms.iter().sum();
+        (tolerance * scale).min(RAMP_PART * self.spring.width).max(ANGLE_ROUND_OFF * scale)
+    }
+
+    /// Bounds on the first two derivatives of the penetration, m/s and m/s², or rad/s and rad/s².
+    fn derivatives(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
+        let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
+        [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
+    }
+
+    /// Bounds on the derivatives of order 2, 3 and 4 of the penetration, m or rad over the power of s.
+    fn higher(&self, extremes: &Extremes) -> [f64; 3] {
+        let Extremes { rates, accelerations, jerks, snaps } = extremes;
+        let mut derivatives = [self.derivatives(extremes)[1], 0.0, 0.0];
+        for (link, arm) in self.arms.iter().enumerate() {
+            let (rate, acceleration) = (rates[link], accelerations[link]);
+            let square = rate * rate;
+            derivatives[1] += arm * (jerks[link] + rate * (3.0 * acceleration + square));
+            derivatives[2] += arm
+                * (snaps[link]
+                    + 4.0 * rate * jerks[link]
+                    + 3.0 * acceleration * acceleration
+                    + square * (6.0 * acceleration + square));
+        }
+        derivatives
+    }
+
+    /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
+    pub(super) fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let (phase, event_tolerance) = (self.phase(mode), self.event_tolerance(tolerance));
+        let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
+        // The cheaper bound decides most cases, in which the spring is far from its guards.
+        let by_derivatives =
+            || self.spring.residual_bound_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= event_tolerance;
+        let by_cubic = || self.spring.residual_bound_by_cubic(phase, ends, duration, self.higher(extremes)) <= event_tolerance;
+        by_derivatives() || by_cubic()
+    }
+
+    /// The guard of the current phase that decides on its end, with its residual in units of the event tolerance.
+    pub(super) fn deciding(&self, mode: &Mode, tolerance: f64) -> Option<PhaseGuard> {
+        let phase = self.phase(mode);
+        let phase_guards = self.spring.phase_guards(phase, self.depth, self.rate).into_iter().flatten();
+        let deciding = UnilateralSpring::deciding(phase, phase_guards, |phase_guard| phase_guard.guard_residual);
+        deciding.map(|phase_guard| phase_guard.in_units_of(self.event_tolerance(tolerance)))
+    }
+}
+
+impl UnilateralSpring {
+    /// Upper bound on the guard value that ends a phase, m or rad, between two states `duration` seconds apart, each given by penetration
+    /// and rate, from bounds on the first two derivatives of the penetration.
+    fn residual_bound_by_derivatives(&self, phase: Phase, ends: [[f64; 2]; 2], duration: f64, [slope, curvature]: [f64; 2]) -> f64 {
+        let deciding = self.phase_guards_at(phase, ends).map(|[from, to]| {
+            let [by_depth, by_rate] = from.by;
+            if by_rate == 0.0 {
+                let [u, w] = ends.map(|[_, rate]| by_depth * rate);
+                parabola_bound([from.guard_residual, u], [to.guard_residual, w], duration, curvature)
+            } else {
+                // The value lies below both straight lines of the steepest slope.
+                let steepest = by_depth.abs() * slope + by_rate.abs() * curvature;
+                f64::max(from.guard_residual, to.guard_residual)
+                    .max(0.5 * (from.guard_residual + to.guard_residual + steepest * duration))
+            }
+        });
+        Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
+    }
+
+    /// Upper bound on the guard value that ends a phase, m or rad, from bounds on the derivatives of order 2, 3 and 4 of the penetration:
+    /// the smaller of the bounds by the parabola over the chord and by the cubic Hermite polynomial. The remainders of the cubic are
+    /// 1/384 (penetration) and √3/216 (rate) of the fourth derivative times the fourth and the third power of the duration.
+    fn residual_bound_by_cubic(
+        &self,
+        phase: Phase,
+        ends: [[f64; 2]; 2],
+        duration: f64,
+        [largest_curvature, third, fourth]: [f64; 3],
+    ) -> f64 {
+        /// Remainder constants of cubic Hermite interpolation, for the value and for the slope: 1/384 and √3/216.
+        const OFF: [f64; 2] = [1.0 / 384.0, 0.008_018_753_738_744_79];
+        let [[x, u], [y, w]] = ends;
+        let mean = 3.0 * (y - x) / duration;
+        let [curvature, end_curvature] = [mean - 2.0 * u - w, u + 2.0 * w - mean].map(|rise| 2.0 * rise / duration);
+        let deciding = self.phase_guards_at(phase, ends).map(|[from, to]| {
+            let [by_depth, by_rate] = from.by;
+            let slopes = [by_depth * u + by_rate * curvature, by_depth * w + by_rate * end_curvature];
+            let off = (OFF[0] * by_depth.abs() * duration + OFF[1] * by_rate.abs()) * fourth * duration * duration * duration;
+            let cubic = off - cubic_minimum([-from.guard_residual, -to.guard_residual], slopes.map(|slope| -slope * duration));
+            let curvature_term = (by_depth.abs() * largest_curvature + by_rate.abs() * third) * duration * duration;
+            cubic.min(chord_bound([from.guard_residual, to.guard_residual], curvature_term))
+        });
+        Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
+    }
+
+    /// Each guard of a phase at both ends.
+    fn phase_guards_at(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [PhaseGuard; 2]> {
+        let [from, to] = ends.map(|[depth, rate]| self.phase_guards(phase, depth, rate));
+        from.into_iter().flatten().zip(to.into_iter().flatten()).map(|(from, to)| [from, to])
+    }
+}
+
+/// Upper bound on a function between the ends of an interval, from values and slopes at the ends and the bound `curvature` on its second
+/// derivative: the largest value below both parabolas.
+fn parabola_bound([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, curvature: f64) -> f64 {
+    let at = |start: f64, slope: f64, time: f64| start + time * (slope + curvature / 2.0 * time);
+    // The parabolas differ by a linear function of time, which rises but for round-off; `meet` is its root.
+    let rising = u - w + curvature * duration;
+    let meet = if rising > 0.0 {
+        ((y - x - w * duration + curvature / 2.0 * duration * duration) / rising).clamp(0.0, duration)
+    } else {
+        0.0
+    };
+    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
+}
+
+/// Upper bound on a function between the end values x and y, where `curvature_term` bounds its second derivative times the square of the interval:
+/// the largest value of the parabola over the chord.
+fn chord_bound([x, y]: [f64; 2], curvature_term: f64) -> f64 {
+    let rise = y - x;
+    if curvature_term <= 2.0 * rise.abs() {
+        return x.max(y);
+    }
+    let part = 0.5 + rise / curvature_term;
+    x + part * (rise + 0.5 * curvature_term * (1.0 - part))
+}
+
+/// Minimum of the cubic Hermite polynomial on the interval from 0 to 1 with these values and slopes at the ends.
+fn cubic_minimum([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
+    let rise = y - x;
+    // The cubic is x + τ (u + τ (b + c τ)); its extrema satisfy 3c τ² + 2b τ + u = 0.
+    let (b, c) = (3.0 * rise - 2.0 * u - w, u + w - 2.0 * rise);
+    let root = (b * b - 3.0 * c * u).max(0.0).sqrt();
+    let at = |place: f64, scale: f64| {
+        let part = if scale == 0.0 { 0.0 } else { (place / scale).clamp(0.0, 1.0) };
+        x + part * (u + part * (b + c * part))
+    };
+    // Both roots are computed without cancellation.
+    let sum = -b - root.copysign(b);
+    x.min(y).min(at(sum, 3.0 * c)).min(at(u, sum))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::{Rng, SeedableRng};
+
+    use super::*;
+
+    const SPRING: UnilateralSpring = UnilateralSpring { stiffness: 50.0, damping: 0.02, width: 1e-3 };
+
+    /// Central differences have an error of (step/width)² of the value and a round-off of ε·value/step.
+    #[test]
+    fn slopes_and_potential_are_derivatives() {
+        let step = 1e-8;
+        for depth in [1e-5, 3e-4, 7e-4, 9.9e-4, 1.5e-3, 0.1] {
+            for rate in [-0.5, 0.0, 2.0] {
+                let phase = SPRING.phase(depth, rate);
+                let [by_depth, by_rate] = SPRING.slopes(phase, depth, rate);
+                let difference = |at: &dyn Fn(f64) -> f64| (at(step) - at(-step)) / (2.0 * step);
+                let numeric =
+                    [difference(&|x| SPRING.force(phase, depth + x, rate)), difference(&|x| SPRING.force(phase, depth, rate + x))];
+                assert!((by_depth - numeric[0]).abs() < 1e-5 * (1.0 + by_depth.abs()), "{depth} {rate}: {by_depth} {numeric:?}");
+                assert!((by_rate - numeric[1]).abs() < 1e-6, "{depth} {rate}: {by_rate} {numeric:?}");
+            }
+            let spring = UnilateralSpring { damping: 0.0, ..SPRING };
+            let phase = spring.phase(depth, 0.0);
+            let numeric = (spring.potential(phase, depth + step) - spring.potential(phase, depth - step)) / (2.0 * step);
+            assert!((spring.force(phase, depth, 0.0) - numeric).abs() < 1e-6 * (1.0 + numeric), "{depth}: {numeric}");
+        }
+    }
+
+    /// The mean force times the displacement is the change of the potential, to its round-off; its slope is a derivative.
+    #[test]
+    fn the_mean_force_is_that_of_the_potential() {
+        let spring = UnilateralSpring { damping: 0.0, ..SPRING };
+        for depth in [-1.0, -1e-4, 1e-5, 3e-4, 9.9e-4, 1.5e-3, 0.1] {
+            for end in [-1e-3, 2e-5, 4e-4, 1.1e-3, 0.05, 0.2] {
+                let push = spring.mean_reaction(depth, end - depth, 1e-3);
+                let potential = |depth: f64| spring.potential(spring.phase(depth, 0.0), depth);
+                let gained = potential(end) - potential(depth);
+                let scale = potential(end).max(potential(depth));
+                // Round-off of the energies, and of the penetration over a long displacement.
+                let force = |depth: f64| spring.force(spring.phase(depth, 0.0), depth, 0.0);
+                let round_off = 1e-14 * scale + 1e-15 * (depth.abs() + end.abs()) * force(depth).max(force(end));
+                assert!((push.force * (end - depth) - gained).abs() <= round_off, "{depth} {end}");
+                assert_eq!(push.dissipated, 0.0);
+                let step = 1e-7;
+                let [more, less] = [step, -step].map(|x| SPRING.mean_reaction(depth, end - depth + x, 1e-3).force);
+                let slope = SPRING.mean_reaction(depth, end - depth, 1e-3).slope;
+                // Second differences of a ramp of 1 mrad: (step/width)² of the largest slope, some 100 N·m/rad.
+                assert!(((more - less) / (2.0 * step) - slope).abs() <= 1e-4 * (1.0 + slope.abs()), "{depth} {end}: {slope}");
+            }
+        }
+        for (depth, change) in [(0.1, -0.2), (-0.1, 0.2), (2e-3, 1e-3), (5e-4, -1e-5)] {
+            let push = SPRING.mean_reaction(depth, change, 1e-4);
+            assert!(push.force >= 0.0 && push.dissipated >= 0.0, "{depth} {change}");
+        }
+    }
+
+    #[test]
+    fn it_never_pulls_and_never_gives_energy() {
+        for depth in [-1.0, 0.0, 1e-4, 1e-3, 0.2] {
+            for rate in [-1e4, -1.0, 0.0, 1.0, 1e4] {
+                let phase = SPRING.phase(depth, rate);
+                assert!(SPRING.force(phase, depth, rate) >= 0.0 && SPRING.dissipation(phase, depth, rate) >= 0.0, "{depth} {rate}");
+            }
+        }
+        assert_eq!(SPRING.phase(0.1, -1e4), Phase::Free);
+        assert_eq!(SPRING.force(Phase::Free, 0.1, -1e4), 0.0);
+        // The strain energy of a separated spring is dissipated while the penetration decreases.
+        assert_eq!(SPRING.dissipation(Phase::Free, 0.1, -2.0), 2.0 * SPRING.stiffness * 0.1);
+    }
+
+    /// A dense sampling of motions with known derivatives exceeds no bound, and most bounds by the cubic are tight: sums of oscillations of
+    /// random frequencies, many of which pass a guard and return between two ends that do not show the crossing.
+    #[test]
+    fn no_border_is_passed_beyond_the_bounds() {
+        let mut random = ChaCha8Rng::seed_from_u64(14);
+        let mut uniform = |low: f64, high: f64| low + (high - low) * ((random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64);
+        let (mut hidden, mut looseness) = (0, Vec::new());
+        for case in 0..4000 {
+            let duration = 1e-3 * 100_f64.powf(uniform(-1.0, 0.5));
+            let swings = [0, 1, 2].map(|_| [1e-3 * uniform(-1.0, 1.0), uniform(0.1, 4.0) / duration, uniform(0.0, 6.3)]);
+            let sum = |order: u32, time: f64| -> f64 {
+                let angle = |rate: f64, start: f64| rate * time + start + f64::from(order) * std::f64::consts::FRAC_PI_2;
+                swings.iter().map(|&[size, rate, start]| size * rate.powi(order as i32) * angle(rate, start).sin()).sum()
+            };
+            // Every other motion passes the first guard by 5 µm at its maximum.
+            let places = (0..=500).map(|i| f64::from(i) / 500.0 * duration);
+            let top = places.clone().map(|time| sum(0, time)).fold(f64::NEG_INFINITY, f64::max);
+            let middle = if case % 2 == 0 { uniform(-1e-3, 2e-3) } else { 5e-6 - top };
+            let spring = UnilateralSpring { damping: if case % 3 == 0 { 0.0 } else { uniform(0.0, 0.5) }, ..SPRING };
+            let at = |time: f64| [middle + sum(0, time), sum(1, time)];
+            let most = |order: i32| swings.iter().map(|[size, rate, _]| size.abs() * rate.powi(order)).sum::<f64>();
+            let [slope, curvature, third, fourth] = [1, 2, 3, 4].map(most);
+            for phase in [Phase::Free, Phase::Ramp, Phase::Full] {
+                let ends = [at(0.0), at(duration)];
+                let guard_residual = |[depth, rate]: [f64; 2]| {
+                    let phase_guards =
+                        spring.phase_guards(phase, depth, rate).into_iter().flatten().map(|phase_guard| phase_guard.guard_residual);
+                    UnilateralSpring::deciding(phase, phase_guards, |guard_residual| *guard_residual).expect("a border")
+                };
+                let sampled = places.clone().map(|time| guard_residual(at(time))).fold(f64::NEG_INFINITY, f64::max);
+                let by_derivatives = spring.residual_bound_by_derivatives(phase, ends, duration, [slope, curvature]);
+                let by_cubic = spring.residual_bound_by_cubic(phase, ends, duration, [curvature, third, fourth]);
+                // Round-off of sums of some millimetres.
+                assert!(
+                    sampled <= by_derivatives + 1e-15 && sampled <= by_cubic + 1e-15,
+                    "{case} {phase:?}: {sampled:e} {by_derivatives:e} {by_cubic:e}"
+                );
+                let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| guard_residual(at(part * duration)));
+                hidden += u32::from(sampled > 1e-6 && quarters.into_iter().all(|guard_residual| guard_residual < 0.0));
+                looseness.push((by_cubic - sampled) / 1e-3);
+            }
+        }
+        assert!(hidden > 200, "only {hidden} crossings are hidden from the quarters of the way");
+        looseness.sort_by(f64::total_cmp);
+        assert!(
+            looseness[looseness.len() / 2] < 0.5,
+            "half of the bounds are loose by {} of a swing",
+            looseness[looseness.len() / 2]
+        );
+    }
+}

@@ -1,0 +1,334 @@
+//! Inside of the current step: its interpolant, the state at the present time with its work, and truncation at an event, where the part
+//! of the interpolant before the event becomes the step.
+//!
+//! An interpolant solves equations with forces that differ by its defect, the difference between its derivative and the right-hand
+//! side at its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31,
+//! 1989). The defect, integrated up to the event, is judged like the error of a step.
+
+use std::borrow::Borrow;
+
+use super::trial::{RATE, StageDerivative, StepResult};
+use super::{DenseStep, Scheme, Settings};
+use crate::integrator::dense_output::{Interpolant, Quintic, max_magnitude};
+use crate::integrator::locator::{EventWindow, Path};
+use crate::integrator::state::StepEnd;
+use crate::integrator::{Counters, Events, Passage, State, System, Work};
+use crate::vector::Vector;
+
+/// Largest integrated defect, in units of the admissible error.
+const GREATEST_DEFECT: f64 = 0.1;
+/// Largest number of corrections that bring the end into the window of the event.
+const MOST_CORRECTIONS: u32 = 4;
+
+/// Projected state of the interpolant: iterations of the projection, q and q̇, pose and mass factor.
+type Candidate<const N: usize, P, F> = (u32, [Vector<N>; 2], P, F);
+
+/// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
+const LARGEST_INCONSISTENCY: f64 = 1e3;
+/// Round-off of a difference of coordinates, rad.
+const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
+
+/// State at the present time inside the current step.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<const N: usize, P> {
+    /// Coordinates, m and rad.
+    pub q: Vector<N>,
+    /// Velocities, m/s and rad/s.
+    pub v: Vector<N>,
+    /// Pose at q.
+    pub pose: P,
+    /// Work since the start, J.
+    pub work: Work,
+    /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
+    pub(super) configuration_signs: u8,
+}
+
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
+    /// State at the present time on the constraints: inside the step the projected interpolant, or the interpolant itself where the
+    /// projection does not converge.
+    #[inline]
+    pub fn sample<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> Sample<N, S::Pose> {
+        let Self { end, .. } = self;
+        if self.elapsed == self.length {
+            return Sample {
+                q: end.q,
+                v: end.v,
+                pose: system.pose(&end.q),
+                work: end.work,
+                configuration_signs: end.configuration_signs,
+            };
+        }
+        let ([q, v], work) = self.shown(system, settings).interpolated(system.on(self.mode).borrow(), settings);
+        let (mut on_q, mut on_v, mut pose) = (q, v, system.pose(&q));
+        let projected = if self.is_linear {
+            None
+        } else {
+            settings.project(system.on(self.mode).borrow(), &mut pose, &mut on_q, &mut on_v).ok()
+        };
+        let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |_| (on_q, on_v, pose));
+        let configuration_signs = system.configuration_signs(&pose);
+        Sample { q, v, pose, work, configuration_signs }
+    }
+
+    /// The step with the dense output that is shown: its own, or, where that contradicts itself, the quintic of both ends.
+    fn shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> Self {
+        if !system.has_stiff_forces() || self.is_linear || self.interpolant_is_consistent(settings) {
+            return *self;
+        }
+        let (Self { start, end, .. }, h) = (self, self.length);
+        let ends = Quintic::SecondDerivatives([h * h * start.a, h * h * end.a]);
+        let positions = Interpolant::quintic([start.q, end.q], [h * start.v, h * end.v], &ends);
+        // Of a scheme with one polynomial for coordinates and rates.
+        Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
+    }
+
+    /// Dissipated work up to the present time inside the step, as it has been shown, J.
+    pub(super) fn dissipated<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
+        if self.end.work.dissipated > self.start.work.dissipated {
+            self.shown(system, settings).interpolated(system.on(self.mode).borrow(), settings).1.dissipated
+        } else {
+            self.start.work.dissipated
+        }
+    }
+
+    /// Writes the parts of a sample that do not depend on the coordinates into a state, whose coordinates may be others.
+    pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
+        // Counters of the step count once time has passed its end; a start from rest in a vertex counts at once.
+        let passed = if self.elapsed == self.length { &self.end } else { &self.start };
+        to.configuration_signs = passed.configuration_signs;
+        to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
+        to.count_sign_changes(sample.configuration_signs);
+        to.work = sample.work;
+        to.substep = self.end.substep;
+        to.error_estimate = self.end.error_estimate;
+        to.alternatives = self.end.alternatives;
+        to.on_ray = self.is_linear;
+    }
+
+    /// Interpolant at the present time, not projected, with the work.
+    #[inline]
+    fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
+        let Self { start, length, .. } = self;
+        let part = self.elapsed / length;
+        let [q, v] = self.interpolated_state(part);
+        let work = if system.follows_work() {
+            let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
+            // The loss of separated springs is known at every state.
+            let mut separation_energy = 0.0;
+            if system.has_events() {
+                end.work.dissipated -= self.separation_energy(system, [&end.q, &end.v]);
+                separation_energy = self.separation_energy(system, [&q, &v]);
+            }
+            let mut higher = self.dense.map(|slope| slope.power.pair());
+            if self.scheme != Scheme::Dop853 && !self.is_linear {
+                higher[0] = work_coefficient(system, [start, &end], *length, &self.positions()).pair();
+            }
+            let mut work = work_until(&work_interpolant([start, &end], *length, higher), part);
+            work.dissipated = (work.dissipated.min(end.work.dissipated) + separation_energy).min(ends_with);
+            work
+        } else {
+            start.work
+        };
+        ([q, v], work)
+    }
+
+    /// Interpolant of the work of a DOP853 step, J.
+    pub(super) fn work_interpolant(&self) -> Interpolant<2> {
+        work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
+    }
+
+    /// Interpolated q and q̇ at a part of the step.
+    #[inline]
+    pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
+        let Self { start, end, .. } = self;
+        let q = self.positions().at(part);
+        let v = match self.scheme {
+            _ if self.is_linear => start.v + part * (end.v - start.v),
+            Scheme::Dop853 => self.velocities().at(part),
+            // One polynomial serves for coordinates and rates.
+            Scheme::Tsit5 | Scheme::Rodas4 | Scheme::Rodas5p => (1.0 / self.length) * self.positions().rate_at(part),
+        };
+        [q, v]
+    }
+
+    #[inline]
+    pub(super) fn positions(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.q, end.q], [*length * start.v, *length * end.v], std::array::from_fn(|k| dense[k].q))
+    }
+
+    #[inline]
+    pub(super) fn velocities(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
+    }
+
+    /// Whether the interpolant is consistent: its rates are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`].
+    /// Stages may miss a force that the further stages of the dense output meet. Schemes with one polynomial for both are always
+    /// consistent.
+    pub(super) fn interpolant_is_consistent(&self, settings: &Settings) -> bool {
+        if self.scheme != Scheme::Dop853 {
+            return true;
+        }
+        let (positions, velocities) = (self.positions(), self.velocities());
+        [0.125, 0.5, 0.875].into_iter().all(|part| {
+            let v = velocities.at(part);
+            let defect = positions.rate_at(part) - self.length * v;
+            (0..N).all(|i| {
+                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                defect[i].abs() <= admissible + ROUND_OFF * (1.0 + self.end.q[i].abs())
+            })
+        })
+    }
+
+    /// Motion over the step, for event location: the coordinates relative to the beginning of the step. In short steps, round-off of coordinates would exceed
+    /// all tolerances of the rates: there the increment is the integral of the rates, which agrees within that round-off.
+    pub(super) fn path(&self) -> Path<N> {
+        /// Nodes and weights of Gauss quadrature with four points, exact for the interpolant of the rates.
+        const GAUSS: [[f64; 2]; 4] = [
+            [0.069_431_844_202_973_71, 0.173_927_422_568_726_93],
+            [0.330_009_478_207_571_87, 0.326_072_577_431_273_07],
+            [0.669_990_521_792_428_1, 0.326_072_577_431_273_07],
+            [0.930_568_155_797_026_3, 0.173_927_422_568_726_93],
+        ];
+        /// Round-off of a coordinate at both ends and of its projection, relative to 1 rad plus its magnitude.
+        const ROUND_OFF: f64 = 4.0 * f64::EPSILON;
+        let Self { start, end, length, .. } = self;
+        let mut displacement = end.q - start.q;
+        if self.scheme == Scheme::Dop853 {
+            let velocities = self.velocities();
+            let integrated = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
+            let is_round_off = |i: usize| (integrated[i] - displacement[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
+            displacement = Vector::from_fn(|i| if is_round_off(i) { integrated[i] } else { displacement[i] });
+        }
+        let rates = [*length * start.v, *length * end.v];
+        let increment = Interpolant::new([Vector::ZERO, displacement], rates, self.dense.map(|slope| slope.q));
+        Path { origin: start.q, increment, length: *length }
+    }
+
+    /// Ends the step at an event that its interpolant shows `when` seconds after the beginning; returns false and changes nothing
+    /// if the result would be less accurate than a step up to there.
+    #[inline(never)]
+    pub(super) fn truncate<S>(&mut self, system: &S, settings: &Settings, mut when: f64) -> bool
+    where
+        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+    {
+        for _ in 0..MOST_CORRECTIONS {
+            let Some(candidate) = self.candidate(system, settings, when) else { return false };
+            let [q, v] = candidate.1;
+            // The interpolant's acceleration suffices, since it is used for the remaining correction only.
+            let a = (1.0 / self.length) * self.velocities().rate_at(when / self.length);
+            match EventWindow::of(system, settings.error_tolerance, [&q, &v, &a], self.length) {
+                EventWindow::Within => return self.truncate_at(system, settings, when, candidate),
+                EventWindow::Outside(Some(later)) if 0.0 < when + later && when + later < self.length => when += later,
+                EventWindow::Outside(_) => return false,
+            }
+        }
+        false
+    }
+
+    /// Ends the step at exactly `when` seconds after the beginning, as [`Self::truncate`] did before.
+    pub(super) fn truncate_again<S>(&mut self, system: &S, settings: &Settings, when: f64) -> bool
+    where
+        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+    {
+        self.candidate(system, settings, when).is_some_and(|candidate| self.truncate_at(system, settings, when, candidate))
+    }
+
+    /// Projected interpolant `when` seconds after the beginning of the step.
+    fn candidate<S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        when: f64,
+    ) -> Option<Candidate<N, S::Pose, S::Mass>> {
+        if self.scheme != Scheme::Dop853 || self.energy_target(system, self.length).is_some() {
+            return None;
+        }
+        let [mut q, mut v] = self.interpolated_state(when / self.length);
+        let mut pose = system.pose(&q);
+        let (iterations, mass) = settings.project(system, &mut pose, &mut q, &mut v).ok()?;
+        Some((iterations, [q, v], pose, mass))
+    }
+
+    fn truncate_at<S>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        when: f64,
+        (iterations, state, pose, mass): Candidate<N, S::Pose, S::Mass>,
+    ) -> bool
+    where
+        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+    {
+        let Ok(end_state) = StepEnd::in_balance(system, state, &pose, &mass).finite() else { return false };
+        let part = when / self.length;
+        let (positions, velocities, work) = (self.positions(), self.velocities(), self.work_interpolant());
+        let slip = |part: f64| part * (positions.rate_at(part) - self.length * velocities.at(part));
+        let defects = [
+            max_magnitude(&max_magnitude(&Vector::ZERO, &slip(part)), &slip(0.5 * part)),
+            part * (velocities.rate_at(part) - self.length * end_state.a),
+        ];
+        let power = || {
+            let defect = part * (work.rate_at(part) - self.length * end_state.power.pair());
+            Work::of_pair(defect)
+        };
+        let rates = [&self.start.v, &end_state.v];
+        let sum = settings.error_weights(system).mean_square(defects, rates, power);
+        if sum.is_nan() || sum > GREATEST_DEFECT * GREATEST_DEFECT {
+            return false;
+        }
+        let (q, v, w) = (positions.truncate(part), velocities.truncate(part), work.truncate(part));
+        let mut gained = work_until(&work, part);
+        gained.input -= self.start.work.input;
+        gained.dissipated -= self.start.work.dissipated;
+        let tried = self.length;
+        self.reset_to_start();
+        self.accept(&StepResult { iterations, end_state, work: gained }, when, Scheme::Dop853);
+        self.dense = std::array::from_fn(|k| StageDerivative { q: q[k], v: v[k], power: Work::of_pair(w[k]) });
+        self.truncated_from = tried;
+        true
+    }
+}
+
+/// Work up to a part of a step, J; the dissipated part never falls.
+pub(super) fn work_until(work_interpolant: &Interpolant<2>, part: f64) -> Work {
+    Work { input: work_interpolant.at(part)[0], dissipated: work_interpolant.running_maximum(1, part) }
+}
+
+/// Interpolant of the work between two states `length` seconds apart, J.
+fn work_interpolant<const N: usize, const M: usize>(
+    [start, end]: [&State<N, M>; 2],
+    length: f64,
+    higher: [Vector<2>; 4],
+) -> Interpolant<2> {
+    let rates = [&start.power, &end.power].map(|power| length * power.pair());
+    Interpolant::new([start.work.pair(), end.work.pair()], rates, higher)
+}
+
+/// Inner nodes of the power, at this part of the step and at 1 minus it.
+const NODE: f64 = 0.211_324_865_405_187_1;
+
+/// First higher coefficient of the work, J, between states `h` seconds apart, from the interpolant of the coordinates and the power at
+/// two inner nodes; computed only when the work is read.
+#[cold]
+fn work_coefficient<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    [from, to]: [&State<N, M>; 2],
+    h: f64,
+    positions: &Interpolant<N>,
+) -> Work {
+    let cubic = work_interpolant([from, to], h, [Vector::ZERO; 4]);
+    let missing = |part: f64| {
+        let (q, v) = (positions.at(part), (1.0 / h) * positions.rate_at(part));
+        h * system.power(&q, &system.pose(&q), &v).pair() - cubic.rate_at(part)
+    };
+    /// Derivative of θ²(1−θ)² at the first node; at the other node it has the opposite sign.
+    const SLOPE: f64 = 2.0 * NODE * (1.0 - NODE) * (1.0 - 2.0 * NODE);
+    let coefficient = (0.5 / SLOPE) * (missing(NODE) - missing(1.0 - NODE));
+    Work::of_pair(coefficient)
+}

@@ -1,0 +1,356 @@
+//! Event location on the dense output of a step, which no method knows: interval bounds prove that a stretch crosses no guard,
+//! otherwise it is halved; crossings are refined by false position. Reactions of sticking friction have no such bounds, so their maxima
+//! are located. Events are data here: guard values, their residual and their bounds come from the system.
+
+use std::borrow::Borrow;
+use std::cell::Cell;
+
+use super::dense_output::Interpolant;
+use super::{Events, Extremes};
+use crate::vector::Vector;
+
+/// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
+/// guards.
+const TARGET_RESIDUAL: f64 = 0.5;
+/// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
+const WINDOW_HALF_WIDTH: f64 = 0.4;
+/// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
+const CROSSING_RESIDUAL: f64 = 0.95;
+/// Number of trials to end a step at a guard after which the step is halved instead.
+const MOST_TRIES: u32 = 8;
+/// Shortest step that ends at a guard, s; the mode changes at once where a guard is crossed earlier.
+pub(super) const SHORTEST: f64 = 1e-15;
+/// Shortest step that is halved, s: nothing moves in shorter ones.
+const SHORTEST_HALVED: f64 = 1e-12;
+/// Time over which the motion is linearised for the derivative of the guard residual, relative to the step.
+const LINEARIZED_PART: f64 = 1e-6;
+/// Largest correction of a step's end towards a guard, relative to the step.
+const LARGEST_CORRECTION: f64 = 0.1;
+/// Longest stretch, relative to the step, on which the reaction of sticking friction is interpolated by a parabola.
+const LONGEST_PARABOLA: f64 = 0.25;
+/// Length of a stretch, relative to the step, on which the reaction is assumed to have one maximum at most.
+const ONE_MAXIMUM: f64 = 1.0 / 16.0;
+/// Largest number of parabolas per maximum.
+const MAXIMUM_ROUNDS: u32 = 6;
+/// Accuracy of the place of a maximum, relative to the bracket; the error of its value is of second order.
+const MAXIMUM_ACCURACY: f64 = 1e-3;
+/// Shortest stretch, relative to the step; below it only round-off lies between the ends.
+const SHORTEST_STRETCH: f64 = 1e-6;
+/// Largest number of rounds of false position.
+const ROUNDS: u32 = 60;
+/// Largest number of evaluations per step; a step that needs more is too long for its interpolant and is halved.
+const MOST_EVALUATIONS: u32 = 200;
+
+/// Mode in which a step from q and q̇ begins that the last one has left in `mode`, after all transitions due there; and the longest useful
+/// step in that mode, s.
+pub(super) fn mode_at<const N: usize, S: Events<N>>(
+    system: &S,
+    mode: S::Mode,
+    [q, v]: [&Vector<N>; 2],
+    tolerance: f64,
+) -> (S::Mode, f64) {
+    /// Largest number of transitions at one state.
+    const MOST_TRANSITIONS: u32 = 8;
+    /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
+    const DWELL_MARGIN: f64 = 1.2;
+    let mut mode = system.select_branch(mode, q, v);
+    if !system.has_events() {
+        return (mode, f64::INFINITY);
+    }
+    let guard_values = system.guard_values(q, v);
+    for _ in 0..MOST_TRANSITIONS {
+        let in_mode = system.on(mode);
+        if in_mode.borrow().guard_residual(&guard_values, tolerance) <= CROSSING_RESIDUAL {
+            break;
+        }
+        mode = in_mode.borrow().next_mode(q, v, tolerance);
+    }
+    (mode, DWELL_MARGIN * system.on(mode).borrow().dwell_time(&guard_values))
+}
+
+/// Decision about a step with an admissible error.
+pub(super) enum EventCheck {
+    /// No event occurs.
+    Clear,
+    /// The step ends at an event.
+    AtEnd,
+    /// An event occurs earlier, this many seconds after the beginning of the step.
+    Before(f64),
+}
+
+/// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` are the guard values at its
+/// beginning, `end` q, q̇ and q̈ at its end; `path` is its dense output; `truncate` may end the step at a time inside it, s, so that
+/// it need not be made again.
+pub(super) fn check<const N: usize, S: Events<N>>(
+    (system, tolerance): (&S, f64),
+    from: S::GuardValues,
+    (end, length): ([&Vector<N>; 3], f64),
+    tries: u32,
+    path: Path<N>,
+    truncate: impl FnOnce(f64) -> bool,
+) -> EventCheck {
+    let mut seen = EventCheck::Clear;
+    if (1..MOST_TRIES).contains(&tries) {
+        match EventWindow::of(system, tolerance, end, length) {
+            // Another guard may be crossed earlier.
+            EventWindow::Within => seen = EventCheck::AtEnd,
+            // The interpolant was not accurate enough, so the end of the step gives the correction.
+            EventWindow::Outside(Some(later)) => return EventCheck::Before(length + later),
+            EventWindow::Outside(None) => {}
+        }
+    }
+    match path.first_crossing(system, tolerance, [from, system.guard_values(end[0], end[1])]) {
+        Found::Nothing => seen,
+        Found::Crossing(when) if when >= SHORTEST && truncate(when) => EventCheck::AtEnd,
+        Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
+        Found::Crossing(_) | Found::TooMuch if length > SHORTEST_HALVED => EventCheck::Before(0.5 * length),
+        Found::Crossing(_) | Found::TooMuch => seen,
+    }
+}
+
+/// Trials of one step that are to end at a guard.
+pub(super) struct EventTrials {
+    /// Number of such trials.
+    pub(super) count: u32,
+    /// Length of the next trial, s, where it is to end at a guard.
+    pub(super) end: Option<f64>,
+    /// Length, s, of the trial whose dense output has shown the event; infinite before.
+    shown_by: f64,
+}
+
+impl EventTrials {
+    /// No trial has shown an event.
+    pub(super) const NONE: Self = Self { count: 0, end: None, shown_by: f64::INFINITY };
+
+    /// After a trial of `tried` seconds has shown an event `when` seconds after the beginning of the step.
+    pub(super) fn repeat(&mut self, tried: f64, when: f64) {
+        self.count += 1;
+        let crossed_at_once = when < SHORTEST;
+        self.shown_by = if crossed_at_once { f64::INFINITY } else { tried };
+        self.end = (!crossed_at_once).then_some(when);
+    }
+
+    /// Longest next step, s, after one of `length` seconds: short where a longer trial has shown a false event, or an event early in it.
+    /// Oscillation about a guard is so resolved within a few steps.
+    pub(super) fn longest_next(&self, event: &EventCheck, length: f64) -> f64 {
+        self.longest_after(event, (length, self.shown_by))
+    }
+
+    /// Longest next step, s, see [`Self::longest_next`], where a step of `tried` seconds was truncated to `length`.
+    pub(super) fn longest_after(&self, event: &EventCheck, (length, tried): (f64, f64)) -> f64 {
+        /// Largest next step, relative to the longer trial.
+        const AFTER_FALSE_EVENT: f64 = 0.3;
+        /// Part of the longer trial before which an event is early.
+        const EARLY: f64 = 0.01;
+        match event {
+            EventCheck::AtEnd if length >= EARLY * tried => f64::INFINITY,
+            _ => (AFTER_FALSE_EVENT * tried).max(SHORTEST),
+        }
+    }
+}
+
+/// Position of a step's end relative to a guard.
+pub(super) enum EventWindow {
+    /// The guard residual is within the accepted window.
+    Within,
+    /// The guard residual is outside the window; the correction of the step length, s, if the linearised motion reaches the guard
+    /// nearby.
+    Outside(Option<f64>),
+}
+
+impl EventWindow {
+    /// Position of the state q, q̇ and q̈ near the end of a step of `length` seconds.
+    pub(super) fn of<const N: usize>(system: &impl Events<N>, tolerance: f64, [q, v, a]: [&Vector<N>; 3], length: f64) -> Self {
+        let guard_residual_at =
+            |later: f64| system.guard_residual(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), tolerance);
+        let guard_residual = guard_residual_at(0.0);
+        if (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH {
+            return Self::Within;
+        }
+        let later = LINEARIZED_PART * length;
+        let (gained, missing) = (guard_residual_at(later) - guard_residual, (guard_residual - TARGET_RESIDUAL) * later);
+        Self::Outside((missing.abs() < LARGEST_CORRECTION * length * gained.abs()).then(|| -missing / gained))
+    }
+}
+
+/// Motion over a step: a polynomial for the coordinates relative to its beginning, whose derivative is the rates.
+pub(super) struct Path<const N: usize> {
+    /// Coordinates at the beginning, m and rad.
+    pub(super) origin: Vector<N>,
+    /// Increment of the coordinates, m and rad.
+    pub(super) increment: Interpolant<N>,
+    /// Length of the step, s.
+    pub(super) length: f64,
+}
+
+impl<const N: usize> Path<N> {
+    /// Coordinates and rates at a part of the step.
+    fn at(&self, part: f64) -> [Vector<N>; 2] {
+        [self.origin + self.increment.at(part), (1.0 / self.length) * self.increment.rate_at(part)]
+    }
+
+    /// Bounds on the derivatives of the coordinates over the step.
+    fn extremes(&self) -> Extremes<N> {
+        let mut per = 1.0;
+        let [rates, accelerations, jerks, snaps] = self.increment.derivative_bounds().map(|bounds| {
+            per /= self.length;
+            per * bounds
+        });
+        Extremes { rates, accelerations, jerks, snaps }
+    }
+
+    /// Time of the first event, s from the beginning, between the guard values at both ends.
+    fn first_crossing<S: Events<N>>(&self, system: &S, tolerance: f64, [from, to]: [S::GuardValues; 2]) -> Found {
+        let search = Search { path: self, system, tolerance, extremes: self.extremes(), left: Cell::new(MOST_EVALUATIONS) };
+        match search.first(&search.probe(0.0, from), &search.probe(1.0, to)) {
+            _ if search.left.get() == 0 => Found::TooMuch,
+            Some(part) => Found::Crossing(self.length * part),
+            None => Found::Nothing,
+        }
+    }
+}
+
+/// Result of an event location.
+enum Found {
+    /// No event occurs in the step.
+    Nothing,
+    /// An event occurs this many seconds after the beginning.
+    Crossing(f64),
+    /// The limit of evaluations is reached.
+    TooMuch,
+}
+
+/// Evaluated place on the interpolant.
+struct Probe<T> {
+    /// Place, as a part of the step.
+    part: f64,
+    /// Guard values at the place.
+    guard_values: T,
+    /// Largest guard residual, in event tolerances.
+    guard_residual: f64,
+}
+
+/// Location of the first event on a path.
+struct Search<'a, S, const N: usize> {
+    path: &'a Path<N>,
+    system: &'a S,
+    /// Error tolerance of a coordinate, rad.
+    tolerance: f64,
+    /// Bounds on the derivatives over the whole step.
+    extremes: Extremes<N>,
+    /// Number of evaluations left.
+    left: Cell<u32>,
+}
+
+impl<S: Events<N>, const N: usize> Search<'_, S, N> {
+    fn probe(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
+        let guard_residual = self.system.guard_residual(&guard_values, self.tolerance);
+        Probe { part, guard_values, guard_residual }
+    }
+
+    fn at(&self, part: f64) -> Probe<S::GuardValues> {
+        self.left.set(self.left.get().saturating_sub(1));
+        let [q, v] = self.path.at(part);
+        self.probe(part, self.system.guard_values(&q, &v))
+    }
+
+    /// Part of the step at which the first guard is crossed between two places; the first place is within all guards.
+    fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
+        if to.guard_residual > CROSSING_RESIDUAL {
+            // A crossing lies in between; the stretch before it is searched for earlier ones.
+            let at = self.crossing_between(from, to);
+            let before = if at.guard_residual <= CROSSING_RESIDUAL { self.first(from, &at) } else { None };
+            return before.or(Some(at.part));
+        }
+        let stretch = to.part - from.part;
+        if stretch <= SHORTEST_STRETCH || self.left.get() == 0 {
+            return None;
+        }
+        let duration = stretch * self.path.length;
+        let stays = self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.extremes, self.tolerance);
+        if stays && self.system.breakaway_residual(&from.guard_values, self.tolerance) == f64::NEG_INFINITY {
+            return None;
+        }
+        let middle = self.at(0.5 * (from.part + to.part));
+        if stays && middle.guard_residual <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
+            let probes =
+                [from, &middle, to].map(|probe| [probe.part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)]);
+            if maximum_is_below(probes) {
+                return None;
+            }
+            if stretch <= ONE_MAXIMUM {
+                return self.refine_maximum(from, probes);
+            }
+        }
+        self.first(from, &middle).or_else(|| self.first(&middle, to))
+    }
+
+    /// First crossing on a stretch where the reaction of sticking friction has one maximum at most, by successive parabolas.
+    fn refine_maximum(&self, from: &Probe<S::GuardValues>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
+        for _ in 0..MAXIMUM_ROUNDS {
+            let slope = |[x, y]: [f64; 2], [z, w]: [f64; 2]| (w - y) / (z - x);
+            let (rise, curvature) = (slope(left, top), slope(left, top) - slope(top, right));
+            let part = 0.5 * (left[0] + top[0]) + 0.5 * rise / curvature * (right[0] - left[0]);
+            let is_seen = (part - top[0]).abs() <= MAXIMUM_ACCURACY * (right[0] - left[0]);
+            if curvature <= 0.0 || is_seen || !(left[0] < part && part < right[0]) {
+                return None;
+            }
+            let probe = self.at(part);
+            if probe.guard_residual > CROSSING_RESIDUAL {
+                return self.first(from, &probe);
+            }
+            let maximum = [part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)];
+            [left, top, right] = match (part < top[0], maximum[1] > top[1]) {
+                (true, true) => [left, maximum, top],
+                (true, false) => [maximum, top, right],
+                (false, true) => [top, maximum, right],
+                (false, false) => [left, top, maximum],
+            };
+        }
+        None
+    }
+
+    /// Crossing of a guard between a place within and a place past it, by false position (Anderson and Björck, *BIT* 13, 1973).
+    fn crossing_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
+        let [mut before, mut after] = [from.part, to.part];
+        // Only sign and size near the guard matter.
+        let (mut low, mut high) = ((from.guard_residual - TARGET_RESIDUAL).max(-1e12), to.guard_residual - TARGET_RESIDUAL);
+        let mut last_was_positive = None;
+        if low < 0.0 {
+            for _ in 0..ROUNDS {
+                let part = after - high * (after - before) / (high - low);
+                let probe = self.at(part);
+                let here = probe.guard_residual - TARGET_RESIDUAL;
+                if here.abs() <= 0.5 * WINDOW_HALF_WIDTH {
+                    return probe;
+                }
+                if after - before <= f64::EPSILON {
+                    break;
+                }
+                // The residual at an end that stays twice in a row is reduced.
+                let is_past = here > 0.0;
+                let (value, opposite) = if is_past { (high, &mut low) } else { (low, &mut high) };
+                if last_was_positive == Some(is_past) {
+                    let less = 1.0 - here / value;
+                    // If another guard was dominant at one end, the residuals give no slope; the factor is at least 0.1.
+                    *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
+                }
+                last_was_positive = Some(is_past);
+                if is_past {
+                    (after, high) = (part, here);
+                } else {
+                    (before, low) = (part, here);
+                }
+            }
+        }
+        self.at(before)
+    }
+}
+
+/// Whether the reaction of sticking friction stays below its breakaway bound between three equidistant places, by their parabola
+/// with a margin.
+fn maximum_is_below([[_, from], [_, middle], [_, to]]: [[f64; 2]; 3]) -> bool {
+    /// Margin in second differences; the parabola itself rises above its chords by 1/8.
+    const PARABOLA_MARGIN: f64 = 0.5;
+    from.max(to).max(middle) + PARABOLA_MARGIN * (from - 2.0 * middle + to).abs() <= CROSSING_RESIDUAL
+}

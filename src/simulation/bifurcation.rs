@@ -1,0 +1,53 @@
+//! Crossing of a bifurcation of the closure with coaxial motors, where all links are in line: the twelve coordinates may fail there, while
+//! the link angles on a closure branch know no special configuration. A run whose method is blocked integrates one sub-step in them.
+
+use std::borrow::Borrow;
+
+use super::angles::{AngleSystem, Angles, LINK_INDICES, angles_of, legs};
+use super::five_bar::FiveBar;
+use super::model::Model;
+use super::state::Core;
+use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
+use crate::integrator::{Events, Transit, equilibrium};
+use crate::mechanism::COORDINATES;
+
+/// Distance from all links in line, rad, below which the twelve coordinates may fail.
+const NEAR_BIFURCATION: f64 = 1e-2;
+
+/// Largest number of evaluations of a step past a bifurcation.
+const MOST_WORK: u32 = 20_000;
+
+/// Whether a step of h seconds from angles and rates begins or ends close to a bifurcation.
+pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
+    model.mechanism.geometry.base_distance == 0.0
+        && angle_to_bifurcation(&(*q + h * *v)).min(angle_to_bifurcation(q)) <= NEAR_BIFURCATION
+}
+
+/// Distance from all links in line: sines of the left elbow's angle and of the angle between the proximal links, the larger one.
+fn angle_to_bifurcation(q: &Angles) -> f64 {
+    let [left, elbow, _, right] = LINK_INDICES;
+    f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
+}
+
+/// Step of h seconds along a closure branch, integrated in the link angles; `None` where the motion is on no branch.
+pub(super) fn crossing<const BARE: bool>(system: &FiveBar<'_, BARE>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
+    let (system, model) = (AngleSystem::new(system.general()), system.model);
+    let settings = Settings {
+        schemes: Schemes::Automatic,
+        error_tolerance: model.settings.error_tolerance,
+        energy_scale: f64::INFINITY,
+        first_step: h,
+        max_iterations: model.settings.max_iterations,
+        max_work: MOST_WORK,
+        regularization: model.regularization_by_angles,
+    };
+    let mut step = DenseStep::start(&system, angles_of(&from.q), angles_of(&from.v), &settings);
+    step.mode().closure_branch?;
+    step.advance(&system, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
+    let sample = step.sample(&system, &settings);
+    let on_branch = system.on(step.mode());
+    let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
+    let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
+    let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
+    Some(Transit { q, v, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
+}

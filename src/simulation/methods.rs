@@ -1,0 +1,121 @@
+//! Settings of each method, made from those of the solver and the scales of the machine.
+
+use super::bifurcation;
+use super::five_bar::FiveBar;
+use super::model::Model;
+use super::settings::Method;
+use super::state::Core;
+use crate::hybrid::Mode;
+use crate::integrator::dense::{Scheme, Schemes};
+use crate::integrator::{StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+/// Method whose steps end with the macro step, with its settings.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub enum MacroStepMethod {
+    /// Index-3 augmented Lagrangian with projections in dual form, the default.
+    I3alp(i3alp::Settings),
+    /// Index-3 augmented Lagrangian with projections in the penalty form of the paper.
+    I3alpPrinted(i3alp_printed::Settings),
+    /// Classical Runge–Kutta of order 4 with projection.
+    Rk4(rk4::Settings),
+}
+
+/// Energy tolerance of an i3-ALP step relative to that of an error-controlled one: 0.2, because an event leaves several steps whose work is
+/// known at their ends only.
+const I3ALP_ENERGY_SHARE: f64 = 0.2;
+
+/// Rate of the reference motion whose kinetic energy scales the energy tolerance of forces with events, 1/s: the rate of the error norm.
+const REFERENCE_RATE: f64 = 10.0;
+
+/// e of the conserving step relative to 1 over the mean mass. It weighs increments only: with smaller values Newton's method finds fewer
+/// roots next to vertices; with larger ones it takes more iterations.
+const CONSERVING_REGULARIZATION: f64 = 1e-7;
+
+/// Kinetic energy of the reference motion, J.
+fn energy_scale(model: &Model) -> f64 {
+    model.mechanism.geometry.mean_mass() * (model.length_scale * REFERENCE_RATE).powi(2)
+}
+
+/// Settings of the method of a scene.
+#[derive(Clone, Copy, Debug)]
+pub enum MethodSettings {
+    /// Steps end with the macro step.
+    MacroStep(MacroStepMethod),
+    /// Strictly fixed steps that conserve energy.
+    Conserving(i3alp_conserving::Settings),
+    /// Error control in the link angles: steps run past the macro step, whose end is interpolated.
+    Dense(dense::Settings),
+}
+
+/// Settings of the method of a scene, for a run that started with this energy, J.
+pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
+    let (settings, regularization) = (&model.settings, model.regularization);
+    let max_iterations = settings.max_iterations;
+    let dense = |schemes| {
+        MethodSettings::Dense(dense::Settings {
+            schemes,
+            error_tolerance: settings.error_tolerance,
+            energy_scale: energy_scale(model),
+            first_step: settings.step_size,
+            max_iterations,
+            max_work: settings.max_work,
+            regularization: model.regularization_by_angles,
+        })
+    };
+    MethodSettings::MacroStep(match settings.method {
+        Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
+            adaptive: settings.adaptive,
+            error_tolerance: settings.error_tolerance,
+            energy_scale: I3ALP_ENERGY_SHARE * energy_scale(model),
+            energy_at_start,
+            tolerance: settings.tolerance,
+            max_iterations,
+            max_work: settings.max_work,
+            regularization,
+        }),
+        Method::I3alpPrinted => {
+            MacroStepMethod::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations })
+        }
+        Method::Rk4 => {
+            MacroStepMethod::Rk4(rk4::Settings { projection: true, regularization, tolerance: settings.tolerance, max_iterations })
+        }
+        Method::I3alpConserving => {
+            return MethodSettings::Conserving(i3alp_conserving::Settings {
+                max_iterations,
+                max_work: settings.max_work,
+                regularization: CONSERVING_REGULARIZATION * regularization * settings.penalty_scale,
+                equilibrium: regularization,
+            });
+        }
+        Method::Dop853 => return dense(Schemes::Only(Scheme::Dop853)),
+        Method::Automatic => return dense(Schemes::Automatic),
+    })
+}
+
+impl MacroStepMethod {
+    /// Advances the state from `mode` by one macro step of `h` seconds. On failure both are undefined, so the caller keeps a copy.
+    #[inline(always)]
+    pub fn advance<const BARE: bool>(
+        &self,
+        system: &FiveBar<'_, BARE>,
+        core: &mut Core,
+        mode: &mut Mode,
+        h: f64,
+    ) -> Result<(), StepError> {
+        match self {
+            Self::I3alp(settings) => {
+                let mut step = i3alp::MacroStep::of(h);
+                let mut progress = step.advance(system, settings, core, mode)?;
+                while let i3alp::Progress::Blocked(h) = progress {
+                    let transit = bifurcation::crossing(system, core, h);
+                    progress = step.cross(system, settings, (core, mode), transit.as_ref())?;
+                }
+                Ok(())
+            }
+            Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, core, h),
+            Self::Rk4(settings) => rk4::advance(system, settings, core, h),
+        }
+    }
+}
