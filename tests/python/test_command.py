@@ -1,8 +1,10 @@
 """The command `fivebar` and the functions of the package: answers, sentences, exit codes, and nothing half-made."""
 
 import json
+import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +137,16 @@ def test_a_file_with_an_odd_name_is_run(tmp_path: Path, here: Path, monkeypatch:
     [folder] = here.iterdir()
     assert folder.name == file.stem and (folder / f"{file.stem}.csv").is_file() and f"{file.stem}/{file.stem}.html" in capsys.readouterr().out
     assert shown == [(folder / f"{file.stem}.html").as_uri()]
+
+
+def test_a_unit_without_a_library_for_this_machine_is_told(fmu: Path, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with zipfile.ZipFile(fmu) as whole, zipfile.ZipFile(tmp_path / "other.fmu", "w") as other:
+        other.writestr("modelDescription.xml", whole.read("modelDescription.xml"))
+        other.writestr("binaries/vms64/FiveBar.exe", "")
+    assert main(["run", "swing", "--fmu", str(tmp_path / "other.fmu")]) == 2
+    sentence = capsys.readouterr().err
+    assert re.fullmatch(r"fivebar run: FiveBar has no library for this machine, \S+; it has vms64\n", sentence), sentence
+    assert list(here.iterdir()) == []
 
 
 def test_an_error_of_this_program_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ mod test;
 mod twin;
 mod venv;
 mod walk;
+mod wheel;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -132,6 +133,12 @@ enum Command {
         #[arg(long)]
         all_platforms: bool,
     },
+    /// Build the Python package with the unit, the scenes and the live page (where it has been made) inside: target/wheel/
+    Wheel {
+        /// For every machine that is shipped: takes minutes
+        #[arg(long)]
+        all_platforms: bool,
+    },
     /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
     Page,
 }
@@ -168,6 +175,7 @@ fn command(command: Command) -> Result<()> {
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
         Command::Page => page::page(),
+        Command::Wheel { all_platforms } => wheel::wheel(if all_platforms { Scope::All } else { Scope::Here }).map(drop),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from fivebar.own_unit import Naming
     from fivebar.scene import Scene
     from fivebar.simulate import Result
     from fivebar.variables import Value
@@ -22,14 +23,27 @@ __all__ = ["run", "scenes", "unit"]
 # The packages that compute and draw are loaded by what needs them: the command line answers at once.
 
 
-def unit() -> Path:
+def unit(
+    scene: "str | Path | Scene | None" = None, name: str | None = None, naming: "Naming" = "structured", folder: str | Path | None = None
+) -> Path:
     """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout that which `cargo xtask package` has packed.
 
-    Raises FiveBarError, a ValueError, if there is none.
+    With a scene, a name or `naming="flat"` the path of a unit that is written for them, to `folder` or the current one: its start values,
+    experiment and description are the scene's.
+
+    >>> fivebar.unit("my_machine.json", name="MyMachine", folder="units")
+
+    Raises FiveBarError, a ValueError, if there is none, or what is given is refused.
     """
     from fivebar import shipped
 
-    return shipped.unit()
+    if scene is None and name is None and naming == "structured" and folder is None:
+        return shipped.unit()
+    from fivebar import own_unit
+    from fivebar.scene import Scene, read
+
+    known = scene if scene is None or isinstance(scene, Scene) else read(scene)
+    return own_unit.write_unit(Path(folder or ""), known, name, naming=naming).file
 
 
 def scenes() -> dict[str, str]:

@@ -3,7 +3,8 @@ checkout that the package lies in has them.
 """
 
 import os
-import zipfile
+import platform
+import sys
 from pathlib import Path
 
 from fivebar.errors import FiveBarError
@@ -11,6 +12,16 @@ from fivebar.errors import FiveBarError
 FOLDER = Path(__file__).with_name("shipped")
 CHECKOUT = Path(__file__).resolve().parents[3]
 """The root of the checkout, if the package lies in one."""
+
+
+MACHINES = {
+    "linux x86_64": ("linux64", ".so"),
+    "linux aarch64": ("aarch64-linux", ".so"),
+    "win amd64": ("win64", ".dll"),
+    "darwin x86_64": ("darwin64", ".dylib"),
+    "darwin arm64": ("darwin64", ".dylib"),
+}
+"""Folders of libraries in an .fmu, and endings, by kind of machine."""
 
 
 def unit() -> Path:
@@ -47,7 +58,15 @@ def _found(name: str, in_checkout: str) -> Path | None:
     return next((place for place in places if place.exists()), None)
 
 
-def platforms(fmu: Path) -> list[str]:
-    """The machines that an .fmu has a library for, by FMI's names of platforms."""
-    with zipfile.ZipFile(fmu) as archive:
-        return sorted({name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/") and name.count("/") == 2})
+def library(directory: str | Path, identifier: str) -> str:
+    """The library for this machine in an extracted .fmu.
+
+    Raises FiveBarError if there is none.
+    """
+    kind = f"{sys.platform.rstrip('0123456789')} {platform.machine().lower()}"
+    folder, ending = MACHINES.get(kind, (kind, ""))
+    file = Path(directory, "binaries", folder, identifier + ending)
+    if not file.is_file():
+        there = ", ".join(sorted(path.name for path in Path(directory, "binaries").glob("*"))) or "none at all"
+        raise FiveBarError(f"{identifier} has no library for this machine, {folder}; it has {there}")
+    return str(file)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fivebar.shipped import library
+
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 
@@ -59,6 +61,7 @@ def instantiate(
         unzipDirectory=directory,
         modelIdentifier=model.coSimulation.modelIdentifier,
         instanceName=name,
+        libraryPath=library(directory, model.coSimulation.modelIdentifier),
     )
     slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
     return slave

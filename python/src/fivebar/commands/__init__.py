@@ -8,15 +8,17 @@ this program); 2 what was asked for is refused. Errors are one sentence on stand
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import click
 
-from fivebar.commands import calibrate, ensemble, load, map, page, path, replay, run, scenes, soak, twin, what_if
+from fivebar.commands import calibrate, ensemble, load, map, page, path, replay, run, scenes, soak, twin, unit, what_if
 from fivebar.errors import FiveBarError
 
 COMMANDS = (
     run.run,
     scenes.scenes,
+    unit.unit,
     map.map_,
     path.path,
     page.page,
@@ -58,8 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a subcommand and gives its exit code back."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = " ".join(["fivebar", *(part for part in given[:1] if part in fivebar.commands)])
-    # Pictures go to files: no window is opened, whatever the machine has.
-    os.environ.setdefault("MPLBACKEND", "Agg")
+    _keep_to_the_cache()
     try:
         return int(fivebar.main(given, prog_name="fivebar", standalone_mode=False) or 0)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -86,6 +87,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sentence = " ".join(f"{type(error).__name__}: {error}".split())
         print(f"{name}: an error of this program, {sentence}; with FIVEBAR_TRACEBACK=1 it says where", file=sys.stderr)
         return 1
+
+
+def _keep_to_the_cache() -> None:
+    """Keeps packages from opening windows and from writing settings to the user's home, where there are none."""
+    # Pictures go to files.
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    settings = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    for variable, package, own in (("MPLCONFIGDIR", "matplotlib", Path.home() / ".matplotlib"), ("DASK_CONFIG", "dask", Path.home() / ".dask")):
+        if not (settings / package).exists() and not own.exists():
+            os.environ.setdefault(variable, str(_cache() / package))
+
+
+def _cache() -> Path:
+    """The user's cache."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "fivebar"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "fivebar"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fivebar"
 
 
 def _refused(name: str, sentence: str) -> int:

@@ -13,7 +13,7 @@ from fivebar.commands import options
 @click.option("--naming", type=click.Choice(["structured", "flat"]), default="structured", show_default=True, help="flat: for tools that make buses of tip.x and tau[1].")
 @options.out("the current folder")
 def unit(scene: str | None, name: str | None, naming: str, out: Path | None) -> None:
-    """Write the unit (.fmu), or one of your own machine, for your own tool.
+    """Write the .fmu for your own tool, or of your machine.
 
     Any FMI 2.0 master runs it with nothing set, on every machine that the shipped unit has a library for. No compiler is needed.
 

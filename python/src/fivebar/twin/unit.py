@@ -12,6 +12,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fivebar import shipped
 from fivebar.twin.errors import TwinError
 from fivebar.variables import Variables
 
@@ -90,6 +91,7 @@ class Unit:
             unzipDirectory=library.directory,
             modelIdentifier=library.model.coSimulation.modelIdentifier,
             instanceName=name,
+            libraryPath=shipped.library(library.directory, library.model.coSimulation.modelIdentifier),
         )
         self.slave.instantiate(callbacks=self._callbacks())
 

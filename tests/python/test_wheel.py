@@ -1,0 +1,163 @@
+"""The wheel, as a user gets it: in an empty environment, in a folder with a space and an umlaut, without cargo, git and compiler on PATH
+and without the repository, every subcommand does what it says.
+
+FIVEBAR_WHEEL is the wheel; without it one is built around the unit under test, as `cargo xtask wheel` does.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import venv
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from conftest import REPOSITORY
+
+pytestmark = pytest.mark.full
+
+WITHIN = 60.0
+"""s from the wheel to the first picture, packages from the registry included."""
+
+
+def build(fmu: Path, folder: Path) -> Path:
+    """A wheel around a unit."""
+    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
+    subprocess.run(command, cwd=REPOSITORY / "python", env=os.environ | {"FIVEBAR_FMU": str(fmu)}, check=True, capture_output=True)
+    [wheel] = folder.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel under test."""
+    given = os.environ.get("FIVEBAR_WHEEL")
+    return Path(given) if given else build(fmu, tmp_path_factory.mktemp("wheel"))
+
+
+class User:
+    """Somebody with Python alone, in an empty folder."""
+
+    def __init__(self, folder: Path):
+        self.home, self.folder, self.environment = folder / "home", folder / "Übung eins", folder / "umgebung"
+        self.programs, self.temporary, self.cache = (folder / name for name in ("programs", "temporary", "cache"))
+        for made in (self.home, self.folder, self.programs, self.temporary, self.cache):
+            made.mkdir()
+        venv.create(self.environment, with_pip=True)
+
+    def run(self, *command: str, code: int | None = 0, seconds: float = 300.0) -> "subprocess.CompletedProcess[str]":
+        """Runs a program of the environment; nothing else is on PATH. `code` is the exit code that it has to have, None for any."""
+        variables = {"PATH": str(self.programs), "HOME": str(self.home), "TMPDIR": str(self.temporary), "XDG_CACHE_HOME": str(self.cache), "LANG": "C.UTF-8"}
+        # Where packages come from is the machine's matter.
+        variables |= {name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_", "HTTPS_", "https_"))}
+        program, *rest = command
+        done = subprocess.run(
+            [self.environment / "bin" / program, *rest], cwd=self.folder, env=variables, capture_output=True, text=True, check=False, timeout=seconds
+        )
+        assert code is None or done.returncode == code, done.stdout + done.stderr
+        assert "Traceback" not in done.stdout + done.stderr
+        return done
+
+    def fivebar(self, *words: str, code: int = 0) -> str:
+        """Output of the command."""
+        done = self.run("fivebar", *words, code=code)
+        return done.stdout if code == 0 else done.stderr
+
+    def made(self) -> set[str]:
+        """Names in the folder, and that nothing was written beside it."""
+        assert not list(self.home.iterdir()) and not list(self.temporary.iterdir())
+        return {path.name for path in self.folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
+    yield User(tmp_path_factory.mktemp("user"))
+
+
+def test_from_the_wheel_to_a_picture_within_a_minute(user: User, wheel: Path) -> None:
+    begin = time.perf_counter()
+    user.run("python", "-m", "pip", "install", "--quiet", "--no-input", str(wheel))
+    text = user.fivebar("run", "fall_90_120")
+    taken = time.perf_counter() - begin
+    assert user.made() == {"fall_90_120"} and {"tip.png", "fall_90_120.csv", "fall_90_120.html"} <= set(os.listdir(user.folder / "fall_90_120"))
+    assert "singularities met" in text and f"fall_90_120{os.sep}fall_90_120.html" in text
+    print(f"from the wheel to a picture: {taken:.1f} s")
+    assert taken < WITHIN
+
+
+def test_nothing_of_the_repository_is_used(user: User) -> None:
+    where = user.run("python", "-c", "import fivebar; print(fivebar.__file__); print(fivebar.unit())").stdout.splitlines()
+    assert all(Path(place).is_relative_to(user.environment) for place in where)
+
+
+def test_what_is_missing_is_one_sentence(user: User, wheel: Path) -> None:
+    """Subcommands of the extras, before these are installed."""
+    for words, extra in ((["twin"], "twin"), (["calibrate", "x.csv"], "calibrate"), (["ensemble"], "ensemble"), (["replay", "x"], "twin")):
+        sentence = user.fivebar(*words, code=2)
+        assert sentence.count("\n") == 1 and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is missing\n"), sentence
+    assert user.made() == {"fall_90_120"}
+    # What the sentence says, with the wheel in hand.
+    user.run("python", "-m", "pip", "install", "--quiet", "--no-input", f"{wheel}[all]")
+
+
+def test_scenes_and_files(user: User) -> None:
+    assert "pick_and_place" in user.fivebar("scenes")
+    scene = {"description": "Ein Fall.", "experiment": {"stopTime": 0.1}, "init.theta[2]": 2.0944, "solver.method": "automatic"}
+    (user.folder / "große Maschine.json").write_text(json.dumps(scene), encoding="utf-8")
+    user.fivebar("run", "große Maschine.json", "--out", "hier & dort")
+    assert "große Maschine.csv" in os.listdir(user.folder / "hier & dort")
+    assert user.made() == {"fall_90_120", "große Maschine.json", "hier & dort"}
+
+
+def test_units(user: User) -> None:
+    user.fivebar("unit")
+    user.fivebar("unit", "--scene", "große Maschine.json", "--name", "Meine", "--naming", "flat", "-o", "units")
+    with zipfile.ZipFile(user.folder / "units" / "Meine.fmu") as archive:
+        assert 'variableNamingConvention="flat"' in archive.read("modelDescription.xml").decode()
+    user.run("fmpy", "simulate", str(user.folder / "units" / "Meine.fmu"), "--output-file", "motion.csv")
+    assert "FiveBar.fmu" in user.made() and len((user.folder / "motion.csv").read_text().splitlines()) > 50
+
+
+def test_the_twin_and_what_belongs_to_it(user: User) -> None:
+    """Ten seconds of the twin; its record again, calibrated; commands from its state; members; samples without a clock; a broker's load."""
+    running = subprocess.Popen(
+        [user.environment / "bin" / "fivebar", "twin", "--seconds", "20"], cwd=user.folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={"PATH": str(user.programs), "HOME": str(user.home), "TMPDIR": str(user.temporary), "XDG_CACHE_HOME": str(user.cache), "LANG": "C.UTF-8"},
+    )  # fmt: skip
+    assert running.stdout is not None
+    record = re.search(r"record in (.*)", running.stdout.readline())
+    assert record is not None, running.communicate()[0]
+    folder = Path(record[1]).parent
+    assert "1." in user.fivebar("what-if", "--config", str(folder / "twin.json"), "--members", "4")
+    text = running.communicate(timeout=120)[0]
+    # 3: busy machines forecast late.
+    assert running.returncode in (0, 3), text
+    assert json.loads((user.folder / "twin" / "summary.json").read_text())["samples"]["estimated"] > 1000
+    assert " 0 differ" in user.fivebar("replay", record[1])
+    user.run("fivebar", "calibrate", record[1], "--parameters", "payload.mass", "--seconds", "2", "--no-proposal")
+    user.fivebar("ensemble", "--members", "50", "--workers", "1", "--seconds", "0.2")
+    user.fivebar("soak", "--hours", "0.002")
+    # A broker on a busy machine may carry none in time.
+    load = user.run("fivebar", "load", "--most", "1", "--seconds", "1", code=None)
+    assert load.returncode in (0, 1) and "carried" in load.stdout
+    assert {"twin", "calibrate", "ensemble"} <= user.made()
+
+
+def test_the_live_page(user: User, wheel: Path) -> None:
+    """The page that the wheel carries, or a sentence if it was built without."""
+    with zipfile.ZipFile(wheel) as archive:
+        has_page = "fivebar/shipped/fivebar.html" in archive.namelist()
+    if has_page:
+        assert Path(user.fivebar("page", "--no-open").strip()).is_relative_to(user.environment)
+    else:
+        assert "comes without the live page" in user.fivebar("page", code=2)
+
+
+def test_the_same_sources_give_the_same_wheel(fmu: Path, tmp_path: Path) -> None:
+    one, two = (build(fmu, tmp_path / name) for name in ("one", "two"))
+    assert one.read_bytes() == two.read_bytes()
