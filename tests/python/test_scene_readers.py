@@ -44,6 +44,10 @@ TEXTS = (
 )  # fmt: skip
 
 
+IN_THE_TIPS_COORDINATES = re.compile(r"'(?:tip\.[xy]|mode\.(?:working|assembly))' (?:is computed by|is not an input of) the FMU")
+"""How programs that measure refuse scenes in the tip's coordinates, which only users have."""
+
+
 def sentences() -> Iterator[str]:
     """Contents whose refusals scenes/src/tests.rs spells out."""
     text = (REPOSITORY / "scenes" / "src" / "tests.rs").read_text(encoding="utf-8")
@@ -95,9 +99,12 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
         ["cargo", "run", "--quiet", "--locked", "--package", "scenes", "--example", "answers", "--", *map(str, files)],
         cwd=REPOSITORY, capture_output=True, text=True, encoding="utf-8", check=True,
     ).stdout.removesuffix("\n").split("\n")  # fmt: skip
-    good = refused = 0
+    good = refused = elsewhere = 0
     for file, line in zip(files, answers, strict=True):
         theirs = json.loads(line)
+        if isinstance(theirs, str) and IN_THE_TIPS_COORDINATES.search(theirs):
+            elsewhere += 1
+            continue
         try:
             ours: Any = scene.of_file(file, known).resolved()
         except FiveBarError as error:
@@ -108,7 +115,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
         else:
             assert json.dumps(ours) == json.dumps(theirs), file.read_bytes()[:300]
             good += 1
-    assert good > 60 and refused > 140, (good, refused)
+    assert good > 60 and refused > 140 and elsewhere < 6, (good, refused, elsewhere)
 
 
 def plain(sentence: str) -> str:
