@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use model_description::{Causality, Item, Kind, ModelDescription, TypeKind, Variability, Variable};
 
 /// The model description that all scenes are checked against.
@@ -11,8 +11,21 @@ pub(crate) fn model() -> Result<&'static ModelDescription> {
     Ok(MODEL.as_ref()?)
 }
 
+/// Keys of scenes in the tip's coordinates, which need inverse kinematics.
+const TIP: [&str; 4] = ["tip.x", "tip.y", "mode.working", "mode.assembly"];
+
+/// Refuses a name that is a key of the tip's coordinates.
+fn not_of_the_tip(name: &str) -> Result<()> {
+    ensure!(
+        !TIP.contains(&name),
+        "'{name}' is in the tip's coordinates, which the Python package fivebar reads and this reader does not"
+    );
+    Ok(())
+}
+
 /// The variable that a scene gives a start value; `reserved` are other keys that a misspelt name may mean.
 pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variable> {
+    not_of_the_tip(name)?;
     let variables = &model()?.variables;
     let can_be_set = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
     match variables.iter().find(|variable| variable.name.full == name) {
@@ -27,6 +40,7 @@ pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variabl
 
 /// The input that a scene gives a signal.
 pub(crate) fn input(name: &str) -> Result<&'static Variable> {
+    not_of_the_tip(name)?;
     let inputs = || model().into_iter().flat_map(|model| &model.variables).filter(|v| v.causality == Causality::Input);
     match inputs().find(|variable| variable.name.full == name) {
         Some(variable) => Ok(variable),

@@ -86,6 +86,19 @@ fn row(line: &str) -> Option<(String, String)> {
     Some((cells[0].split('`').next()?.to_owned(), (*cells.get(2)?).to_owned()))
 }
 
+/// Starts and signals by the tip's place need inverse kinematics, which the package has.
+#[test]
+fn scenes_in_the_tip_s_coordinates_are_the_package_s() {
+    let knots = json!({ "linear": [[0, 0], [1, 1]] });
+    for content in [json!({ "tip.x": 0.1, "tip.y": 0.2 }), json!({ "signals": { "tip.x": knots, "tip.y": knots } })] {
+        let error = format!("{:#}", parse(content).expect_err("not read"));
+        assert!(
+            error.ends_with("'tip.x' is in the tip's coordinates, which the Python package fivebar reads and this reader does not"),
+            "{error}"
+        );
+    }
+}
+
 #[test]
 fn values_and_overlays_are_typed() {
     let scene = parse(json!({
@@ -137,7 +150,7 @@ fn what_is_wrong_is_named() {
         (json!({ "descripton": "x" }), &["descripton", "'description'"]),
         (json!({ "zzz": 1 }), &["'zzz'", "known are tau[1]"]),
         (json!({ "tau[3]": 0.1 }), &["there is no variable 'tau[3]'", "'tau[1]'"]),
-        (json!({ "tip.x": 0.1 }), &["'tip.x' is computed by the FMU and cannot be set"]),
+        (json!({ "tip.vx": 0.1 }), &["'tip.vx' is computed by the FMU and cannot be set"]),
         (json!({ "solver.method": "euler" }), &["solver.method", "one of i3alp, i3alpPrinted, rk4, dop853", "not \"euler\""]),
         (json!({ "solver.method": 3 }), &["solver.method", "one of i3alp", "not 3"]),
         (json!({ "tau[1]": "much" }), &["'tau[1]' must be a number in N.m, not \"much\""]),

@@ -1,4 +1,7 @@
-"""Two readers of scenes, the package's for users and the crate `scenes` for programs that measure, give the same answers, good and bad."""
+"""Two readers of scenes, the package's for users and the crate `scenes` for programs that measure, give the same answers, good and bad.
+
+Scenes in the tip's coordinates are the package's alone: the crate refuses them, and says who reads them.
+"""
 
 import json
 import random
@@ -36,7 +39,7 @@ TEXTS = (
     '{"description": "a", "overlay": [{"label": "b", "label": "c"}]}', '{"description": "a\\ud800"}', '{"description": "\\ud83d\\ude00"}',
     '{"description": "a\tb"}', '{"description": "a\\tb"}', '{"description": "a\\u0000b"}', '{"description": "\\uffff"}', '{"description": "\\u0085"}',
     '{"description": "\\u00a0"}', '{"description": "a", "signals": ' + 9 * "[" + 9 * "]" + "}", '{"description": "a", "signals": ' + 100_000 * "[",
-    '{"description": "a", "link[2].length": 0.1, "link[2].Length": 0.1}', '{"description": "a", "": 1}', '{"description": "a", "tip.x": 1}',
+    '{"description": "a", "link[2].length": 0.1, "link[2].Length": 0.1}', '{"description": "a", "": 1}', '{"description": "a", "tip.vx": 1}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [1e9, 1]]}}, "experiment": {"stopTime": 1e9, "stepSize": 1e-9}}',
     '{"description": "a", "signals": {"tau[1]": {"minimumJerk": [[0, 0], [1e-320, 1], [1, 0]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [0.3, 1e308], [0.7, -1e308]]}}, "experiment": {"stopTime": 1, "stepSize": 0.07}}',
