@@ -1,4 +1,4 @@
-"""What `fivebar calibrate` finds of a machine that MuJoCo simulates (machine.py), beside what is true."""
+"""Calibration by `fivebar calibrate` of a machine that MuJoCo simulates (machine.py), beside the true values."""
 
 import json
 import subprocess
@@ -45,7 +45,7 @@ def _quiet(rows: np.ndarray, kinds: list[str]) -> float:
 
 
 def _named(truth: machine.Truth) -> dict[str, float]:
-    """What is true, by the unit's names."""
+    """True values, by the unit's names."""
     named = {f"link[{i}].length": float(value) for i, value in enumerate(truth.length, 1)}
     named |= {f"link[{i}].mass": float(value) for i, value in enumerate(truth.mass, 1)}
     named |= {f"viscous.b[{i}]": float(value) for i, value in enumerate(truth.viscous, 1)}

@@ -43,7 +43,7 @@ ALARM = 0.5
 """An alarm counts as that of a push up to this time after it, s."""
 
 ESTIMATE = ("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[2]", "estimated.tip.cov[3]", "estimated.alarm")
-"""What is read at each sample; the first five also from forecasts."""
+"""Variables that are read at each sample; the first five also from forecasts."""
 
 STATUS = "estimated.status"
 
@@ -105,7 +105,7 @@ MEASURED = ("measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measu
 
 
 def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int], dict[float, np.ndarray]]:
-    """What the unit says when each sample is taken: `ESTIMATE`, its status; for each horizon the forecasts, with the index of the sample of their end.
+    """Outputs of the unit at each sample: `ESTIMATE`, its status; for each horizon the forecasts, with the index of the sample of their end.
 
     A sample arrives `machine.DELAY` after it has been taken.
     """
@@ -146,7 +146,7 @@ def judge(said: np.ndarray, tips: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def figures(rows, true, kinds, said, statuses, names, ahead) -> dict[str, object]:
-    """What is told of a run, in mm, %, s."""
+    """Figures of a run, in mm, %, s."""
     settled = round(2 / machine.SAMPLE)
     found = judge(said, true[:, 3:5])
     told = {"minutes": len(rows) * machine.SAMPLE / 60, "estimate": _row(found, slice(settled, None))}

@@ -20,7 +20,7 @@ SAMPLE = 5e-3
 GRAVITY = 9.81
 """m/s², along −y: the machine stands upright."""
 
-# What is believed of the machine: the scene that the unit is given.
+# Believed parameters of the machine: the scene that the unit is given.
 BASE, LENGTH, MASS, COM, INERTIA = 0.1, 0.21, 0.017, 0.105, 6.23e-5
 KP, KD, LIMIT, ROTOR = 6.0, 0.09, 0.6, 5e-5
 """Of the drives: N·m/rad, N·m·s/rad, N·m, kg·m²."""
@@ -31,7 +31,7 @@ HOME = (2.0, 1.14)
 APART = (0.07, 0.385)
 """Distance of the elbows on planned motions, m. Distal links in line, or one on the other, are at 0.42 and 0."""
 
-# What differs, each drawn uniformly within plus or minus this, or as said.
+# Differences of the true machine, each drawn uniformly within plus or minus this, or as said.
 OFF_LENGTH, OFF_MASS = 1e-3, 0.05
 """Relative, of each link."""
 OFF_BASE = 1e-4

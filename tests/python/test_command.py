@@ -32,7 +32,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fmu: Path) -> Path:
 
 @pytest.mark.parametrize("name", list(group.commands))
 def test_help_teaches(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """What the subcommand does, in a line that the list of all has as well; every option in words; no packages are needed for it."""
+    """The help has the subcommand's purpose, in a line that the list of all has as well; every option in words; no packages are needed for it."""
     assert main([name, "--help"]) == 0
     text = capsys.readouterr().out
     first = text.split("\n\n")[1].strip()
@@ -150,7 +150,7 @@ def test_a_unit_without_a_library_for_this_machine_is_told(fmu: Path, tmp_path: 
 
 
 def test_an_error_of_this_program_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Where it comes from is shown only if asked for."""
+    """The traceback of an unforeseen error is shown only if asked for."""
 
     def broken() -> None:
         raise KeyError("surprise")

@@ -21,7 +21,7 @@ from fivebar.slave import Log, set_values
 Floats = NDArray[np.float64]
 
 OFF = ("servo.enabled", "stop.enabled", "estimator.enabled")
-"""What is no load on the motors."""
+"""Switches of effects that are no load on the motors."""
 
 SMOOTH = 1
 """The item of friction.law and contact.law whose torque follows from the state."""

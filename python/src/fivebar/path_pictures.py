@@ -25,7 +25,7 @@ WIDTH = 7.2
 
 REACHED = "#e9eef3"
 TOLD = "#9ecae8"
-"""Where the pen was told to draw: a band below the line that was drawn."""
+"""Colour of the commanded line, a band below the line that was drawn."""
 
 BUCKETS = 400
 """Curves over time have the extremes of so many parts."""
@@ -168,7 +168,7 @@ def _overview(axes: Axes, made: Plan) -> None:
 
 
 def _lines(axes: Axes, outcome: Outcome, band: float, line: float) -> None:
-    """What was commanded, as a band, and what was done with the pen down."""
+    """Commanded path as a band, and the path of the tip with the pen down."""
     made = outcome.plan
     for told, done in zip(strokes_of(made.tip, made.pen), strokes_of(outcome.tip, made.pen)):
         axes.plot(*(told.T * MM), color=TOLD, linewidth=band, zorder=5, solid_capstyle="round", solid_joinstyle="round")

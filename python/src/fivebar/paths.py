@@ -52,7 +52,7 @@ class Blocked(FiveBarError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the motors may do; infinite where nothing limits them."""
+    """Limits of the motors; infinite where nothing limits them."""
 
     rate: float = math.inf
     """rad/s."""
@@ -322,14 +322,14 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
 
 
 def _knots(tip: Floats) -> Flags:
-    """Which rows of a motion (n, 2) straight lines between them need: those where the velocity changes."""
+    """Rows of a motion (n, 2) that straight lines between them need: those where the velocity changes."""
     change = np.any(np.abs(np.diff(tip, 2, axis=0)) > 1e-15, axis=-1)
     return np.concatenate([[True], change, [True]])
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the machine did, by the unit: one row per communication point."""
+    """Motion of the machine, by the unit: one row per communication point."""
 
     plan: Plan
     tip: Floats
@@ -355,7 +355,7 @@ class Outcome:
 
 
 def compare(made: Plan, result: Result) -> Outcome:
-    """What the machine did in a run of the plan's scene, beside the plan."""
+    """Motion of the machine in a run of the plan's scene, beside the plan."""
     if result.failure is not None:
         raise FiveBarError(f"the machine did not end its drawing: {result.failure}")
     tip = np.stack([result["tip.x"], result["tip.y"]], axis=-1)

@@ -52,7 +52,7 @@ class Scene:
     """The unit's own start values."""
 
     tip: tip_scenes.Tip | None = field(default=None, repr=False)
-    """What the scene's file says in the tip's coordinates."""
+    """Part of the scene's file in the tip's coordinates."""
 
     @property
     def values(self) -> Values:

@@ -49,7 +49,7 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": MM, "in": 25.4e-3}
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a pen is to draw."""
+    """Strokes that a pen is to draw."""
 
     strokes: list[Floats]
     """Cubic curves, m, shape (n, 4, 2) each; a curve begins where the one before it ends."""

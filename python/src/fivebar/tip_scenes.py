@@ -32,17 +32,17 @@ KEYS = (*TIP, *MODE)
 """Keys of a file that are no variables to be set."""
 
 START = ("init.theta[1]", "init.theta[2]", "init.assembly")
-"""What follows from the tip's start."""
+"""Variables that follow from the tip's start."""
 
 SERVO_ANGLES, SERVO_RATES = ("servo.theta[1]", "servo.theta[2]"), ("servo.omega[1]", "servo.omega[2]")
-"""What follows from the tip's signals."""
+"""Variables that follow from the tip's signals."""
 
 OUTWARD: Working = ("minus", "plus")
 
 
 @dataclass(frozen=True)
 class Tip:
-    """What a scene says in the tip's coordinates."""
+    """Part of a scene in the tip's coordinates."""
 
     start: Mapping[str, float]
     """Coordinates at the start that are given, m, by key."""
@@ -119,7 +119,7 @@ class Tip:
 
 
 def read(content: Mapping[str, Any], values: Values, signals: list[Signal], variables: Variables) -> Tip | None:
-    """What a file's content says in the tip's coordinates, or None; `values` and `signals` are all that it has."""
+    """Part of a file's content in the tip's coordinates, or None; `values` and `signals` are all that it has."""
     start = {name: float(variables[name].value(content[name])) for name in TIP if name in content}
     moved = {signal.variable.name: signal for signal in signals if signal.variable.name in TIP}
     if not start and not moved:
