@@ -158,6 +158,22 @@ def test_the_live_page(user: User, wheel: Path) -> None:
         assert "comes without the live page" in user.fivebar("page", code=2)
 
 
+@pytest.mark.parametrize("version", ["3.12", "3.13", "3.14"])
+def test_newer_pythons_have_all_dependencies(version: str, wheel: Path, tmp_path: Path) -> None:
+    """Resolved by pip as for that Python, and not installed."""
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--only-binary", ":all:"]
+    where = ["--python-version", version, "--target", str(tmp_path), f"{wheel}[all]"]
+    done = subprocess.run([*command, *where], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_maps_and_drawings(user: User) -> None:
+    user.fivebar("map", "fall_90_120", "--mode", "minusPlus", "--no-motion", "--out", "map")
+    (user.folder / "line.csv").write_text("0,0\n30,0\n30,20\n", encoding="utf-8")
+    user.fivebar("path", "pick_and_place", "line.csv", "--at", "0.05,0.24", "--out", "path")
+    assert {"map", "path"} <= user.made() and (user.folder / "map" / "map.html").is_file()
+
+
 def test_the_same_sources_give_the_same_wheel(fmu: Path, tmp_path: Path) -> None:
     one, two = (build(fmu, tmp_path / name) for name in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
