@@ -4,7 +4,10 @@ Tasks depend on nothing but their numbers, so what a worker has lost when it die
 chunks for each worker are under way or waiting for their turn: memory is bounded however many members there are.
 """
 
+import shutil
+import tempfile
 import threading
+import weakref
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -65,7 +68,11 @@ def client(scheduler: str | None, workers: int) -> tuple[Client, LocalCluster | 
     """A client of that scheduler, or of a cluster on this machine."""
     if scheduler is None:
         # Nothing of it is reachable from outside; a worker that dies is replaced.
-        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0)
+        scratch = tempfile.mkdtemp(prefix="fivebar-")
+        cluster = LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0, local_directory=scratch
+        )
+        weakref.finalize(cluster, shutil.rmtree, scratch, ignore_errors=True)
         return Client(cluster, direct_to_workers=True), cluster
     kind, _, rest = scheduler.rpartition("://")
     host = rest.rpartition(":")[0].strip("[]") or rest
