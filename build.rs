@@ -13,11 +13,7 @@ use model_description::{Causality, Kind, ModelDescription, Name, TypeKind, Varia
 fn main() {
     // A change of the XML or its reader rebuilds this script, and a rebuilt script runs again.
     println!("cargo::rerun-if-changed=build.rs");
-    let description = if cfg!(feature = "own-description") {
-        own_description()
-    } else {
-        ModelDescription::read().unwrap_or_else(|error| panic!("modelDescription/modelDescription.xml: {error}"))
-    };
+    let description = ModelDescription::read().unwrap_or_else(|error| panic!("modelDescription/modelDescription.xml: {error}"));
     generate("variables.rs", &description, &[constants, types, families, table, states]);
     generate("bindings.rs", &description, &[accessors, choices]);
 }
@@ -32,16 +28,6 @@ fn generate(file: &str, description: &ModelDescription, parts: &[Part]) {
     }
     let directory = env::var_os("OUT_DIR").expect("cargo sets OUT_DIR for build scripts");
     fs::write(Path::new(&directory).join(file), code).expect("OUT_DIR can be written");
-}
-
-/// Model description of a unit with start values of its own, from the text that `cargo xtask package --scene` has made.
-fn own_description() -> ModelDescription {
-    const PATH: &str = "FIVEBAR_MODEL_DESCRIPTION";
-    println!("cargo::rerun-if-env-changed={PATH}");
-    let path = env::var(PATH).unwrap_or_else(|_| panic!("the feature own-description wants the path of a description in {PATH}"));
-    println!("cargo::rerun-if-changed={path}");
-    let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"));
-    ModelDescription::parse(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 type Written = std::fmt::Result;

@@ -3,7 +3,6 @@
 //! `modelDescription.xml` beside this crate is the one place where a variable's name, reference, unit, start and text stand.
 //! [`ModelDescription::read`] turns it into plain data and refuses violations of FMI 2.0 or of this project's rules; `build.rs`
 //! makes the tables of `src/variables` from the data, and `cargo xtask package` packs the text of [`ModelDescription::to_fmi`].
-//! [`ModelDescription::own`] makes the description of a unit with start values of its own.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -13,7 +12,6 @@
 //! | `names.rs` | the structured naming convention |
 //! | `check.rs` | consistency rules |
 //! | `fmi.rs` | data + text → modelDescription.xml of the .fmu |
-//! | `own.rs` | data + text → description of a unit with start values of its own |
 //! | `edit.rs` | edits of the text |
 
 mod check;
@@ -22,7 +20,6 @@ mod edit;
 mod element;
 mod fmi;
 mod names;
-mod own;
 mod parse;
 
 use std::fmt;
@@ -31,8 +28,6 @@ pub use data::{
     Bounds, Category, Causality, Enumeration, Experiment, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure,
     TypeKind, Unit, Unknown, Variability, Variable,
 };
-
-pub use own::Own;
 
 /// The text of `modelDescription/modelDescription.xml`.
 pub const XML: &str = include_str!("../modelDescription.xml");

@@ -9,12 +9,13 @@ use super::c_types::size_t;
 
 use super::function::{functions, string};
 use super::guard::Component;
+use super::library;
 use super::types::{
     fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2ModelExchange, fmi2Real,
     fmi2String, fmi2Type, fmi2ValueReference,
 };
-use crate::fmi::{CallError, Kind};
-use crate::variables::{FmiType, GUID, Value};
+use crate::fmi::{CallError, Kind, Unit};
+use crate::variables::{FmiType, Value};
 
 /// The platform of the types: `default` (section 2.1.2).
 #[unsafe(no_mangle)]
@@ -28,7 +29,7 @@ pub extern "C" fn fmi2GetVersion() -> fmi2String {
     c"2.0".as_ptr()
 }
 
-/// A fresh instance, or null with a log line (section 2.1.5). Resources are not needed and nothing is shown.
+/// A fresh instance, or null with a log line (section 2.1.5). Resources are read by a unit of one's own only, and nothing is shown.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -37,7 +38,7 @@ pub unsafe extern "C" fn fmi2Instantiate(
     instanceName: fmi2String,
     fmuType: fmi2Type,
     fmuGUID: fmi2String,
-    _fmuResourceLocation: fmi2String,
+    fmuResourceLocation: fmi2String,
     functions: *const fmi2CallbackFunctions,
     _visible: fmi2Boolean,
     loggingOn: fmi2Boolean,
@@ -56,9 +57,15 @@ pub unsafe extern "C" fn fmi2Instantiate(
         let kind = if fmuType == fmi2ModelExchange { Kind::ModelExchange } else { Kind::CoSimulation };
         let mut component = Component::new(kind, name.to_owned(), *functions, loggingOn != fmi2False);
         // SAFETY: the caller vouches for the string unless it is null.
-        let checked = unsafe { string("fmuGUID", fmuGUID) }.and_then(|guid| check_identity(name, fmuType, guid));
-        match checked {
-            Ok(()) => Some(component),
+        let resources = (!fmuResourceLocation.is_null()).then(|| unsafe { CStr::from_ptr(fmuResourceLocation) }.to_bytes());
+        // SAFETY: the caller vouches for the string unless it is null.
+        let guid = unsafe { string("fmuGUID", fmuGUID) };
+        let unit = check_kind(name, fmuType).and(guid).and_then(|guid| Unit::find(guid, resources, library::path));
+        match unit {
+            Ok(unit) => {
+                component.instance.belong_to(unit);
+                Some(component)
+            }
             Err(rejection) => {
                 let text = || format!("fmi2Instantiate: {}", rejection.message);
                 component.instance.log.push(rejection.status, text);
@@ -73,7 +80,7 @@ pub unsafe extern "C" fn fmi2Instantiate(
     }
 }
 
-fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), CallError> {
+fn check_kind(name: &CStr, kind: fmi2Type) -> Result<(), CallError> {
     if name.is_empty() {
         return Err(CallError::error("instanceName is null or empty."));
     }
@@ -81,9 +88,6 @@ fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), CallErr
         return Err(CallError::error(format!(
             "fmuType is {kind}, must be fmi2ModelExchange ({fmi2ModelExchange}) or fmi2CoSimulation ({fmi2CoSimulation})."
         )));
-    }
-    if guid != GUID {
-        return Err(CallError::error(format!("fmuGUID is {guid}, this library belongs to {GUID}.")));
     }
     Ok(())
 }

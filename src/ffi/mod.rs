@@ -6,6 +6,7 @@
 //! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
 //! | `function.rs` | the form of a C function: arguments as slices and places, nulls refused |
 //! | `c_types.rs` | C's types on every platform |
+//! | `library.rs` | path of the file that this library was loaded from |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
 //! | `exchange.rs` | functions for model exchange (section 3.2) |
@@ -47,6 +48,7 @@ mod derivatives;
 mod exchange;
 mod function;
 mod guard;
+mod library;
 mod state;
 mod types;
 

@@ -36,7 +36,7 @@ functions! {
         unsafe { store(FMUstate.assume_init_mut(), instance.snapshot()) };
         Ok(())
     };
-    /// Restores a stored state, made by any instance of this FMU for the same kind, co-simulation or model exchange.
+    /// Restores a stored state, made by any instance of this unit for the same kind, co-simulation or model exchange.
     fmi2SetFMUstate(FMUstate: fmi2FMUstate) |instance| {
         // SAFETY: the caller vouches for the state.
         let snapshot = unsafe { stored(FMUstate) }?;
@@ -74,10 +74,10 @@ functions! {
     };
     /// Makes a state from bytes: where `*FMUstate` is null a new one, otherwise over the old one. Bytes that are not a state of this FMU
     /// are refused and change nothing.
-    fmi2DeSerializeFMUstate(serializedState: [raw *const fmi2Byte], size: size_t, FMUstate: [out fmi2FMUstate]) |_instance| {
+    fmi2DeSerializeFMUstate(serializedState: [raw *const fmi2Byte], size: size_t, FMUstate: [out fmi2FMUstate]) |instance| {
         // SAFETY: the caller vouches for the array; a byte is a byte, with or without a sign.
         let bytes = unsafe { slice("serializedState", serializedState.cast::<u8>(), size) }?;
-        let snapshot = Snapshot::from_bytes(bytes)?;
+        let snapshot = instance.deserialize(bytes)?;
         // SAFETY: the caller has initialised the place, and vouches for the state.
         unsafe { store(FMUstate.assume_init_mut(), &snapshot) };
         Ok(())

@@ -5,6 +5,7 @@
 
 use super::clock::Clock;
 use super::messages::{Log, Status};
+use super::own::Unit;
 use super::snapshot::Scene;
 use super::values::{check_computed, check_settable, check_value, find, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
@@ -17,6 +18,8 @@ use crate::variables::{FmiType, VARIABLES, Value, Variable};
 pub struct Instance {
     /// State of the instance without its log; changed through [`Instance::change`] only.
     pub(super) now: Snapshot,
+    /// The unit that it is an instance of.
+    unit: Unit,
     /// Observations cached since the last change.
     observation: Option<Observation>,
     /// Scene initialised with the present values, made when an output is read before the end of initialisation.
@@ -29,15 +32,26 @@ pub struct Instance {
 }
 
 impl Instance {
-    /// A fresh instance; `logging_on` as given to fmi2Instantiate.
+    /// A fresh instance of the plain unit; `logging_on` as given to fmi2Instantiate.
     pub fn new(kind: Kind, logging_on: bool) -> Self {
+        let unit = Unit::plain();
         Self {
-            now: Snapshot::fresh(kind),
+            now: Snapshot::fresh(kind, unit.guid),
+            unit,
             observation: None,
             preview: None,
             values: Vec::with_capacity(VARIABLES.len()),
             log: Log::new(logging_on),
         }
+    }
+
+    /// Makes a fresh instance one of that unit: its start values are set.
+    pub fn belong_to(&mut self, unit: Unit) {
+        self.now.guid = unit.guid;
+        for (variable, value) in &unit.starts {
+            self.now.set(variable, *value);
+        }
+        self.unit = unit;
     }
 
     /// Mutable access to the state; drops cached observations and the preview.
@@ -133,8 +147,17 @@ impl Instance {
         if own != other {
             return Err(CallError::error(format!("FMUstate is that of an instance for {other}, this one is for {own}.")));
         }
+        if self.now.guid != snapshot.guid {
+            let [own, other] = [&self.now.guid, &snapshot.guid].map(|guid| String::from_utf8_lossy(guid));
+            return Err(CallError::error(format!("FMUstate is that of another unit with the GUID {other}, this one has {own}.")));
+        }
         self.change().copy(snapshot);
         Ok(())
+    }
+
+    /// fmi2DeSerializeFMUstate: the state in these bytes, which must be one of this unit.
+    pub fn deserialize(&self, bytes: &[u8]) -> Result<Snapshot, CallError> {
+        Snapshot::from_bytes(&self.now.guid, bytes)
     }
 
     /// fmi2Terminate.
@@ -147,7 +170,8 @@ impl Instance {
     /// fmi2Reset: the state after fmi2Instantiate. Only the master's choice of log categories stays.
     pub fn reset(&mut self) -> Result<(), CallError> {
         let fresh = Self::new(self.now.kind, false);
-        let log = std::mem::replace(self, fresh).log;
+        let Self { unit, log, .. } = std::mem::replace(self, fresh);
+        self.belong_to(unit);
         self.log = log;
         self.log.push(Status::Ok, || "reset".to_owned());
         Ok(())

@@ -10,6 +10,8 @@
 //! | `values.rs` | the checks that come before a value is read or written |
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `exchange.rs` | the functions of model exchange |
+//! | `own.rs` | start values of a unit of one's own |
+//! | `location.rs` | where a master says that resources are |
 //! | `instance.rs` | an instance: all of these together |
 //! | `stepping.rs` | a communication step |
 //! | `following.rs` | a communication step of a machine that is followed |
@@ -23,7 +25,9 @@ mod exchange;
 mod following;
 pub mod instance;
 pub mod lifecycle;
+mod location;
 pub mod messages;
+mod own;
 pub mod snapshot;
 mod status;
 mod stepping;
@@ -33,6 +37,7 @@ mod values;
 pub use instance::Instance;
 pub use lifecycle::{Call, Kind, Stage};
 pub use messages::{Message, Status};
+pub use own::{Guid, Unit};
 pub use snapshot::Snapshot;
 
 pub use crate::simulation::STATES;

@@ -2,7 +2,7 @@
 
 use super::bindings::{self, Field};
 use super::clock::Clock;
-use super::{Kind, Stage};
+use super::{Guid, Kind, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
@@ -12,6 +12,8 @@ use crate::variables::{Value, Variable, VariableId};
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) kind: Kind,
+    /// GUID of the unit that the instance belongs to.
+    pub(super) guid: Guid,
     pub(super) stage: Stage,
     /// Clock, once fmi2SetupExperiment has been called.
     pub(super) clock: Option<Clock>,
@@ -92,10 +94,11 @@ impl Next {
 }
 
 impl Snapshot {
-    /// State after fmi2Instantiate.
-    pub(super) fn fresh(kind: Kind) -> Self {
+    /// State of an instance at the start values of the XML, after fmi2Instantiate.
+    pub(super) fn fresh(kind: Kind, guid: Guid) -> Self {
         Self {
             kind,
+            guid,
             stage: Stage::Instantiated,
             clock: None,
             scene: Scene::Draft(bindings::default_parameters()),
@@ -108,8 +111,9 @@ impl Snapshot {
 
     /// Copies `other`. Allocates nothing where both hold a simulation.
     pub fn copy(&mut self, other: &Self) {
-        let Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
+        let Self { kind, guid, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
         self.kind = *kind;
+        self.guid = *guid;
         self.stage = *stage;
         self.clock.clone_from(clock);
         match (&mut self.scene, scene) {

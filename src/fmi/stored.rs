@@ -4,7 +4,7 @@
 //! offset  bytes  what
 //!      0      8  "FiveBar\0"
 //!      8      4  FORMAT, the version of this layout
-//!     12     38  GUID of the model description
+//!     12     38  GUID of the unit
 //!     50      8  length n of the content
 //!     58      n  the content: `Content` in the Borsh format (https://borsh.io)
 //! 58 + n      4  Adler-32 of all before it
@@ -23,16 +23,16 @@ use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::snapshot::{Next, Scene};
 use super::values::{check_value, lookup};
-use super::{CallError, Kind, Snapshot, Stage};
+use super::{CallError, Guid, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Signal, Simulation};
-use crate::variables::{GUID, Value, Variable, VariableId};
+use crate::variables::{Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Version of the layout; changes with every change of the stored data.
 const FORMAT: u32 = 12;
-const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
+const HEAD: usize = MAGIC.len() + size_of::<u32>() + size_of::<Guid>() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
 /// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
@@ -127,17 +127,17 @@ impl Snapshot {
         all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
         let ByteWriter(content) = written;
         let length = content.len() as u64;
-        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
+        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), &self.guid, &length.to_le_bytes(), &content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
-    /// Restores a state, or refuses it in one sentence. A forged state is refused, or is some motion that closes
+    /// Restores a state of the unit with this GUID, or refuses it in one sentence. A forged state is refused, or is some motion that closes
     /// the loop and can be continued.
     #[cold]
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
-        let (content, followed) =
-            parse_content(content(bytes)?).map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
+    pub fn from_bytes(guid: &Guid, bytes: &[u8]) -> Result<Self, CallError> {
+        let (content, followed) = parse_content(content(guid, bytes)?)
+            .map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
         let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
@@ -169,7 +169,7 @@ impl Snapshot {
             return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
         }
         let measured = followed.measured;
-        Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
+        Ok(Self { kind, guid: *guid, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
     }
 }
 
@@ -200,13 +200,13 @@ fn not_a_state(what: &str) -> CallError {
 }
 
 /// The content, after head, length and checksum have been checked.
-fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
+fn content<'a>(of: &Guid, bytes: &'a [u8]) -> Result<&'a [u8], CallError> {
     if bytes.len() < HEAD + CHECKSUM {
         return Err(not_a_state(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
     }
     let (magic, rest) = bytes.split_at(MAGIC.len());
     let (format, rest) = rest.split_at(size_of::<u32>());
-    let (guid, rest) = rest.split_at(GUID.len());
+    let (guid, rest) = rest.split_at(size_of::<Guid>());
     let (length, _) = rest.split_at(size_of::<u64>());
     if magic != MAGIC {
         return Err(not_a_state("they do not begin with FiveBar"));
@@ -214,8 +214,8 @@ fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     if format != FORMAT.to_le_bytes() {
         return Err(not_a_state(&format!("their format is not {FORMAT}: another version has written them")));
     }
-    if guid != GUID.as_bytes() {
-        return Err(not_a_state("they belong to another GUID: another version has written them"));
+    if guid != of {
+        return Err(not_a_state("they belong to another GUID: another unit or version has written them"));
     }
     if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
         return Err(not_a_state(&format!("there are {}, which is not the length in their head", bytes.len())));

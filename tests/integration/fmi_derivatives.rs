@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use fivebar::ffi::*;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
-use fivebar::fmi::{Instance, Kind, Snapshot};
+use fivebar::fmi::{Instance, Kind};
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Method, Signal, Simulation};
 use fivebar::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
@@ -499,7 +499,7 @@ fn pending_derivatives_are_state() {
         .set_input_derivatives([(reference("tau[1]"), 1, 3.0), (reference("tau[1]"), 2, -4.0)].into_iter())
         .expect("two orders");
     instance.exit_initialization_mode().expect("a scene");
-    let stored = Snapshot::from_bytes(&instance.snapshot().to_bytes().expect("bytes")).expect("a state");
+    let stored = instance.deserialize(&instance.snapshot().to_bytes().expect("bytes")).expect("a state");
     let after = |instance: &mut Instance| {
         instance.do_step(0.0, 0.01).expect("a step");
         let values = instance.get(FmiType::Real, &["tau[1]", "theta[1]"].map(reference)).expect("values");

@@ -122,8 +122,8 @@ enum Command {
     Kinks,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package {
-        /// A unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from this file, written like
-        /// those of scenes/
+        /// Also a unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from a file like those of
+        /// scenes/, or a shipped scene
         #[arg(long, value_name = "FILE")]
         scene: Option<PathBuf>,
         /// Name of that unit [default: the file's name in CamelCase]
@@ -178,10 +178,8 @@ fn command(command: Command) -> Result<()> {
         Command::Wheel { all_platforms } => wheel::wheel(if all_platforms { Scope::All } else { Scope::Here }).map(drop),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
-            match scene {
-                Some(file) => package::package_own(&file, name.as_deref(), scope).map(drop),
-                None => package::package(scope).map(drop),
-            }
+            let plain = package::package(scope)?;
+            scene.map_or(Ok(()), |file| package::package_own(&plain, &file, name.as_deref()))
         }
     }
 }

@@ -5,7 +5,6 @@ use crate::venv::{self, Packages};
 use crate::{bench, format, page, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
-use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread;
@@ -64,10 +63,8 @@ pub(crate) fn test(full: bool) -> Result<()> {
     }
     let fmu = steps.run("package", || package::package(Scope::Here))?;
     steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
-    // Linking it takes one core.
-    let own = process::start("own-machine", process::program(env::current_exe()?).args(["package", "--scene", OWN.0]))?;
+    steps.run("package, own machine", || own(&fmu))?;
     let tests = if full { Tests::Full { panicking: steps.run("panicking build", panicking)? } } else { Tests::Usual };
-    steps.run("package, own machine (the rest)", || own.finish())?;
     if let Some(memory) = memory {
         steps.run("memory (the rest)", || memory.finish())?;
     }
@@ -79,16 +76,20 @@ pub(crate) fn test(full: bool) -> Result<()> {
     Ok(())
 }
 
+/// Writes the unit of one's own that the Python tests look at, beside the plain one.
+fn own(plain: &Path) -> Result<()> {
+    package::package_own(plain, &paths::in_root(OWN.0), None)
+}
+
 /// Packs for all platforms, and runs each library against the one that [`test()`] judges.
 pub(crate) fn platforms() -> Result<()> {
     process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
     let mut steps = Steps::default();
-    steps.run("package", || package::package(Scope::Here))?;
-    let own = |scope| package::package_own(&paths::in_root(OWN.0), None, scope);
-    steps.run("package, own machine", || own(Scope::Here))?;
+    let here = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("package, own machine", || own(&here))?;
     let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
-    let own = steps.run("package, own machine, all platforms", || own(Scope::All))?;
-    steps.run("Python tests", || pytest(&fmu, &own, &Tests::Platforms))?;
+    steps.run("package, own machine, all platforms", || own(&fmu))?;
+    steps.run("Python tests", || pytest(&fmu, &paths::fmu_for_all_platforms(OWN.1), &Tests::Platforms))?;
     steps.summary();
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! `documentation/index.html`: the page of `modelDescription/documentation/`, with the picture, the tables of variables and
 //! scenes and the change log put in.
 
-use super::unit::{OwnScene, Unit, is_plain};
 use crate::paths;
 use anyhow::{Context, Result, ensure};
 use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
@@ -15,24 +14,18 @@ const SOURCE: &str = "modelDescription/documentation/index.html";
 const CHANGES: &str = "CHANGELOG.md";
 
 /// Marks in the page that are replaced by generated text.
-const PLACES: [&str; 7] = [
-    "<!-- name -->",
-    "<!-- own -->",
-    "<!-- picture -->",
-    "<!-- scenes -->",
-    "<!-- variables -->",
-    "<!-- enumerations -->",
-    "<!-- changes -->",
-];
+const PLACES: [&str; 6] =
+    ["<!-- name -->", "<!-- picture -->", "<!-- scenes -->", "<!-- variables -->", "<!-- enumerations -->", "<!-- changes -->"];
+
+/// Mark that stays: where the section on a unit of one's own stands in the page that `python/src/fivebar/own_unit.py` writes.
+const OWN: &str = "<!-- own -->";
 
 /// The finished page; it refers to nothing outside itself.
-pub(super) fn page(unit: &Unit, scenes: &[Scene], picture: &str) -> Result<String> {
-    let description = &unit.description;
+pub(super) fn page(description: &ModelDescription, scenes: &[Scene], picture: &str) -> Result<String> {
     let mut page = fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))?;
     let changes = fs::read_to_string(paths::in_root(CHANGES)).with_context(|| format!("{CHANGES} cannot be read"))?;
     let contents = [
-        escape(unit.name()),
-        unit.own.as_ref().map(|own| own_section(description, own)).unwrap_or_default(),
+        escape(&description.model_name),
         inline(picture).to_owned(),
         scene_rows(description, scenes),
         variables(description),
@@ -43,36 +36,8 @@ pub(super) fn page(unit: &Unit, scenes: &[Scene], picture: &str) -> Result<Strin
         ensure!(page.matches(place).count() == 1, "{SOURCE} must have {place} once");
         page = page.replace(place, &content);
     }
+    ensure!(page.matches(OWN).count() == 1, "{SOURCE} must have {OWN} once");
     Ok(page)
-}
-
-/// Section on a unit of one's own: its scene, and its values in place of the plain unit's start values.
-fn own_section(description: &ModelDescription, own: &OwnScene) -> String {
-    let mut rows = String::new();
-    for start in own.starts().filter(|start| !is_plain(start)) {
-        let (variable, value) = start;
-        let whole = |number: i32| item(description, variable, number).unwrap_or_else(|| number.to_string());
-        let here = value.fold(real, whole, |truth| truth.to_string());
-        let cells = [here.as_str(), &values(description, variable).0, variable.unit.as_deref().unwrap_or("")].map(escape);
-        let [here, plain, unit] = cells;
-        writeln!(
-            rows,
-            "<tr><td><code>{}</code></td><td>{here}</td><td>{plain}</td><td>{unit}</td></tr>",
-            escape(&variable.name.full)
-        )
-        .expect("writing to a string does not fail");
-    }
-    format!(
-        "<h2>{}</h2>\n<p>{}</p>\n\
-         <p>This unit is a FiveBar with the start values of one's own machine compiled in; all of them can still be set.\n\
-         Its default experiment lasts {} s, in steps of {} s.</p>\n\
-         <div class=\"table\">\n<table>\n<thead><tr><th>Variable</th><th>Start</th><th>Start in FiveBar.fmu</th><th>Unit</th></tr></thead>\n\
-         <tbody>\n{rows}</tbody>\n</table>\n</div>\n",
-        escape(&description.model_name),
-        escape(&description.description),
-        real(description.experiment.stop_time),
-        real(description.experiment.step_size),
-    )
 }
 
 /// The SVG without the XML declaration and comments before it, which HTML does not have.
@@ -215,11 +180,11 @@ mod tests {
 
     #[test]
     fn the_page_names_every_variable_and_needs_nothing_outside_itself() {
-        let unit = Unit::plain().unwrap();
+        let description = ModelDescription::read().unwrap();
         let scenes = Scene::all().unwrap();
-        let page = page(&unit, &scenes, &icon::picture().unwrap()).unwrap();
-        assert!(page.contains("<title>FiveBar</title>") && !page.contains("Start in FiveBar.fmu"));
-        for variable in &unit.description.variables {
+        let page = page(&description, &scenes, &icon::picture().unwrap()).unwrap();
+        assert!(page.contains("<title>FiveBar</title>"));
+        for variable in &description.variables {
             let name = format!("<code>{}</code>", variable.name.full);
             assert!(page.contains(&name), "{name} is missing");
         }
@@ -228,22 +193,6 @@ mod tests {
         }
         for outside in ["<link", "<script", "<img", "src=", "url(http", "@import"] {
             assert!(!page.contains(outside), "the page has {outside}");
-        }
-    }
-
-    #[test]
-    fn the_page_of_a_unit_of_one_s_own_says_what_is_different() {
-        let unit = Unit::own(&paths::in_root("scenes/pick_and_place.json"), Some("PageOfOneSOwn")).unwrap();
-        let page = page(&unit, &[], &icon::picture().unwrap()).unwrap();
-        for expected in [
-            "<title>PageOfOneSOwn</title>",
-            "<h2>PageOfOneSOwn</h2>\n<p>A table-top robot carries 50 g",
-            "are for the master to change: servo.theta[1], servo.theta[2], servo.omega[1], servo.omega[2].",
-            "lasts 1.6 s, in steps of 0.001 s",
-            "<tr><td><code>base.distance</code></td><td>0.1</td><td>0.42</td><td>m</td></tr>",
-            "<tr><td><code>servo.theta[2]</code></td><td>1.345</td><td>0</td><td>rad</td></tr>",
-        ] {
-            assert!(page.contains(expected), "{expected} is missing");
         }
     }
 

@@ -2,7 +2,6 @@
 
 use super::linked::{LIBRARY_CRATE, Linked};
 use super::platform::Platform;
-use super::unit::Unit;
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
 use cargo_metadata::{Message, PackageId};
@@ -18,8 +17,8 @@ pub(super) struct Library {
     pub(super) built: HashSet<PackageId>,
 }
 
-/// Builds the library of a unit for a machine.
-pub(super) fn build(platform: &Platform, linked: &Linked, unit: &Unit) -> Result<Library> {
+/// Builds the library for a machine.
+pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     let mut cargo = platform.cargo_rustc()?;
     // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
     cargo
@@ -27,11 +26,6 @@ pub(super) fn build(platform: &Platform, linked: &Linked, unit: &Unit) -> Result
         .args(["--lib", "--crate-type", "cdylib"])
         .arg("--message-format=json-render-diagnostics")
         .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}"));
-    if let Some(text) = unit.own_text()? {
-        // Read by build.rs. A feature, so that nothing left in the environment can reach the plain unit. Both share their crates and, for
-        // cargo gives such a library no other name, its file: after the one, the other is linked anew, in some 20 s.
-        cargo.args(["--features", "own-description"]).env("FIVEBAR_MODEL_DESCRIPTION", text);
-    }
     let messages = process::run_for_output(&mut cargo)?;
     let (file, built) = artifacts(&messages, platform.extension)?;
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
