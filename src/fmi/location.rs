@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use percent_encoding::percent_decode;
 
 /// Folders that a location may mean, the likeliest first: escapes of a URI are decoded, those of a path are taken as they stand, and
-/// the other reading comes second, because masters differ. None where the location belongs to another machine.
+/// the other reading comes second, because masters differ. None if the location belongs to another machine.
 pub(super) fn folders(location: &[u8], windows: bool) -> Vec<PathBuf> {
     let (written, is_uri) = match after_scheme(location) {
         None => (location, false),

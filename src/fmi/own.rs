@@ -47,11 +47,11 @@ impl Unit {
         Self { guid, starts: Vec::new() }
     }
 
-    /// The unit of a GUID: the plain one, or the one whose file lies in the resources that the master names or, where there is none, in
+    /// The unit of a GUID: the plain one, or the one whose file lies in the resources that the master names or, if there is none, in
     /// those of the archive that the library was unpacked from.
     ///
     /// # Errors
-    /// Where no file is found, or the one that is cannot be read, belongs to another unit or library, or has a value that is refused.
+    /// Refused if no file is found, or the one found cannot be read, belongs to another unit or library, or has a value that is refused.
     pub fn find(guid: &str, resources: Option<&[u8]>, library: impl FnOnce() -> Option<PathBuf>) -> Result<Self, CallError> {
         if guid == GUID {
             return Ok(Self::plain());

@@ -177,7 +177,7 @@ def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, for
     "location", [None, b"", b"file:///nowhere", b"http://there/resources", b"file://server/share", b"nowhere", b"file:///%ff%00", b"x" * 5000]
 )
 def test_without_a_location_the_archive_of_the_library_is_looked_at(mine: Unit, tmp_path: Path, location: bytes | None) -> None:
-    """Where a master gives none, or one that leads nowhere; in a folder with a space and an umlaut."""
+    """If a master gives none, or one that leads nowhere; in a folder with a space and an umlaut."""
     folder = Path(shutil.copytree(mine.directory, tmp_path / "zwei Wörter"))
     assert started(mine, folder, location) == MINE
 
@@ -258,7 +258,7 @@ def test_a_unit_with_another_unit_s_file_is_refused(mine: Unit, own: Unit, copy:
 
 
 def test_the_plain_unit_reads_no_file(model: ModelDescription, directory: str, tmp_path: Path) -> None:
-    """Also one that would be refused lies there in vain."""
+    """A file that would be refused lies there in vain."""
     folder = Path(shutil.copytree(directory, tmp_path / "plain"))
     (folder / "resources").mkdir(exist_ok=True)
     (folder / "resources" / "unit.xml").write_text("broken")

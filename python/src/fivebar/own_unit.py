@@ -2,7 +2,7 @@
 experiment and description of a scene.
 
 The model description in the archive has them for masters, and `resources/unit.xml` for the library, which reads it when it is
-instantiated (src/fmi/own.rs). The same scene and name give the same bytes, and the same GUID.
+instantiated (src/fmi/own.rs). Equal scenes and names give equal bytes and GUIDs.
 """
 
 import html

@@ -1,0 +1,60 @@
+"""Prints the Python packages that `fivebar` asks for, with all that they ask for, as components of CycloneDX; `cargo xtask release` puts them
+into its bill of materials. Versions are those of the environment that runs this, in which the tests run."""
+
+import importlib.metadata as metadata
+import json
+import re
+
+from packaging.requirements import Requirement
+
+EXTRAS = ("twin", "calibrate", "ensemble")
+
+
+def closure(extras: tuple[str, ...]) -> dict[str, metadata.Distribution]:
+    """Installed distributions by their normal names: all that `fivebar` with these extras needs on this machine, without itself."""
+    found: dict[str, metadata.Distribution] = {}
+    waiting = [("fivebar", extras)]
+    done = set()
+    while waiting:
+        name, asked = waiting.pop()
+        if (name, asked) in done:
+            continue
+        done.add((name, asked))
+        distribution = metadata.distribution(name)
+        if name != "fivebar":
+            found[name] = distribution
+        for text in distribution.requires or ():
+            requirement = Requirement(text)
+            environments = [{"extra": extra} for extra in asked] or [{"extra": ""}]
+            if requirement.marker is None or any(requirement.marker.evaluate(environment) for environment in environments):
+                waiting.append((normal(requirement.name), tuple(sorted(requirement.extras))))
+    return found
+
+
+def normal(name: str) -> str:
+    """A name as the index has it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def component(name: str, distribution: metadata.Distribution, optional: bool) -> dict[str, object]:
+    """One package; what an extra alone asks for is optional."""
+    purl = f"pkg:pypi/{name}@{distribution.version}"
+    made: dict[str, object] = {"type": "library", "bom-ref": purl, "purl": purl, "name": name, "version": distribution.version}
+    made["scope"] = "optional" if optional else "required"
+    if expression := distribution.metadata.get("License-Expression"):
+        made["licenses"] = [{"expression": expression}]
+    elif classifiers := [c.rpartition(" :: ")[2] for c in distribution.metadata.get_all("Classifier", []) if c.startswith("License :: ")]:
+        made["licenses"] = [{"license": {"name": classifier}} for classifier in classifiers]
+    elif text := distribution.metadata.get("License"):
+        made["licenses"] = [{"license": {"name": text.splitlines()[0]}}]
+    return made
+
+
+def main() -> None:
+    """Prints them, sorted by name."""
+    core, all_of_it = closure(()), closure(EXTRAS)
+    print(json.dumps([component(name, all_of_it[name], name not in core) for name in sorted(all_of_it)]))
+
+
+if __name__ == "__main__":
+    main()
