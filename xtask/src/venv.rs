@@ -186,7 +186,7 @@ mod tests {
     fn each_file_of_requirements_has_a_stamp_of_its_own() {
         let folder = Path::new("venv");
         let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
-        let names = ["requirements", "requirements-twin", "python", "twin", "requirements-full", "requirements-cofmupy"];
+        let names = ["requirements", "requirements-twin", "python", "requirements-full", "requirements-cofmupy"];
         assert_eq!(stamps, names.map(|name| folder.join(name).with_extension("installed")));
     }
 }
