@@ -13,6 +13,7 @@ mod paths;
 mod peers;
 mod prices;
 mod process;
+mod release;
 mod report;
 mod run;
 mod scenes;
@@ -139,6 +140,13 @@ enum Command {
         #[arg(long)]
         all_platforms: bool,
     },
+    /// Make the files that a version is published as, target/release-files/: wheel, sdist, FiveBar.fmu, licences, notes, a bill of
+    /// materials and checksums; takes minutes
+    Release {
+        /// With the library of this machine alone, to see what the files are
+        #[arg(long)]
+        this_platform: bool,
+    },
     /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
     Page,
 }
@@ -175,6 +183,7 @@ fn command(command: Command) -> Result<()> {
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
         Command::Page => page::page(),
+        Command::Release { this_platform } => release::release(if this_platform { Scope::Here } else { Scope::All }),
         Command::Wheel { all_platforms } => wheel::wheel(if all_platforms { Scope::All } else { Scope::Here }).map(drop),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };

@@ -109,7 +109,7 @@ fn scene(scene: &Scene) -> Result<Json> {
 }
 
 /// All licence files as one text; a text that several parts have stands once.
-fn notices(licenses: &Files) -> String {
+pub(crate) fn notices(licenses: &Files) -> String {
     let mut names: BTreeMap<&[u8], Vec<&str>> = BTreeMap::new();
     for (name, text) in licenses {
         names.entry(text).or_default().push(name.rsplit_once("licenses/").map_or(name.as_str(), |(_, short)| short));

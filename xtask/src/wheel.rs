@@ -5,7 +5,7 @@ use crate::venv::{self, Packages};
 use crate::{paths, process};
 use anyhow::{Context, Result};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Packs the unit and builds the wheel in `target/wheel/`, the only file there; gives back its path. The same sources give the same bytes.
 pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
@@ -14,16 +14,20 @@ pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
     if folder.exists() {
         fs::remove_dir_all(&folder)?;
     }
-    // python/hatch_build.py adds to the package what is shipped.
-    process::run(
-        venv::python(Packages::Usual)?
-            .args(["-m", "hatchling", "build", "--target", "wheel", "--directory"])
-            .arg(&folder)
-            .current_dir(paths::in_root("python"))
-            .env("FIVEBAR_FMU", fmu),
-    )?;
+    build(&fmu, "wheel", &folder)?;
     let mut files = fs::read_dir(&folder)?;
     let wheel = files.next().context("hatchling has built no wheel")??.path();
     println!("{}: {} bytes", paths::short(&wheel), fs::metadata(&wheel)?.len());
     Ok(wheel)
+}
+
+/// Builds wheel, sdist or both (`wheel,sdist`) around a packed unit, in a folder; python/hatch_build.py adds to the package what is shipped.
+pub(crate) fn build(fmu: &Path, targets: &str, folder: &Path) -> Result<()> {
+    process::run(
+        venv::python(Packages::Usual)?
+            .args(["-m", "hatchling", "build", "--target", targets, "--directory"])
+            .arg(folder)
+            .current_dir(paths::in_root("python"))
+            .env("FIVEBAR_FMU", fmu),
+    )
 }

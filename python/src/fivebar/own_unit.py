@@ -306,12 +306,15 @@ def _try_start(fmu: Path) -> list[str]:
 
     Raises FiveBarError with the unit's own sentence if it refuses. Returns a sentence if there is no library for this machine to ask.
     """
-    if not {fmpy.platform, fmpy.platform_tuple}.intersection(shipped.platforms(fmu)):
-        return [f"The start was not tried: the unit has no library for this machine ({fmpy.platform_tuple})."]
     log = Log()
-    with tempfile.TemporaryDirectory(prefix="fivebar-") as directory:
+    # A library that gives no instance stays loaded, which keeps its file on Windows.
+    with tempfile.TemporaryDirectory(prefix="fivebar-", ignore_cleanup_errors=True) as directory:
         fmpy.extract(str(fmu), unzipdir=directory)
         model = fmpy.read_model_description(directory, validate=False)
+        try:
+            shipped.library(directory, model.coSimulation.modelIdentifier)
+        except FiveBarError as sentence:
+            return [f"The start was not tried: {sentence}."]
         slave = None
         try:
             slave = instantiate(model, directory, log)
