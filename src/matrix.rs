@@ -10,7 +10,6 @@ pub struct Inverse<const N: usize>([Vector<N>; N]);
 impl<const N: usize> Inverse<N> {
     /// Inverts a matrix given by columns, by Gauss–Jordan elimination with pivoting. A zero pivot becomes `least`: the products are then so
     /// large that no step is accepted.
-    #[inline]
     pub fn new(mut columns: [Vector<N>; N], least: f64) -> Self {
         let mut inverse: [Vector<N>; N] = std::array::from_fn(Vector::unit);
         for k in 0..N {
@@ -75,7 +74,6 @@ pub struct Lu<const N: usize> {
 
 impl<const N: usize> Lu<N> {
     /// Factorises a matrix given by rows. Where it is singular all the same, the solutions are not finite.
-    #[inline]
     pub fn new(mut rows: [Vector<N>; N]) -> Self {
         let (mut lower, mut pivots) = ([Vector::ZERO; N], Vector::ZERO);
         for k in 0..N {
@@ -94,7 +92,6 @@ impl<const N: usize> Lu<N> {
     }
 
     /// A⁻¹ b.
-    #[inline]
     pub fn solve(&self, mut b: Vector<N>) -> Vector<N> {
         for k in 0..N {
             let factor = b[k];

@@ -19,7 +19,6 @@ impl<const N: usize> Vector<N> {
     pub const ZERO: Self = Self([0.0; N]);
 
     /// A vector whose elements are a function of their index.
-    #[inline]
     pub fn from_fn(element: impl FnMut(usize) -> f64) -> Self {
         Self(std::array::from_fn(element))
     }
@@ -52,7 +51,6 @@ impl<const N: usize> Vector<N> {
     }
 
     /// Whether the sum of all elements is finite: false for NaN, for infinite elements and for finite ones whose sum overflows.
-    #[inline]
     pub fn is_finite(&self) -> bool {
         self.sum().is_finite()
     }
@@ -144,7 +142,6 @@ fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
 }
 
 impl<const N: usize> From<[f64; N]> for Vector<N> {
-    #[inline]
     fn from(elements: [f64; N]) -> Self {
         Self(elements)
     }
@@ -159,14 +156,12 @@ impl<const N: usize> From<Vector<N>> for [f64; N] {
 impl<const N: usize> Deref for Vector<N> {
     type Target = [f64; N];
 
-    #[inline]
     fn deref(&self) -> &[f64; N] {
         &self.0
     }
 }
 
 impl<const N: usize> DerefMut for Vector<N> {
-    #[inline]
     fn deref_mut(&mut self) -> &mut [f64; N] {
         &mut self.0
     }
@@ -184,14 +179,12 @@ impl<'a, const N: usize> IntoIterator for &'a Vector<N> {
 impl<const N: usize> Add for Vector<N> {
     type Output = Self;
 
-    #[inline]
     fn add(self, other: Self) -> Self {
         self.with(&other, |x, y| x + y)
     }
 }
 
 impl<const N: usize> AddAssign for Vector<N> {
-    #[inline]
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
@@ -200,7 +193,6 @@ impl<const N: usize> AddAssign for Vector<N> {
 impl<const N: usize> Sub for Vector<N> {
     type Output = Self;
 
-    #[inline]
     fn sub(self, other: Self) -> Self {
         self.with(&other, |x, y| x - y)
     }
@@ -209,7 +201,6 @@ impl<const N: usize> Sub for Vector<N> {
 impl<const N: usize> Neg for Vector<N> {
     type Output = Self;
 
-    #[inline]
     fn neg(self) -> Self {
         self.with(&self, |x, _| -x)
     }
@@ -218,7 +209,6 @@ impl<const N: usize> Neg for Vector<N> {
 impl<const N: usize> Mul<Vector<N>> for f64 {
     type Output = Vector<N>;
 
-    #[inline]
     fn mul(self, vector: Vector<N>) -> Vector<N> {
         vector.with(&vector, |x, _| f64x2::splat(self) * x)
     }
@@ -228,7 +218,6 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
 impl<const N: usize> Mul<Vector<N>> for f64x2 {
     type Output = Vector<N>;
 
-    #[inline]
     fn mul(self, vector: Vector<N>) -> Vector<N> {
         vector.with(&vector, |x, _| self * x)
     }
@@ -237,7 +226,6 @@ impl<const N: usize> Mul<Vector<N>> for f64x2 {
 impl<const N: usize> Div<f64> for Vector<N> {
     type Output = Self;
 
-    #[inline]
     fn div(self, divisor: f64) -> Self {
         self.with(&self, |x, _| x / f64x2::splat(divisor))
     }

@@ -12,10 +12,10 @@
 //!
 //! M is 2 × 2 in each leg, so that the saddle-point system is a Schur complement of two rows.
 
-use super::placement::{ByLink, on_centres};
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::placement::{ByLink, on_centres};
 use crate::mechanism::{ClosureBranch, ClosureTerms, Coordinates, Mechanism, Pose};
 use crate::vector::Vector;
 

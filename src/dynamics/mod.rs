@@ -2,15 +2,14 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | `placement.rs` | link angles to the 12 coordinates: positions, velocities, centripetal accelerations, transposed forces |
 //! | `angles.rs` | equations of motion in the four link angles, and their linearisation |
 //! | `motion.rs` | motion of joints and tip from the 12 coordinates, from the link angles, or over a finite step |
 //! | `wrench.rs` | wrenches and slopes in the 12 coordinates, in the 4 link angles and in the legs of a finite step |
 
 pub mod angles;
 mod motion;
-pub mod placement;
 mod wrench;
 
+pub use crate::mechanism::placement;
 pub use motion::{Conditions, change_of_motion};
 pub use wrench::{INNER, INNER_COUNT, StepLevers, TipArm};

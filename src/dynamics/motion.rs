@@ -2,12 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use super::placement::{ByLink, by_links, proximal_arm};
 use super::wrench::TipArm;
 use crate::effects::{
     FiniteMotion, Inputs, JOINTS, JointMotion, Mode, Motion, MotionChange, Planar, TypicalInertia, across_joints,
 };
 use crate::mechanism::coordinates::{THETA, X, Y};
+use crate::mechanism::placement::{ByLink, by_links, proximal_arm};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Mechanism, Pose};
 
@@ -23,19 +23,16 @@ pub struct Conditions<'a> {
 }
 
 /// Rates of the joints, or increments of their angles, from those of the links among the coordinates.
-#[inline]
 fn of_joints(x: &Coordinates) -> [f64; JOINTS] {
     across_joints(THETA.map(|i| x[i]))
 }
 
 impl<'a> Conditions<'a> {
     /// Absolute angles of the motor axes, rad, from the angles of links 1 and 4 without their whole turns.
-    #[inline]
     fn motor_angles(&self, angles: [f64; 2]) -> [f64; 2] {
         [angles[0] + self.turns[0] as f64 * TAU, angles[1] + self.turns[3] as f64 * TAU]
     }
 
-    #[inline]
     fn joints(&self, angles: [f64; 2], links: [f64; 4]) -> JointMotion<'a> {
         let &Self { inputs, mode, .. } = self;
         JointMotion {
@@ -49,7 +46,6 @@ impl<'a> Conditions<'a> {
     }
 
     /// Motion at coordinates and velocities with the pose of the coordinates.
-    #[inline]
     pub fn motion(&self, [q, v]: [&Coordinates; 2], pose: &Pose) -> Motion<'a> {
         let TipArm { column: [rx, ry], .. } = TipArm::of_pose(pose, v);
         let (x, y, rate) = (X[1], Y[1], v[THETA[1]]);
@@ -61,7 +57,6 @@ impl<'a> Conditions<'a> {
     }
 
     /// Motion at link angles, rad, and rates, rad/s, with the pose of the angles.
-    #[inline]
     pub fn motion_of_links(&self, mechanism: &Mechanism, [angles, rates]: [ByLink; 2], pose: &Pose) -> Motion<'a> {
         let ([left, right], links) = (angles[0].to_array(), by_links(rates));
         let [p, d] = tip_levers(pose);
@@ -73,7 +68,6 @@ impl<'a> Conditions<'a> {
     }
 
     /// Motion over a step from coordinates q by increments d to velocities v.
-    #[inline]
     pub fn finite_motion(
         &self,
         [q, d, v]: [&Coordinates; 3],
@@ -100,7 +94,6 @@ impl<'a> Conditions<'a> {
 }
 
 /// Arms from the motor axis to the elbow and from the elbow to the tip, of the left leg, m.
-#[inline]
 pub(super) fn tip_levers(pose: &Pose) -> [Planar; 2] {
     let l = proximal_arm(pose);
     let of = |x: crate::mechanism::legs::Legs| x.to_array()[0];

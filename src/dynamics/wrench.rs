@@ -14,10 +14,10 @@
 //! with ṗ = J q̇, ∂ṗ/∂q = J', the slopes k_j and d_j of the joints tridiagonal over the links.
 
 use super::motion::tip_levers;
-use super::placement::{ByLink, by_legs, by_links};
 use crate::effects::{JOINT_LINKS, Matrix, Planar, Slopes, Wrench, dot, times};
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::legs::Legs;
+use crate::mechanism::placement::{ByLink, by_legs, by_links};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Pose};
 
@@ -44,26 +44,22 @@ pub struct TipArm {
 }
 
 /// A vector in the plane turned by +90°.
-#[inline]
 fn turned([x, y]: Planar) -> Planar {
     [-y, x]
 }
 
 /// Third component of the vector product.
-#[inline]
 fn cross(a: Planar, b: Planar) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
 /// Arm from the centre of mass of link 2 to the tip, m. The left leg's sign in the tip's closure is +.
-#[inline]
 fn arm_of(pose: &Pose) -> Planar {
     [pose.sigma_b_d.x.to_array()[0], pose.sigma_b_d.y.to_array()[0]]
 }
 
 impl TipArm {
     /// Arms at an instant, with the velocities.
-    #[inline]
     pub fn of_pose(pose: &Pose, v: &Coordinates) -> Self {
         let arm = arm_of(pose);
         let rate = v[THETA[1]];
@@ -71,7 +67,6 @@ impl TipArm {
     }
 
     /// Arms over a step of increments d to velocities v.
-    #[inline]
     pub fn of_step(secant: &Secant, d: &Coordinates, v: &Coordinates) -> Self {
         let (middle, end) = (arm_of(&secant.middle), arm_of(&secant.end));
         let (sinc, turn, rate) = (secant.sinc[1].to_array()[0], d[THETA[1]], v[THETA[1]]);
@@ -85,7 +80,6 @@ impl TipArm {
     }
 
     /// Stiffness of the angle of link 2, N·m/rad, by a force on the tip, N, whose arm rotates.
-    #[inline]
     fn geometric(&self, force: Planar) -> f64 {
         -cross(self.slope, force)
     }
@@ -93,7 +87,6 @@ impl TipArm {
 
 impl Wrench {
     /// Adds the generalised force in the 12 coordinates, N and N·m, with the arm of forces on the tip, m.
-    #[inline]
     pub fn add_to(&self, arm: Planar, forces: &mut Coordinates) {
         for (i, torque) in THETA.into_iter().zip(self.on_links()) {
             forces[i] += torque;
@@ -111,7 +104,6 @@ impl Wrench {
     }
 
     /// Torques on the links in the 4 link angles, N·m.
-    #[inline]
     pub fn torques_in_angles(&self, pose: &Pose) -> ByLink {
         let ([p, d], [left, tip, ..]) = (tip_levers(pose), self.on_links());
         let [.., right, base] = self.on_links();
@@ -141,11 +133,12 @@ pub struct StepLevers {
     pub rows: [Planar; 2],
     /// Derivatives of the tip's position at the step's end by the links' angles.
     pub columns: [Planar; 2],
+    /// Derivatives of the tip's velocity at the step's end by the links' angles, m/s.
+    pub turning: [Planar; 2],
 }
 
 impl Slopes {
     /// Weighted slopes k K + c C of the joints over links 1 to 4, for weights [k, c].
-    #[inline]
     fn over_links(&self, [k, c]: [f64; 2]) -> [[f64; 4]; 4] {
         let mut matrix = [[0.0; 4]; 4];
         for ((first, second), [stiffness, damping]) in JOINT_LINKS.into_iter().zip(self.joints) {
@@ -161,14 +154,12 @@ impl Slopes {
     }
 
     /// Weighted slopes W = k K + c D of the force on the tip.
-    #[inline]
     fn of_tip(&self, [k, c]: [f64; 2]) -> Matrix {
         let [stiffness, damping] = self.tip;
         [0, 1].map(|i| [0, 1].map(|j| k * stiffness[i][j] + c * damping[i][j]))
     }
 
     /// Weighted loss of the force on the tip, W a + k D b, for an angle that moves the tip by a, m/rad, and changes its velocity by b, m/s.
-    #[inline]
     fn by_angle(&self, weights: [f64; 2], moving: Planar, turning: Planar) -> Planar {
         let (along, dragged) = (times(self.of_tip(weights), moving), times(self.tip[1], turning));
         [0, 1].map(|i| along[i] + weights[0] * dragged[i])
@@ -193,14 +184,7 @@ impl Slopes {
         matrix
     }
 
-    /// Change of the generalised force, N·m, for a change of the coordinates by which the arm of the force on the tip rotates.
-    pub fn turned_force(&self, pose: &Pose, q_change: &Coordinates) -> Coordinates {
-        let theta = THETA[1];
-        -dot(arm_of(pose), self.force) * q_change[theta] * Coordinates::unit(theta)
-    }
-
     /// Weighted slopes k K + c C of the link angles, where no slope couples links ([`Slopes::couple_links`]).
-    #[inline]
     pub fn diagonal(&self, arm: &TipArm, [k, c]: [f64; 2]) -> ByLink {
         let weighted = |joint: usize| k * self.joints[joint][0] + c * self.joints[joint][1];
         [Legs::new([weighted(0), weighted(4)]), Legs::new([k * arm.geometric(self.force), 0.0])]
@@ -222,14 +206,18 @@ impl Slopes {
         })
     }
 
+    /// Weighted slope k K + c C by which the joint at the tip couples the distal links.
+    pub fn between_legs(&self, weights: [f64; 2]) -> f64 {
+        self.over_links(weights)[1][2]
+    }
+
     /// Weighted slopes k K + c C of each leg over its links, proximal first, in the cut loop of a finite step. Slopes that couple the legs are
-    /// left out, and so are the arms of the proximal link and of the distal centre of mass, which turn with the forces on the positions.
-    #[inline]
+    /// left out, see [`Slopes::between_legs`], and so are rows that turn with the forces on the positions.
     pub fn on_legs(&self, arm: &TipArm, levers: &StepLevers, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         let links = self.over_links(weights);
         let mut matrix =
             [[[links[0][0], links[3][3]], [links[0][1], links[3][2]]], [[links[1][0], links[2][3]], [links[1][1], links[2][2]]]];
-        for (column, turning) in [[0.0; 2], arm.turning].into_iter().enumerate() {
+        for (column, turning) in levers.turning.into_iter().enumerate() {
             let by_angle = self.by_angle(weights, levers.columns[column], turning);
             for (row, lever) in matrix.iter_mut().zip(levers.rows) {
                 row[column][0] += dot(lever, by_angle);
@@ -244,6 +232,7 @@ impl Slopes {
 mod tests {
     use super::*;
     use crate::dynamics::Conditions;
+    use crate::dynamics::angles::{angles_of, legs};
     use crate::effects::{FiniteMotion, Inputs, JOINTS, Mode, Motion, TypicalInertia, across_joints};
     use crate::fmi::bindings::default_parameters;
     use crate::mechanism::Mechanism;
@@ -365,7 +354,7 @@ mod tests {
         let mechanism = mechanism();
         for seed in 0..20 {
             let (wrench, [q, d, v]) = (Linear::new(seed).wrench, [0, 30, 60].map(|more| coordinates(seed + more)));
-            let secant = mechanism.secant(&mechanism.pose(&q), &d);
+            let secant = mechanism.secant(&mechanism.pose(&q), legs(&angles_of(&d)));
             let over = finite(&mechanism, [&q, &d, &v]);
             let mut forces = Coordinates::ZERO;
             wrench.add_to(TipArm::of_step(&secant, &d, &v).row, &mut forces);
@@ -381,7 +370,7 @@ mod tests {
 
     fn finite(mechanism: &Mechanism, [q, d, v]: [&Coordinates; 3]) -> FiniteMotion<'static> {
         let inertia = TypicalInertia { joint: 1.0, tip: 1.0 };
-        conditions().finite_motion([q, d, v], &mechanism.secant(&mechanism.pose(q), d), (1e-3, 1.0), inertia)
+        conditions().finite_motion([q, d, v], &mechanism.secant(&mechanism.pose(q), legs(&angles_of(d))), (1e-3, 1.0), inertia)
     }
 
     /// An entry of slopes in the coordinates: 0 but for those in [`INNER`].
@@ -434,10 +423,10 @@ mod tests {
             };
             let forces = |d: Coordinates, v: Coordinates| {
                 let mut forces = Coordinates::ZERO;
-                wrench(&d, &v).add_to(TipArm::of_step(&mechanism.secant(&begin, &d), &d, &v).row, &mut forces);
+                wrench(&d, &v).add_to(TipArm::of_step(&mechanism.secant(&begin, legs(&angles_of(&d))), &d, &v).row, &mut forces);
                 forces.into()
             };
-            let arm = TipArm::of_step(&mechanism.secant(&begin, &d), &d, &v);
+            let arm = TipArm::of_step(&mechanism.secant(&begin, legs(&angles_of(&d))), &d, &v);
             let slopes = law.slopes(wrench(&d, &v));
             let by_d = differences(d.into(), |d| -> [f64; 12] { forces(d.into(), v) });
             let by_v = differences(v.into(), |v| forces(d, v.into()));
@@ -479,13 +468,14 @@ mod tests {
         let mechanism = mechanism();
         for seed in 0..20 {
             let (law, [q, d, v]) = (Linear::new(seed), [0, 30, 60].map(|more| coordinates(seed + more)));
-            let arm = TipArm::of_step(&mechanism.secant(&mechanism.pose(&q), &d), &d, &v);
+            let arm = TipArm::of_step(&mechanism.secant(&mechanism.pose(&q), legs(&angles_of(&d))), &d, &v);
             let (slopes, weights) = (law.slopes(law.wrench), [number(seed), number(seed + 1)]);
             // Motions of the position of link 2 by the turns of its leg's links.
             let carried = |seed: usize| [[number(seed), number(seed + 1)], [number(seed + 2), number(seed + 3)]];
             let (rows, columns) = (carried(seed), carried(seed + 9));
             let with_arm = |[p, d]: [Planar; 2], arm: Planar| [p, [0, 1].map(|i| d[i] + turned(arm)[i])];
-            let levers = StepLevers { rows: with_arm(rows, arm.row), columns: with_arm(columns, arm.column) };
+            let turning = [[0.0; 2], arm.turning];
+            let levers = StepLevers { rows: with_arm(rows, arm.row), columns: with_arm(columns, arm.column), turning };
             let (got, inner) = (slopes.on_legs(&arm, &levers, weights), slopes.inner(&arm, weights));
             let motion = |[x, y]: Planar, link: usize| {
                 let mut motion = [0.0; INNER_COUNT];

@@ -21,14 +21,12 @@ pub struct Inputs {
 }
 
 /// Whether any value is not 0; evaluated in every step, and so without a branch per value.
-#[inline]
 fn any(values: [[f64; 2]; 2]) -> bool {
     // The shift drops the sign bit: −0 counts as 0.
     values.as_flattened().iter().fold(0, |bits, value| bits | value.to_bits()) << 1 != 0
 }
 
 /// Whether all values are equal pair by pair; without a branch per value.
-#[inline]
 fn all_equal(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
     a.as_flattened().iter().zip(b.as_flattened()).fold(true, |all_equal, (a, b)| all_equal & (a == b))
 }
@@ -45,13 +43,11 @@ impl Inputs {
     }
 
     /// Whether torques and force equal those of other inputs.
-    #[inline]
     pub fn same_loads(&self, other: &Self) -> bool {
         all_equal([self.tau, self.tip_force], [other.tau, other.tip_force])
     }
 
     /// Whether servo references equal those of other inputs.
-    #[inline]
     pub fn same_references(&self, other: &Self) -> bool {
         all_equal([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
     }
@@ -78,7 +74,6 @@ impl Inputs {
     }
 
     /// Wrench of the loads.
-    #[inline]
     pub fn wrench(&self) -> Wrench {
         let mut wrench = Wrench::of_tip(self.tip_force);
         for (joint, torque) in MOTOR_ANGLES.into_iter().zip(self.tau) {

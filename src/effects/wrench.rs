@@ -26,19 +26,16 @@ pub type Planar = [f64; 2];
 pub type Matrix = [Planar; 2];
 
 /// Scalar product of two vectors in the plane.
-#[inline]
 pub fn dot(a: Planar, b: Planar) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
 /// Product of a 2×2 matrix and a vector.
-#[inline]
 pub fn times(matrix: Matrix, vector: Planar) -> Planar {
     matrix.map(|row| dot(row, vector))
 }
 
 /// Differences over the joints, first link minus second link, of a quantity of links 1 to 4.
-#[inline]
 pub fn across_joints([one, two, three, four]: [f64; LINKS]) -> [f64; JOINTS] {
     [one, two - one, two - three, three - four, four]
 }
@@ -135,7 +132,6 @@ impl Wrench {
     }
 
     /// Power, W, at rates of the joints, rad/s, and a velocity of the tip, m/s; or work, J, over increments of angles and position.
-    #[inline]
     pub fn power(&self, rates: &[f64; JOINTS], velocity: Planar) -> f64 {
         self.torques.iter().zip(rates).map(|(torque, rate)| torque * rate).sum::<f64>() + dot(self.force, velocity)
     }
@@ -159,7 +155,6 @@ impl Wrench {
     }
 
     /// Sums of the joint torques on links 1 to 4, N·m.
-    #[inline]
     pub fn on_links(&self) -> [f64; LINKS] {
         let [base_left, elbow_left, tip, elbow_right, base_right] = self.torques;
         [base_left - elbow_left, elbow_left + tip, elbow_right - tip, base_right - elbow_right]
@@ -168,7 +163,6 @@ impl Wrench {
 
 impl Slopes {
     /// Whether any slope couples links, so that the tangent is not diagonal in the link angles.
-    #[inline]
     pub fn couple_links(&self) -> bool {
         let inner = &self.joints[1..JOINTS - 1];
         inner.iter().chain(self.tip.as_flattened()).any(|pair| *pair != [0.0; 2])

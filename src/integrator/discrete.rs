@@ -1,19 +1,16 @@
-//! Interface of the conserving step to a system: discrete derivatives over a finite step, and the step with its loops cut.
+//! Interface of the conserving step to a system: the step in the unknowns that remain with the loops cut.
 
 use super::{System, Work};
 use crate::vector::Vector;
 
-/// A system with discrete derivatives of constraints and forces over a step from q₀ to q₁ = q₀ + d.
-///
-/// J_b is the discrete Jacobian, J_b d = Φ(q₁) − Φ(q₀); J_c the mean (Φ_q(q₀) + Φ_q(q₁))/2; J₁ = Φ_q(q₁); Q̄ the mean forces, whose
-/// work Q̄ᵀd is exactly the loss of their potentials plus the work of inputs minus dissipation.
-pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
+/// A system over finite steps from q₀ to q₁ = q₀ + d, with discrete derivatives of constraints and forces.
+pub trait Discrete<const N: usize, const M: usize>: System<N, M> {
     /// Discrete derivatives of the joints; they depend on q₀ and d only and are computed once per d.
     type Secant;
     /// Unknowns that remain with the loops cut.
     type CutUnknowns;
     /// The step with its loops cut, see [`Discrete::cut`].
-    type Cut<'a>: CutStep<N, M, Unknowns = Self::CutUnknowns, Secant = Self::Secant>
+    type Cut<'a>: CutStep<N, Unknowns = Self::CutUnknowns, Secant = Self::Secant>
     where
         Self: 'a;
 
@@ -21,35 +18,21 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     fn secant(&self, begin: &Self::Pose, d: &Vector<N>) -> Self::Secant;
     /// Pose at q₁.
     fn end(secant: &Self::Secant) -> &Self::Pose;
-    /// J_bᵀ Λ.
-    fn discrete_transposed_times(&self, secant: &Self::Secant, multipliers: &Vector<M>) -> Vector<N>;
-    /// J_cᵀ ν.
-    fn mean_transposed_times(&self, secant: &Self::Secant, multipliers: &Vector<M>) -> Vector<N>;
-    /// Discrete derivative of νᵀ Φ_q z with respect to q, K_b(z)ᵀν: its product with d is νᵀ (Φ_q(q₁) − Φ_q(q₀)) z.
-    fn discrete_hessian_times(&self, secant: &Self::Secant, z: &Vector<N>, multipliers: &Vector<M>) -> Vector<N>;
-    /// M⁻¹ x.
-    fn apply_inverse_mass(&self, x: &Vector<N>) -> Vector<N>;
 
-    /// Mean forces Q̄, N and N·m.
+    /// Mean forces Q̄, N and N·m, whose work Q̄ᵀd is the loss of their potentials plus the work of inputs minus dissipation.
     fn mean_forces(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Vector<N>;
     /// Work of inputs and dissipation over the step, J. Called only if [`System::follows_work`].
     fn work_over(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Work;
 
     /// The step of `h` seconds from q₀ and q̇₀ with its loops cut: joint coordinates meet all joints but the cut ones, and forces
-    /// of the other joints follow from the bodies between them. The reduced equations have the same roots.
-    fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64) -> Self::Cut<'a>;
-    /// Reduced unknowns of d, Λ and ν.
-    fn cut_unknowns(&self, d: &Vector<N>, multipliers: [&Vector<M>; 2]) -> Self::CutUnknowns;
-    /// Whether the staggered iteration on Λ and ν is applicable: inertias differ by little enough for it to contract.
+    /// of the other joints follow from the bodies between them. `softening` multiplies the regularisation rates of friction and servos.
+    fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64, softening: f64) -> Self::Cut<'a>;
+    /// Reduced unknowns of d and Λ, with ν = 0.
+    fn cut_unknowns(&self, d: &Vector<N>, lambda: &Vector<M>) -> Self::CutUnknowns;
+    /// Unknowns of a step that is longer by a factor: d grows with it, Λ and ν with its square.
+    fn lengthened(x: &Self::CutUnknowns, factor: f64) -> Self::CutUnknowns;
+    /// Whether the iteration leg by leg is applicable: inertias differ by little enough for it to contract.
     fn allows_staggering(&self) -> bool;
-    /// Newton increments of d, Λ and ν with the whole tangent; e weighs increments only.
-    fn newton(
-        &self,
-        over: &StepIncrement<'_, Self::Secant, N>,
-        multipliers: [&Vector<M>; 2],
-        residuals: (&Vector<N>, &Vector<M>, &Vector<M>),
-        regularization: f64,
-    ) -> (Vector<N>, [Vector<M>; 2]);
 
     /// Whether no effect dissipates or drives, so that no law can be softened, see [`StepIncrement::softening`].
     fn is_conservative(&self) -> bool;
@@ -73,7 +56,7 @@ pub struct StepIncrement<'a, S, const N: usize> {
 }
 
 /// A step with cut loops: ν from a linear equation for given d, Newton's method on d and Λ.
-pub trait CutStep<const N: usize, const M: usize> {
+pub trait CutStep<const N: usize> {
     /// Reduced unknowns of d, Λ and ν.
     type Unknowns;
     /// Discrete derivatives, [`Discrete::Secant`].
@@ -87,14 +70,18 @@ pub trait CutStep<const N: usize, const M: usize> {
 
     /// Motion whose rates meet the velocity constraints, by solving for ν; e weighs the change of ν only.
     fn motion(&self, x: &Self::Unknowns, regularization: f64) -> Self::Motion;
+    /// Motion with the ν of the unknowns, whose rates may violate the velocity constraints.
+    fn free_motion(&self, x: &Self::Unknowns) -> Self::Motion;
     /// Momentum balance of a motion.
     fn balance(&self, motion: &Self::Motion) -> Self::Balance;
     /// Residuals: momentum as an angle, rad; Φ, m; h/2 times the rate of Φ, m.
     fn residuals(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
-    /// Newton matrix for d and Λ; e weighs increments only.
+    /// Newton matrix for d and Λ, leg by leg; e weighs increments only.
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
     /// Unknowns after a Newton increment with the matrix of this or a nearby motion.
     fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    /// Newton increment of the unknowns with the whole tangent; e weighs it only.
+    fn whole_correction(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Unknowns;
     /// Motion with rates and Λ after a Newton increment, at unchanged d.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
     /// Error norm of d, see [`System::error_norm`], rad.
@@ -105,6 +92,4 @@ pub trait CutStep<const N: usize, const M: usize> {
     fn end(&self, motion: &Self::Motion) -> [Vector<N>; 2];
     /// Discrete derivatives of a motion.
     fn secant(&self, motion: &Self::Motion) -> Self::Secant;
-    /// Multipliers Λ and ν of all joints.
-    fn multipliers(&self, motion: &Self::Motion) -> [Vector<M>; 2];
 }

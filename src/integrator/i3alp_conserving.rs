@@ -14,7 +14,6 @@
 //! energy, Φ and Φ̇ are conserved to round-off, and no local error is estimated. Steps that plain Newton iteration does not solve go
 //! through the stages of `fallback.rs`.
 
-mod equations;
 mod fallback;
 mod newton;
 
@@ -22,9 +21,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
-use equations::{Evaluation, Step, Unknowns};
-use fallback::{Recovered, from_equilibrium, recover_by_stages};
-use newton::{Bounds, IterationBudget, StopRule, full_newton, staggered_newton};
+use fallback::{Recovered, Root, Step, from_equilibrium, recover_by_stages};
+use newton::{Bounds, IterationBudget, StopRule, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -177,7 +175,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if system.allows_staggering() {
             let Self { q, v, .. } = *self;
             let pose = system.pose_in_place(&q);
-            let cut = system.cut(&pose, [&q, &v], h);
+            let cut = system.cut(&pose, [&q, &v], h, 1.0);
             let accept_root = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);
                 let ([d, v], secant) = (cut.end(end), cut.secant(end));
@@ -203,16 +201,12 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
-    #[cold]
-    #[inline(never)]
     fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
         let (a, _) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
         system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
     }
 
     /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
-    #[cold]
-    #[inline(never)]
     fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
     where
         S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
@@ -220,12 +214,10 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let (a, lambda) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
-        let Unknowns { d, lambda, nu } = from_equilibrium(&self.v, (&branch.unwrap_or(a), &lambda), h);
-        system.cut_unknowns(&d, [&lambda, &nu])
+        from_equilibrium(system, &self.v, (&branch.unwrap_or(a), &lambda), h)
     }
 
     /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
-    #[inline(never)]
     fn by_full_newton<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
@@ -233,14 +225,11 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         (begun, guess): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(x) = guess else { return self.recover(step, settings, begun) };
-        let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
-        let motion = cut.motion(&x, regularization);
-        let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
-        let (mut x, mut budget) =
-            (Unknowns { d, lambda, nu }, IterationBudget { left: max_iterations, begun, counters: &mut self.counters });
-        match full_newton(step, &mut x, regularization, (max_iterations, StopRule::Solved), &mut budget) {
-            Some(end) => self.accept_full_root(step, &x, &end),
+        let Some(mut x) = guess else { return self.recover(step, settings, begun) };
+        let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
+        let to_root = (regularization, (max_iterations, StopRule::Solved));
+        match step.root((step.h, 1.0), &mut x, to_root, &mut budget) {
+            Some(root) => self.accept_full_root(step, &root),
             None => self.recover(step, settings, begun),
         }
     }
@@ -262,23 +251,21 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             budget.left = max_work.saturating_sub(budget.spent());
         }
         match recover_by_stages(step, settings, (&a, &lambda), &mut budget)? {
-            Recovered::Root(x, end) => self.accept_full_root(step, &x, &end),
+            Recovered::Root(root) => self.accept_full_root(step, &root),
             Recovered::Scaled { d, acting, v } => {
                 self.history = History::NONE;
-                self.conclude(step.system, &step.increment(&step.secant(&d), &d, &acting), &v)
+                self.conclude(step.system, &step.increment(&step.secant(&d), [&d, &acting]), &v)
             }
         }
     }
 
-    /// Accepts a root of the full unknowns.
+    /// Accepts a root of the full iteration.
     fn accept_full_root<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
-        Unknowns { d, lambda, nu }: &Unknowns<N, M>,
-        end: &Evaluation<S, N, M>,
+        Root { x, d, v, secant }: &Root<S::Secant, N, K>,
     ) -> Result<(), StepError> {
-        let x = step.system.cut_unknowns(d, [lambda, nu]);
-        self.accept_root(step.system, &step.increment(&end.secant, d, &end.v), x)
+        self.accept_root(step.system, &step.increment(secant, [d, v]), *x)
     }
 
     /// Accepts a root and stores its unknowns in the history.
@@ -322,7 +309,6 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// A step so short that q̈ changes by round-off only.
-    #[cold]
     fn taylor_step<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &mut self,
         system: &S,
@@ -336,17 +322,17 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
     }
 
-    /// Refuses a run that cannot belong to this system.
-    #[cold]
+    /// Refuses a run whose numbers are impossible or whose loop is open; e of equilibrium is `regularization`, 1/kg.
     pub fn check<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &self,
         system: &S,
         bounds: &super::Bounds,
+        regularization: f64,
     ) -> Result<(), Inconsistency> {
         let History { h, known, x } = &self.history;
         if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
             return Err("the stored values of its last steps are not finite");
         }
-        self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
+        self.state(system, regularization).check(system, bounds)
     }
 }

@@ -36,7 +36,6 @@ pub struct Coupled {
 }
 
 /// The product Φ_I X of the columns of Φ_q of the inner coordinates and a matrix X, by rows.
-#[inline]
 fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNER_COUNT]) -> [Vector<K>; MULTIPLIERS] {
     /// Indices of the angles of the proximal links, left and right, among the inner coordinates; the first two are x and y of link 2.
     const INNER_PROXIMAL: [usize; 2] = [2, 5];
@@ -66,7 +65,6 @@ fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<
 impl Coupled {
     /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by columns, whose symmetric part is
     /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
-    #[inline]
     pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
         let compliance = Inverse::new(inner, f64::MIN_POSITIVE);
         // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ, whose rows are the columns of A_I⁻¹.

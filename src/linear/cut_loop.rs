@@ -27,15 +27,17 @@
 
 mod bordered;
 mod open_legs;
+mod whole;
 
 use crate::dynamics::{StepLevers, TipArm};
 use crate::effects::Slopes;
-use crate::mechanism::coordinates::{D_THETA, E_X, E_Y, G_X, G_Y, P_THETA, TIP_X, TIP_Y, add_legs, legs_of, set_legs};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, TIP_X, TIP_Y, add_legs, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
-use crate::mechanism::secant::{Secant, StepDirections};
+use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Multipliers, Pose};
 use crate::vector::Vector;
 pub use bordered::BorderedMatrix;
+use bordered::tip_separation;
 pub use open_legs::OpenLegs;
 use open_legs::{Moments, angles, centres};
 
@@ -52,32 +54,32 @@ const LAMBDA: usize = 2;
 /// Index of ν of the tip among the pairs of [`CutUnknowns`].
 const NU: usize = 3;
 
-/// The unknowns of the cut loop from the increments d and all Λ and ν.
-#[inline(always)]
-pub fn cut_unknowns(d: &Coordinates, [lambda, nu]: [&Multipliers; 2]) -> CutUnknowns {
+/// The unknowns of the cut loop from the increments d and all Λ, with ν = 0.
+pub fn cut_unknowns(d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
     let mut x = CutUnknowns::ZERO;
     set_legs(&mut x, PROXIMAL, legs_of(d, P_THETA));
     set_legs(&mut x, DISTAL, legs_of(d, D_THETA));
     set_legs(&mut x, LAMBDA, Legs::new([lambda[TIP_X], lambda[TIP_Y]]));
-    set_legs(&mut x, NU, Legs::new([nu[TIP_X], nu[TIP_Y]]));
     x
 }
 
+/// Unknowns of a step that is longer by a factor: Δθ grows with it, Λ and ν with its square.
+pub fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
+    CutUnknowns::from_fn(|i| if i < 2 * LAMBDA { factor * x[i] } else { factor * factor * x[i] })
+}
+
 /// The largest |Δθ|, rad.
-#[inline(always)]
 pub fn largest_turn(x: &CutUnknowns) -> f64 {
     let [left, right] = legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()).to_array();
     if left > right { left } else { right }
 }
 
 /// Difference of two moments, link by link.
-#[inline(always)]
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p.minus(other_p), d.minus(other_d)]
 }
 
 /// A vector of the tip copied to both legs.
-#[inline(always)]
 fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
 }
@@ -89,8 +91,6 @@ pub struct OpenStep<'a> {
     pose: &'a Pose,
     /// Coordinates q₀, m and rad.
     pub q: &'a Coordinates,
-    /// Velocities q̇₀, m/s and rad/s.
-    v: &'a Coordinates,
     /// Length of the step, s.
     pub h: f64,
     /// First moment k₀ of ½h q̇₀, kg·m².
@@ -102,8 +102,8 @@ pub struct OpenStep<'a> {
 /// Motion of the open legs over a step for given unknowns: all joints but the tip satisfy their constraints.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenMotion {
-    /// Directions of the links in the middle and at the end of the step.
-    directions: StepDirections,
+    /// Poses in the middle and at the end of the step, with its factors.
+    pub secant: Secant,
     /// The unknowns; ν belongs to the rates of this motion.
     pub x: CutUnknowns,
     /// Final half-step rotations ω̂ = ½h ω₁, rad.
@@ -115,9 +115,9 @@ pub struct OpenMotion {
     /// Columns of the tip's closure, σ(ℓ, L) n̂₁, m.
     ends: [Legs2; 2],
     /// Residual of the tip's closure, m.
-    gap: [f64; 2],
+    pub gap: [f64; 2],
     /// Residual of ½h times the rate of the tip's closure, m.
-    rate: [f64; 2],
+    pub rate: [f64; 2],
 }
 
 /// Residual of the equations (f) under given forces.
@@ -126,68 +126,86 @@ pub struct OpenResidual {
     /// Joint load g by links.
     joint_load: Moments,
     /// Residual f of the angle rows, kg·m².
-    left: [Legs; 2],
+    pub left: [Legs; 2],
 }
 
 /// The larger magnitude; NaN if the second is.
-#[inline(always)]
 fn larger([x, y]: [f64; 2]) -> f64 {
     if x.abs() > y.abs() { x.abs() } else { y.abs() }
 }
 
 /// Normals n̂ of directions û.
-#[inline(always)]
 fn normals([p, d]: [Legs2; 2]) -> [Legs2; 2] {
     [p.turned(), d.turned()]
 }
 
 /// Vectors times scalars, link by link.
-#[inline(always)]
 fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
     [p.scaled(by_p), d.scaled(by_d)]
 }
 
 impl<'a> OpenStep<'a> {
     /// A step of h seconds from q₀ and q̇₀.
-    #[inline(always)]
     pub fn new(legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> Self {
         let half = both(0.5 * h);
         let initial_moment = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
-        Self { legs, pose, q, v, h, initial_moment, initial_rotations: angles(v).map(|rate| half * rate) }
+        Self { legs, pose, q, h, initial_moment, initial_rotations: angles(v).map(|rate| half * rate) }
     }
 
     /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
     #[inline(always)]
     fn bordered(
         &self,
-        (turned, ends): (&StepDirections, &[Legs2; 2]),
+        (turned, ends): (&Secant, &[Legs2; 2]),
         inertias: [[Legs; 2]; 2],
         factors: [Legs; 2],
         e: f64,
     ) -> BorderedMatrix {
         let [own, shared, last] = self.legs.moment;
         let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
-        let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle, turned.end);
+        let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle.along(), turned.end.along());
         let matrix = [
             // The product n̂_m·n̂₁ of one link is its c.
             [inertias[0][0] + by_p * cos_p * own, inertias[0][1] + by_p * shared * middle_p.dot(end_d)],
             [inertias[1][0] + by_d * shared * middle_d.dot(end_p), inertias[1][1] + by_d * cos_d * last],
         ];
         let [length_p, length_d] = self.legs.sigma_length;
-        BorderedMatrix::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
+        BorderedMatrix::new(matrix, scaled(normals(turned.middle.along()), [by_p * length_p, by_d * length_d]), ends, e)
     }
 
     /// The motion with the Δθ of `x`, which does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e
     /// times the correction of ν.
+    pub fn motion(&self, x: CutUnknowns, e: f64) -> OpenMotion {
+        self.moving(x, e, |bordered, right, ends| {
+            let (half, change) = bordered.solve(right, ends, [0.0; 2]);
+            (half, change, change.map(|change| e * change))
+        })
+    }
+
+    /// The motion with the Δθ and the ν of `x`, whose rates may open the loop. No closure is solved, which loses rank in a vertex.
+    pub fn free_motion(&self, x: CutUnknowns) -> OpenMotion {
+        self.moving(x, 1.0, |bordered, right, ends| {
+            let half = bordered.free(right);
+            (half, [0.0; 2], tip_separation(ends, half))
+        })
+    }
+
+    /// The motion with ω̂, the change of ν and the residual of the rate equation by `solve`, from the matrix of ω̂ and ν, the right-hand side
+    /// of ω̂ and the columns of the tip's closure.
     #[inline(always)]
-    pub fn motion(&self, mut x: CutUnknowns, e: f64) -> OpenMotion {
+    fn moving(
+        &self,
+        mut x: CutUnknowns,
+        e: f64,
+        solve: impl FnOnce(&BorderedMatrix, [Legs; 2], &[Legs2; 2]) -> ([Legs; 2], [f64; 2], [f64; 2]),
+    ) -> OpenMotion {
         let &Self { legs, initial_rotations: [begun_p, begun_d], .. } = self;
         let mechanism = &legs.mechanism;
         let turns @ [turn_p, turn_d] = [legs_of(&x, PROXIMAL), legs_of(&x, DISTAL)];
-        let directions = StepDirections::new(self.pose, turns);
-        let (across, end) = (normals(directions.middle), normals(directions.end));
+        let secant = mechanism.secant(self.pose, turns);
+        let (across, end) = (normals(secant.middle.along()), normals(secant.end.along()));
         let ends = scaled(end, legs.sigma_length);
-        let ([sinc_p, sinc_d], [cos_p, cos_d]) = (directions.sinc, directions.cos);
+        let ([sinc_p, sinc_d], [cos_p, cos_d]) = (secant.sinc, secant.cos);
 
         let way = minus(legs.moment(scaled(across, [sinc_p * turn_p, sinc_d * turn_d])), self.initial_moment);
         let nu = legs_of(&x, NU);
@@ -198,30 +216,22 @@ impl<'a> OpenStep<'a> {
         ];
         let none = both(0.0);
         let inertias = [[mechanism.inertia_p, none], [none, mechanism.inertia_d]];
-        let bordered = self.bordered((&directions, &ends), inertias, directions.cos, e);
-        let (half, change) = bordered.solve(right, &ends, [0.0; 2]);
+        let bordered = self.bordered((&secant, &ends), inertias, secant.cos, e);
+        let (half, change, rate) = solve(&bordered, right, &ends);
         set_legs(&mut x, NU, nu + Legs::new(change));
         let turning = legs.moment(scaled(end, half));
         let velocity_defect = minus(minus([velocity_defect_p, velocity_defect_d], turning), legs.levers(at_tip(change)));
 
-        let [p, d] = scaled(directions.end, legs.sigma_length);
+        let [p, d] = scaled(secant.end.along(), legs.sigma_length);
         let gap = [sum(p.x + d.x + SIGMA * mechanism.ground_x), sum(p.y + d.y)];
-        let rate = change.map(|change| e * change);
-        OpenMotion { directions, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
-    }
-
-    /// Directions and factors of the step d of a motion.
-    #[inline(always)]
-    pub fn secant(&self, motion: &OpenMotion) -> Secant {
-        self.legs.mechanism.secant_along(&motion.directions)
+        OpenMotion { secant, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
     /// Increments d = q₁ − q₀ of a motion, m and rad.
-    #[inline(always)]
     pub fn way(&self, motion: &OpenMotion) -> Coordinates {
         let turns = [legs_of(&motion.x, PROXIMAL), legs_of(&motion.x, DISTAL)];
         let mechanism = &self.legs.mechanism;
-        let end = mechanism.coordinates(&mechanism.pose_along(motion.directions.end), [Legs::ZERO; 2]);
+        let end = mechanism.coordinates(&motion.secant.end, [Legs::ZERO; 2]);
         let mut d = end - *self.q;
         set_legs(&mut d, P_THETA, turns[0]);
         set_legs(&mut d, D_THETA, turns[1]);
@@ -229,10 +239,9 @@ impl<'a> OpenStep<'a> {
     }
 
     /// Final velocities q̇₁ of a motion, m/s and rad/s.
-    #[inline(always)]
     pub fn rates(&self, motion: &OpenMotion) -> Coordinates {
         let per_second = both(2.0 / self.h);
-        self.legs.mechanism.pose_along(motion.directions.end).velocities(motion.half.map(|half| per_second * half))
+        motion.secant.end.velocities(motion.half.map(|half| per_second * half))
     }
 
     /// Residual of a motion under mean forces Q̄, N and N·m.
@@ -242,7 +251,7 @@ impl<'a> OpenStep<'a> {
         let mechanism = &legs.mechanism;
         let applied = 0.5 * h * h * *forces;
         let OpenMotion {
-            directions,
+            secant,
             x,
             half: [half_p, half_d],
             velocity_defect: [velocity_defect_p, velocity_defect_d],
@@ -253,7 +262,7 @@ impl<'a> OpenStep<'a> {
         let [lever_p, lever_d] = legs.levers(at_tip(legs_of(x, LAMBDA).to_array()));
         let joint_load @ [joint_load_p, joint_load_d] =
             [load_p.plus(*moment_change_p).minus(lever_p), load_d.plus(*moment_change_d).minus(lever_d)];
-        let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
+        let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
         let [torque_p, torque_d] = angles(&applied);
         let half = both(0.5);
         let turning_p = half * (*half_p + begun_p) * along_p.dot(*velocity_defect_p) - along_p.turned().dot(joint_load_p);
@@ -266,30 +275,32 @@ impl<'a> OpenStep<'a> {
     }
 
     /// Norms of the residuals: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
-    #[inline(always)]
     pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
         let [mobility_p, mobility_d] = self.legs.turn_mobility;
         let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs()).to_array();
         [larger(offset), larger(*gap), larger(*rate)]
     }
 
-    /// Slopes of the mean forces as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum and columns of Δθ and ω̂,
-    /// which change together.
+    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum
+    /// and columns of Δθ, where ω̂ changes as they do.
     #[inline(always)]
-    pub fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm) -> [[Legs; 2]; 2] {
+    fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         let left = |[p, d]: [Legs2; 2]| [p, d].map(|lever| [lever.x.to_array()[0], lever.y.to_array()[0]]);
-        let rows = scaled(scaled(normals(motion.directions.middle), motion.directions.sinc), self.legs.sigma_length);
-        let levers = StepLevers { rows: left(rows), columns: left(motion.ends) };
-        slopes.on_legs(arm, &levers, [0.5 * self.h * self.h, self.h])
+        let OpenMotion { secant, half, ends, .. } = motion;
+        let rows = scaled(scaled(normals(secant.middle.along()), secant.sinc), self.legs.sigma_length);
+        let per_second = both(-2.0 / self.h);
+        let turning = scaled(scaled(secant.end.along(), self.legs.sigma_length), half.map(|half| per_second * half));
+        let levers = StepLevers { rows: left(rows), columns: left(*ends), turning: left(turning) };
+        slopes.on_legs(arm, &levers, weights)
     }
 
-    /// The matrix of Newton's increments with these loads.
+    /// The matrix of Newton's increments leg by leg, with these slopes of the mean forces: Δθ and ω̂ change together, ν does not change.
     #[inline(always)]
-    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, loads: [[Legs; 2]; 2], e: f64) -> BorderedMatrix {
-        let (OpenMotion { directions, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
+    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, (slopes, arm): (&Slopes, &TipArm), e: f64) -> BorderedMatrix {
+        let (OpenMotion { secant, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
         let mechanism = &self.legs.mechanism;
-        let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
-        let [[pp, pd], [dp, dd]] = loads;
+        let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
+        let [[pp, pd], [dp, dd]] = self.inertias_of(motion, slopes, arm, [0.5 * self.h * self.h, self.h]);
         // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
@@ -298,11 +309,10 @@ impl<'a> OpenStep<'a> {
             [mechanism.inertia_p + pp + sinc_p * stiffness(along_p, joint_load_p, legs_of(x, PROXIMAL)), pd],
             [dp, mechanism.inertia_d + dd + sinc_d * stiffness(along_d, joint_load_d, legs_of(x, DISTAL))],
         ];
-        self.bordered((directions, ends), inertias, directions.sinc, e)
+        self.bordered((secant, ends), inertias, secant.sinc, e)
     }
 
     /// Newton's increments of Δθ and Λ. Λ is solved with the gap left out, since closing the gap changes no rates.
-    #[inline(always)]
     pub fn correction(
         &self,
         OpenMotion { gap, ends, .. }: &OpenMotion,
@@ -319,35 +329,11 @@ impl<'a> OpenStep<'a> {
     }
 
     /// The motion with rates and Λ that satisfy (f) at its Δθ: the last linear correction.
-    #[inline(always)]
     pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
         let [left_p, left_d] = balance.left;
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);
         let mut x = motion.x;
         add_legs(&mut x, LAMBDA, Legs::new(lambda));
         OpenMotion { x, half: [motion.half[0] + p, motion.half[1] + d], ..*motion }
-    }
-
-    /// Multipliers Λ and ν of all joints under mean forces Q̄, N and N·m.
-    pub fn multipliers(&self, motion: &OpenMotion, forces: &Coordinates) -> [Multipliers; 2] {
-        let (x, mechanism) = (&motion.x, &self.legs.mechanism);
-        let z = 0.5 * self.h * (*self.v + self.rates(motion));
-        // From the tip to the ground: the force at each joint is that of the next joint plus the load of the link between.
-        let along = |taken: &Coordinates, tip: Legs| {
-            let [proximal, distal] = centres(taken);
-            let tip = tip.to_array();
-            let elbow = distal.minus(at_tip(tip).scaled(SIGMA));
-            let ground = proximal.plus(elbow);
-            let mut joints = Multipliers::ZERO;
-            set_legs(&mut joints, G_X, ground.x);
-            set_legs(&mut joints, G_Y, ground.y);
-            set_legs(&mut joints, E_X, elbow.x);
-            set_legs(&mut joints, E_Y, elbow.y);
-            [joints[TIP_X], joints[TIP_Y]] = tip;
-            joints
-        };
-        let taken = 0.5 * self.h * self.h * *forces - mechanism.mass_times(&(z - self.h * *self.v));
-        let velocity_defect = mechanism.mass_times(&(self.way(motion) - z));
-        [along(&taken, legs_of(x, LAMBDA)), along(&velocity_defect, legs_of(x, NU))]
     }
 }

@@ -6,12 +6,10 @@
 //! | `coupled.rs` | slopes couple links: A is full in six inner coordinates |
 //! | `dense.rs` | anything: inertias are far apart |
 //! | `cut_loop.rs` | the conserving step's equations and systems in the turns of the links, the loop cut at the tip |
-//! | `secant_newton.rs` | the whole tangent of that step |
 
 pub mod coupled;
 pub mod cut_loop;
 pub mod dense;
-pub mod secant_newton;
 pub mod two_leg;
 
 use nalgebra::{SMatrix, SVector};
@@ -19,8 +17,8 @@ use nalgebra::{SMatrix, SVector};
 use crate::dynamics::{INNER, INNER_COUNT, TipArm};
 use crate::effects::Slopes;
 use crate::integrator::{Kkt, StepError};
-use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates, Geometry, MULTIPLIERS, Mechanism, Multipliers, Pose};
+use crate::mechanism::placement::by_links;
+use crate::mechanism::{COORDINATES, Coordinates, Geometry, LINKS, MULTIPLIERS, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 use coupled::Coupled;
 use cut_loop::OpenLegs;
@@ -115,7 +113,6 @@ impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
         self.solve_in_place(b, c)
     }
 
-    #[inline(always)]
     fn solve_in_place(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         if !BARE && self.solver.solve == LinearSolve::Dense {
             return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
@@ -123,7 +120,6 @@ impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
         self.two_leg.solve(b, c)
     }
 
-    #[inline(always)]
     fn correction(&self, c: &Multipliers) -> Coordinates {
         if !BARE && self.solver.solve == LinearSolve::Dense {
             return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (&Coordinates::ZERO, c)).0;
@@ -131,6 +127,9 @@ impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
         self.two_leg.correction(c)
     }
 }
+
+/// A matrix over the inner coordinates.
+type InnerMatrix = SMatrix<f64, INNER_COUNT, INNER_COUNT>;
 
 /// Solution x and y of a saddle-point system.
 type Solution = (Coordinates, Multipliers);
@@ -147,7 +146,6 @@ impl LinearSolver {
     }
 
     /// Constants of the mechanism for the cut loop of the energy-conserving step.
-    #[inline(always)]
     pub fn legs(&self) -> &OpenLegs {
         &self.legs
     }
@@ -163,7 +161,6 @@ impl LinearSolver {
         MassFactor { solver: self, two_leg: TwoLeg::factor_mass(&self.elimination, pose, regularization), regularization }
     }
 
-    #[cold]
     #[inline(never)]
     fn solve_dense_mass(&self, pose: &Pose, regularization: f64, (b, c): (&Coordinates, &Multipliers)) -> Solution {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
@@ -178,9 +175,8 @@ impl LinearSolver {
     ) -> Result<Solution, StepError> {
         match self.solve {
             _ if BARE => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
-            LinearSolve::Dense => self.solve_dense(of, right),
             LinearSolve::TwoLeg if !of.slopes.couple_links() => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
-            LinearSolve::TwoLeg | LinearSolve::Coupled => self.solve_coupled(of, right),
+            LinearSolve::TwoLeg | LinearSolve::Coupled | LinearSolve::Dense => self.solve_full(of, right),
         }
     }
 
@@ -218,36 +214,51 @@ impl LinearSolver {
         Ok(TwoLeg::factor(&self.elimination, pose, [inertia_p, inertia_d], regularization))
     }
 
+    /// Solves the system with a full block of A₀ in the inner coordinates.
     #[inline(never)]
-    fn solve_coupled(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
-        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, regularization, definite } = of;
-        let masses = self.masses();
-        let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
-        let inner = slopes.inner(arm, weights(h));
-        let mut a0 = SMatrix::from_fn(|i, j| inner_masses[(i, j)] + inner[i][j]);
-        for (i, stiffness) in geometric_stiffness(pose, lambda).into_iter().enumerate() {
-            let place = INNER_COUNT - 4 + i;
-            a0[(place, place)] += h * h / 4.0 * stiffness;
+    fn solve_full(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
+        let inner = self.inner_tangent(of)?;
+        if self.solve == LinearSolve::Dense {
+            let mut a0 = self.mass_matrix();
+            for (i, row) in INNER.into_iter().enumerate() {
+                for (j, column) in INNER.into_iter().enumerate() {
+                    a0[(row, column)] = inner[(i, j)];
+                }
+            }
+            return Ok(Dense::factor(of.pose, &a0, of.regularization).solve(b, c));
         }
-        let a0 = ensure_definite(a0, &inner_masses, definite)?;
-        let columns = std::array::from_fn(|j| Vector::from_fn(|i| a0[(i, j)]));
-        Ok(Coupled::factor(pose, &masses, columns, regularization).solve(b, c))
+        let columns = std::array::from_fn(|j| Vector::from_fn(|i| inner[(i, j)]));
+        Ok(Coupled::factor(of.pose, &self.masses(), columns, of.regularization).solve(b, c))
     }
 
-    #[inline(never)]
-    fn solve_dense(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
-        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, regularization, definite } = of;
-        let mass = self.mass_matrix();
-        let mut a0 = mass;
-        for (row, values) in INNER.into_iter().zip(slopes.inner(arm, weights(h))) {
-            for (column, value) in INNER.into_iter().zip(values) {
-                a0[(row, column)] += value;
+    /// Block of A₀ in the inner coordinates, checked or raised to be sufficiently positive definite; the outer ones keep their masses.
+    fn inner_tangent(&self, of: &TangentSystem<'_>) -> Result<InnerMatrix, StepError> {
+        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, definite, .. } = of;
+        let masses = self.masses();
+        let mass = InnerMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
+        let inner = slopes.inner(arm, weights(h));
+        let mut a0 = InnerMatrix::from_fn(|i, j| mass[(i, j)] + inner[i][j]);
+        for (i, stiffness) in by_links(pose.geometric_stiffness(lambda).into()).into_iter().enumerate() {
+            let place = INNER_COUNT - LINKS + i;
+            a0[(place, place)] += h * h / 4.0 * stiffness;
+        }
+        let is_definite = |a0: &InnerMatrix, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
+        match definite {
+            Definiteness::Required if !is_definite(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
+            Definiteness::Required => {}
+            // Doubling ends: some multiple of M outweighs any tangent that is finite.
+            Definiteness::Enforced => {
+                let mut more = DESCENT_INERTIA;
+                while !is_definite(&a0, DESCENT_INERTIA) {
+                    a0 += mass * more;
+                    more *= 2.0;
+                    if !more.is_finite() {
+                        return Err(StepError::NotFinite);
+                    }
+                }
             }
         }
-        for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(pose, lambda)) {
-            a0[(i, i)] += h * h / 4.0 * stiffness;
-        }
-        Ok(Dense::factor(pose, &ensure_definite(a0, &mass, definite)?, regularization).solve(b, c))
+        Ok(a0)
     }
 
     /// Diagonal of M, kg and kg·m².
@@ -261,39 +272,6 @@ impl LinearSolver {
 }
 
 /// Weights of K and C in A₀ for a step of h seconds.
-#[inline]
 fn weights(h: f64) -> [f64; 2] {
     [h * h / 4.0, h / 2.0]
-}
-
-/// Geometric stiffness of links 1 to 4, N·m/rad.
-fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
-    let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-    let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
-    [p_left, d_left, d_right, p_right]
-}
-
-/// The tangent A₀, checked or raised to be sufficiently positive definite.
-fn ensure_definite<const K: usize>(
-    mut a0: SMatrix<f64, K, K>,
-    mass: &SMatrix<f64, K, K>,
-    definite: Definiteness,
-) -> Result<SMatrix<f64, K, K>, StepError> {
-    let is_definite = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
-    match definite {
-        Definiteness::Required if !is_definite(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
-        Definiteness::Required => {}
-        // Doubling ends: some multiple of M outweighs any tangent that is finite.
-        Definiteness::Enforced => {
-            let mut more = DESCENT_INERTIA;
-            while !is_definite(&a0, DESCENT_INERTIA) {
-                a0 += mass * more;
-                more *= 2.0;
-                if !more.is_finite() {
-                    return Err(StepError::NotFinite);
-                }
-            }
-        }
-    }
-    Ok(a0)
 }

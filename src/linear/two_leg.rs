@@ -102,8 +102,6 @@ struct Compliance {
 
 impl Elimination {
     /// Constants of a mechanism for e, 1/kg.
-    #[cold]
-    #[inline(never)]
     pub fn new(mechanism: &Mechanism, regularization: f64) -> Self {
         let (e, mu, a, b) = (both(regularization), both(1.0) / mechanism.mass_p, mechanism.a_p, mechanism.b_p);
         let along = both(1.0) / (mu + e);

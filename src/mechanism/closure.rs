@@ -7,9 +7,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::coordinates::{THETA, X, Y};
 use super::model::finite;
-use super::{Coordinates, Geometry, Link, SceneError};
+use super::placement::{by_legs, set_angles};
+use super::{Coordinates, Geometry, Mechanism, SceneError};
 
 /// Side of the arrow from left elbow to right elbow on which the tip lies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
@@ -131,7 +131,6 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 }
 
 /// Angles of the four links, rad, from the proximal angles.
-#[inline(never)]
 fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
@@ -253,7 +252,12 @@ pub fn varied(
     // A rotation by δθ changes the velocity n̂ ω by −û ω δθ.
     let inward = std::array::from_fn(|i| -omega[i] * turned[i]);
     let quickened = closed_displacements(geometry, theta, proximal_omega, inward);
-    (coordinates_along_legs(geometry, theta, turned, [0.0; 4]), coordinates_along_legs(geometry, theta, quickened, inward))
+    let pose = Mechanism::arranged(geometry).pose_at(by_legs(theta));
+    let q = pose.velocities(by_legs(turned));
+    let carried = pose.varied(&q).velocities(by_legs(omega));
+    let mut v = pose.velocities(by_legs(quickened)) + carried;
+    set_angles(&mut v, by_legs(quickened));
+    (q, v)
 }
 
 /// Displacements across the four links, per length, that keep the loop closed, given those of the proximal links and all displacements
@@ -267,36 +271,9 @@ fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [
     [first, second, third, fourth]
 }
 
-/// Variation of the coordinates by displacements across and along the links, per length; positions add up along each leg.
-fn coordinates_along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
-    let mut x = Coordinates::ZERO;
-    for [proximal, distal] in [[0, 1], [3, 2]] {
-        let mut joint = Vector2::zeros();
-        for i in [proximal, distal] {
-            let (u, n) = direction(theta[i]);
-            let Link { length, com, .. } = geometry.links[i];
-            let arm = n * across[i] + u * along[i];
-            let centre = joint + arm * com;
-            (x[X[i]], x[Y[i]], x[THETA[i]]) = (centre.x, centre.y, across[i]);
-            joint += arm * length;
-        }
-    }
-    x
-}
-
 /// Coordinates q and velocities q̇ of all links from their angles and rates, each leg built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
-    let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
-    for (base, [proximal, distal]) in [(0.0, [0, 1]), (geometry.base_distance, [3, 2])] {
-        let mut joint = (Vector2::new(base, 0.0), Vector2::zeros());
-        for i in [proximal, distal] {
-            let (u, n) = direction(theta[i]);
-            let Link { length, com, .. } = geometry.links[i];
-            let (centre, velocity) = (joint.0 + u * com, joint.1 + n * (com * omega[i]));
-            (q[X[i]], q[Y[i]], q[THETA[i]]) = (centre.x, centre.y, theta[i]);
-            (v[X[i]], v[Y[i]], v[THETA[i]]) = (velocity.x, velocity.y, omega[i]);
-            joint = (joint.0 + u * length, joint.1 + n * (length * omega[i]));
-        }
-    }
-    (q, v)
+    let (mechanism, angles) = (Mechanism::arranged(geometry), by_legs(theta));
+    let pose = mechanism.pose_at(angles);
+    (mechanism.coordinates(&pose, angles), pose.velocities(by_legs(omega)))
 }

@@ -38,7 +38,6 @@ impl ClosureBranch {
     const ALL: [Self; 3] = [Self::Parallelogram, Self::Coincident, Self::Folded];
 
     /// The branch of a motion; `None` where the motors are not coaxial or the lengths not equal, or where branches intersect.
-    #[cold]
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
         let [proximal, distal] = v.map(Legs::to_array);
         let fastest = proximal.into_iter().chain(distal).fold(1.0, |most: f64, rate| most.max(rate.abs()));

@@ -42,7 +42,6 @@ struct ByJoint {
     tip: Legs2,
 }
 
-#[inline]
 fn by_joint(lambda: &Multipliers) -> ByJoint {
     ByJoint {
         ground: Legs2 { x: legs_of(lambda, G_X), y: legs_of(lambda, G_Y) },
@@ -100,7 +99,6 @@ impl Mechanism {
     }
 
     /// Pose from the angles of the proximal and the distal links, rad, inlined: for steps that keep the pose in registers.
-    #[inline(always)]
     pub(crate) fn pose_in_place(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
@@ -121,7 +119,6 @@ impl Mechanism {
     }
 
     /// Constraint values Φ(q), m.
-    #[inline]
     pub fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
         let mut phi = Multipliers::ZERO;
         set_legs(&mut phi, G_X, legs_of(q, P_X) - pose.a_p.x - self.ground_x);
@@ -135,8 +132,12 @@ impl Mechanism {
 }
 
 impl Pose {
+    /// Directions of the proximal and the distal links.
+    pub(crate) fn along(&self) -> [Legs2; 2] {
+        [self.u_p, self.u_d]
+    }
+
     /// The product Φ_q v, m/s for velocities.
-    #[inline]
     pub fn phi_q_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (a_p, b_p) = (self.a_p.turned(), self.b_p.turned());
@@ -152,7 +153,6 @@ impl Pose {
     }
 
     /// The product Φ_qᵀ λ, N and N·m.
-    #[inline]
     pub fn phi_q_transposed_times(&self, lambda: &Multipliers) -> Coordinates {
         let at = by_joint(lambda);
         let mut product = Coordinates::ZERO;
@@ -166,7 +166,6 @@ impl Pose {
     }
 
     /// The product Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
-    #[inline]
     pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
@@ -181,7 +180,6 @@ impl Pose {
     }
 
     /// Geometric stiffness ∂(Φ_qᵀλ)/∂q, N·m/rad: diagonal, and only in the angles (proximal, distal).
-    #[inline]
     pub fn geometric_stiffness(&self, lambda: &Multipliers) -> (Legs, Legs) {
         let at = by_joint(lambda);
         (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))

@@ -49,19 +49,16 @@ pub const X: [usize; 4] = [2 * P_X, 2 * D_X, 2 * D_X + 1, 2 * P_X + 1];
 pub const Y: [usize; 4] = [2 * P_Y, 2 * D_Y, 2 * D_Y + 1, 2 * P_Y + 1];
 
 /// The i-th pair of a vector.
-#[inline]
 pub fn legs_of<const K: usize>(values: &[f64; K], i: usize) -> Legs {
     Legs::new([values[2 * i], values[2 * i + 1]])
 }
 
 /// Adds to the i-th pair of a vector.
-#[inline]
 pub fn add_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
     set_legs(values, i, legs_of(values, i) + legs);
 }
 
 /// Sets the i-th pair of a vector.
-#[inline]
 pub fn set_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
     let [left, right] = legs.to_array();
     values[2 * i] = left;
@@ -69,7 +66,6 @@ pub fn set_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
 }
 
 /// Largest magnitude among the angle entries of coordinates, rad, velocities, rad/s, or increments.
-#[inline]
 pub fn largest_angle(x: &Coordinates) -> f64 {
     let [left, right] = legs_of(x, P_THETA).abs().fast_max(legs_of(x, D_THETA).abs()).to_array();
     if left > right { left } else { right }

@@ -15,7 +15,6 @@ const LEAST_EXPONENT: f64 = -700.0;
 const TANH_SATURATION: f64 = 44.0;
 
 /// Factors 2^k and e^r − 1 of e^x with x = k ln 2 + r, for |x| up to 708.
-#[inline]
 fn exp_factors(x: Legs) -> (Legs, Legs) {
     // ln 2 in two parts; the first has 33 bits, so that k times it is exact.
     const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
@@ -41,7 +40,6 @@ fn exp_factors(x: Legs) -> (Legs, Legs) {
 }
 
 /// Magnitude tanh |x| from the result of [`exp_factors`] for 2|x|.
-#[inline]
 fn tanh_of(power: Legs, exp_minus_one: Legs) -> Legs {
     // The value m = e^(2|x|) − 1 is computed without cancellation.
     let m = power * exp_minus_one + (power - both(1.0));
@@ -49,7 +47,6 @@ fn tanh_of(power: Legs, exp_minus_one: Legs) -> Legs {
 }
 
 /// The hyperbolic tangent, within 4 ulp.
-#[inline]
 pub fn tanh(x: Legs) -> Legs {
     let sign = x & both(-0.0);
     let (power, exp_minus_one) = exp_factors(((x ^ sign) * both(2.0)).fast_min(both(TANH_SATURATION)));
@@ -58,7 +55,6 @@ pub fn tanh(x: Legs) -> Legs {
 
 /// Values exp(−bell²), within 3 ulp and the rounding of its argument, and tanh(turn), within 4 ulp. Where both are saturated, as for a
 /// fast joint, nothing is computed.
-#[inline]
 pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
     if -bell * bell < LEAST_EXPONENT && 2.0 * turn.abs() > TANH_SATURATION {
         return [0.0, 1.0_f64.copysign(turn)];

@@ -12,13 +12,11 @@ pub type Legs = f64x2;
 pub const SIGMA: Legs = Legs::new([1.0, -1.0]);
 
 /// One value for both legs.
-#[inline]
 pub fn both(value: f64) -> Legs {
     Legs::splat(value)
 }
 
 /// Left + right.
-#[inline]
 pub fn sum(legs: Legs) -> f64 {
     let [left, right] = legs.to_array();
     left + right
@@ -35,25 +33,21 @@ pub struct Legs2 {
 
 impl Legs2 {
     /// The vector times a scalar of each leg.
-    #[inline]
     pub fn scaled(self, factor: Legs) -> Self {
         Self { x: self.x * factor, y: self.y * factor }
     }
 
     /// The scalar product, leg by leg.
-    #[inline]
     pub fn dot(self, other: Self) -> Legs {
         self.x * other.x + self.y * other.y
     }
 
     /// The third component of the vector product, leg by leg.
-    #[inline]
     pub fn cross(self, other: Self) -> Legs {
         self.x * other.y - self.y * other.x
     }
 
     /// The vector rotated by +90°: the derivative of an arm with respect to its angle.
-    #[inline]
     pub fn turned(self) -> Self {
         Self { x: -self.y, y: self.x }
     }
@@ -127,7 +121,6 @@ fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quot
 /// Results have equal bits on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax
 /// polynomials of FreeBSD's msun `k_sin.c`, `k_cos.c`, two lanes at a time. Above 2²⁰·π/2 rad, the limit of the reduction, and for
 /// non-finite angles the libm crate is used.
-#[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     if is_reducible(angle) { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
 }
@@ -157,7 +150,6 @@ fn sin_cos_far(angle: Legs) -> (Legs, Legs) {
     (Legs::new([sl, sr]), Legs::new([cl, cr]))
 }
 
-#[inline]
 fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
     // π/2 in three parts; the first two have 33 bits, so that k times them is exact for |k| < 2^20.
     const HALF_PI_1: f64 = 1.570_796_326_734_125_6;

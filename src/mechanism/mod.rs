@@ -22,6 +22,7 @@ pub mod coordinates;
 pub mod exponential;
 pub mod legs;
 mod model;
+pub mod placement;
 pub mod secant;
 mod singular_values;
 pub mod singularity;

@@ -44,25 +44,21 @@ impl fmt::Display for SceneError {
 impl std::error::Error for SceneError {}
 
 /// Refuses a value that is not finite and positive. Only a refusal makes text, so that a step with a changed parameter allocates nothing.
-#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
 }
 
 /// Refuses a value that is not finite or is negative. Only a refusal makes text.
-#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
 }
 
 /// Refuses NaN and infinities. Only a refusal makes text.
-#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
 }
 
 /// The error of a refused value: `allowed`, or, for a value that is not finite, "finite".
-#[cold]
 #[inline(never)]
 fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
     let allowed = if value.is_finite() { allowed } else { "finite" };
@@ -127,10 +123,15 @@ impl Mechanism {
     /// Checks the geometry and arranges it by legs.
     pub fn new(geometry: &Geometry) -> Result<Self, SceneError> {
         geometry.check()?;
+        Ok(Self::arranged(geometry))
+    }
+
+    /// A geometry arranged by legs.
+    pub(super) fn arranged(geometry: &Geometry) -> Self {
         let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
         let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
         let distal = |of: fn(Link) -> f64| Legs::new([of(left_distal), of(right_distal)]);
-        Ok(Self {
+        Self {
             geometry: *geometry,
             ground_x: Legs::new([0.0, geometry.base_distance]),
             a_p: proximal(|link| link.com),
@@ -141,11 +142,10 @@ impl Mechanism {
             mass_d: distal(|link| link.mass),
             inertia_p: proximal(|link| link.inertia),
             inertia_d: distal(|link| link.inertia),
-        })
+        }
     }
 
     /// The product M x with the diagonal and constant mass matrix of centre-of-mass coordinates.
-    #[inline]
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
         let mut product = Coordinates::ZERO;
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
@@ -155,7 +155,6 @@ impl Mechanism {
     }
 
     /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.
-    #[inline]
     pub fn mass_diagonal(&self) -> [Legs; 6] {
         let mut diagonal = [both(0.0); 6];
         diagonal[P_X] = self.mass_p;

@@ -13,9 +13,8 @@
 //! Sci. 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
 //! mechanical systems*, 2006). `docs/conserving.md` derives the step.
 
-use super::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
 use super::legs::{Legs, Legs2, both, sin_cos};
-use super::{Coordinates, Mechanism, Multipliers, Pose};
+use super::{Mechanism, Pose};
 
 /// Poses and factors of a finite step.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +30,6 @@ pub struct Secant {
 }
 
 /// Cosine, sine and sin x/x of an angle x below 1/4 rad, by their series to round-off.
-#[inline(always)]
 fn small(angle: Legs) -> [Legs; 3] {
     let z = angle * angle;
     let series = |divisors: [f64; 6]| divisors.into_iter().rev().fold(both(0.0), |sum, divisor| both(1.0 / divisor) + z * sum);
@@ -54,97 +52,67 @@ fn large(angle: Legs) -> [Legs; 3] {
 }
 
 /// Cosine, sine and sin x/x of an angle x, rad.
-#[inline(always)]
 fn turn(angle: Legs) -> [Legs; 3] {
     if angle.abs().simd_lt(both(0.25)).all() { small(angle) } else { large(angle) }
 }
 
 impl Legs2 {
     /// The vector rotated by an angle, given its cosine and sine.
-    #[inline(always)]
     fn rotated_by(self, cos: Legs, sin: Legs) -> Self {
         Self { x: self.x * cos - self.y * sin, y: self.x * sin + self.y * cos }
     }
 }
 
 impl Mechanism {
-    /// The step from a pose by increments d of the coordinates; one compiled copy for all callers.
-    #[inline(never)]
-    pub(crate) fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.secant_in_place(begin, d)
-    }
-
-    /// The step from a pose by increments d of the coordinates, inlined.
+    /// The step from a pose by turns of the proximal and the distal links, rad.
     #[inline(always)]
-    pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.secant_along(&StepDirections::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
-    }
-
-    /// The step from its directions.
-    #[inline(always)]
-    pub(crate) fn secant_along(&self, &StepDirections { middle, end, sinc, cos }: &StepDirections) -> Secant {
-        Secant { middle: self.pose_along(middle), end: self.pose_along(end), sinc, cos }
-    }
-}
-
-/// Directions and factors of a step for the proximal and the distal links.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct StepDirections {
-    /// Directions û_m in the middle.
-    pub(crate) middle: [Legs2; 2],
-    /// Directions û₁ at the end.
-    pub(crate) end: [Legs2; 2],
-    /// Factors s.
-    pub(crate) sinc: [Legs; 2],
-    /// Factors c.
-    pub(crate) cos: [Legs; 2],
-}
-
-impl StepDirections {
-    /// Directions from a pose by increments of the angles of the proximal and the distal links, rad.
-    #[inline(always)]
-    pub(crate) fn new(begin: &Pose, turns: [Legs; 2]) -> Self {
+    pub(crate) fn secant(&self, begin: &Pose, turns: [Legs; 2]) -> Secant {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
         let [cos_d, sin_d, sinc_d] = turn(both(0.5) * turns[1]);
-        let (p, d) = (begin.u_p.rotated_by(cos_p, sin_p), begin.u_d.rotated_by(cos_d, sin_d));
-        Self {
-            middle: [p, d],
-            end: [p.rotated_by(cos_p, sin_p), d.rotated_by(cos_d, sin_d)],
+        let half_way = |[p, d]: [Legs2; 2]| [p.rotated_by(cos_p, sin_p), d.rotated_by(cos_d, sin_d)];
+        let middle = half_way(begin.along());
+        Secant {
+            middle: self.pose_along(middle),
+            end: self.pose_along(half_way(middle)),
             sinc: [sinc_p, sinc_d],
             cos: [cos_p, cos_d],
         }
     }
 }
 
-/// Coordinates whose angle entries are multiplied by factors.
-#[inline(always)]
-fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
-    let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
-    set_legs(&mut x, P_THETA, proximal * p);
-    set_legs(&mut x, D_THETA, distal * d);
-    x
-}
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::mechanism::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
+    use crate::mechanism::{Coordinates, Multipliers};
 
-impl Secant {
-    /// The product J_bᵀ Λ.
-    #[inline(always)]
-    pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.sinc)
+    /// Coordinates whose angle entries are multiplied by factors.
+    fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
+        let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
+        set_legs(&mut x, P_THETA, proximal * p);
+        set_legs(&mut x, D_THETA, distal * d);
+        x
     }
 
-    /// The product J_cᵀ ν.
-    #[inline(always)]
-    pub(crate) fn mean_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
-    }
+    /// The matrices of the step in all coordinates.
+    impl Secant {
+        /// The product J_bᵀ Λ.
+        pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
+            with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.sinc)
+        }
 
-    /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: nonzero only in the angles.
-    #[inline(always)]
-    pub(crate) fn discrete_hessian_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
-        let (stiffness_p, stiffness_d) = self.middle.geometric_stiffness(multipliers);
-        let mut product = Coordinates::ZERO;
-        set_legs(&mut product, P_THETA, self.sinc[0] * stiffness_p * legs_of(z, P_THETA));
-        set_legs(&mut product, D_THETA, self.sinc[1] * stiffness_d * legs_of(z, D_THETA));
-        product
+        /// The product J_cᵀ ν.
+        pub(crate) fn mean_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
+            with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
+        }
+
+        /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: nonzero only in the angles.
+        pub(crate) fn discrete_hessian_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
+            let (stiffness_p, stiffness_d) = self.middle.geometric_stiffness(multipliers);
+            let mut product = Coordinates::ZERO;
+            set_legs(&mut product, P_THETA, self.sinc[0] * stiffness_p * legs_of(z, P_THETA));
+            set_legs(&mut product, D_THETA, self.sinc[1] * stiffness_d * legs_of(z, D_THETA));
+            product
+        }
     }
 }

@@ -33,7 +33,6 @@ impl Pose {
     }
 
     /// Rows of Φ_q.
-    #[inline(never)]
     fn rows_of_phi_q(&self) -> [Coordinates; MULTIPLIERS] {
         std::array::from_fn(|i| self.phi_q_transposed_times(&Multipliers::unit(i)))
     }
@@ -41,7 +40,6 @@ impl Pose {
 
 /// All singular values of the matrix with these rows, unordered, by one-sided Jacobi rotations of pairs of rows until all rows are
 /// orthogonal; the rows are then σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
-#[inline(never)]
 fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
     let mut left: [Multipliers; MULTIPLIERS] = std::array::from_fn(Multipliers::unit);
     for _ in 0..LARGEST_SWEEP_COUNT {
@@ -80,7 +78,6 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
 /// their vectors. Householder reflections from both sides give a bidiagonal matrix (Golub and Van Loan, Matrix Computations, third edition,
 /// section 5.4.3); its elements, with a zero diagonal, form a tridiagonal matrix whose eigenvalues are ±σ, and bisection by Sturm's
 /// sequence counts the eigenvalues below a bound (sections 8.5.2 and 8.6.1).
-#[inline(never)]
 fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     let mut high = rows.iter().map(Coordinates::norm).fold(f64::INFINITY, f64::min);
     let precision = f64::EPSILON * high;

@@ -55,7 +55,6 @@ pub struct Singularity {
 }
 
 /// Third component of the vector product of two vectors, leg by leg.
-#[inline]
 fn cross(a: Legs2, b: Legs2) -> Legs {
     a.x * b.y - a.y * b.x
 }
@@ -63,7 +62,6 @@ fn cross(a: Legs2, b: Legs2) -> Legs {
 impl Pose {
     /// Signs of the configuration, one bit for each negative value: det J_x (assembly mode), bend of the left and right elbow (working
     /// mode). A bit that changes shows that the trajectory has passed a direct or inverse singularity.
-    #[inline]
     pub fn configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines();
         u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
@@ -76,7 +74,6 @@ impl Pose {
     }
 
     /// Sines of the angle between the distal links and of the angles in the left and right elbow.
-    #[inline]
     fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
         let [left, right] = cross(self.u_p, self.u_d).to_array();

@@ -12,7 +12,6 @@ use super::legs::{Legs, both};
 const LARGEST_OFFSET: f64 = 0.3;
 
 /// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
-#[inline]
 pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     // Adding 1.5·2^52 rounds to an integer.
     const ROUND: f64 = 6_755_399_441_055_744.0;

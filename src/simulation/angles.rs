@@ -8,12 +8,11 @@ use super::model::Model;
 pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
 use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
 pub(super) use crate::dynamics::angles::{DISTAL, PROXIMAL, angles, legs};
-use crate::dynamics::placement::by_links;
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
 use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
-use crate::mechanism::coordinates::{D_X, D_Y, E_X, E_Y, G_X, G_Y, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs2, SIGMA, both};
+use crate::mechanism::legs::Legs2;
+use crate::mechanism::placement::{by_links, joint_forces};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
 
@@ -32,7 +31,6 @@ pub struct AngleSystem<'a> {
 
 impl<'a> AngleSystem<'a> {
     /// Five-bar in its link angles, of a model under given inputs.
-    #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         let FiveBar { model, inputs, mode: Mode { closure_branch, .. }, .. } = five_bar;
         let (mechanism, inertia) = (&model.mechanism, &model.inertia);
@@ -41,7 +39,6 @@ impl<'a> AngleSystem<'a> {
     }
 
     /// System in a given mode, on the mode's closure branch.
-    #[inline]
     pub(super) fn in_mode(self, mode: Mode) -> Self {
         Self::new(self.five_bar.on(mode))
     }
@@ -70,7 +67,6 @@ impl<'a> AngleSystem<'a> {
 
     /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
     /// configuration: they turn together.
-    #[inline]
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
         if self.mechanism.geometry.base_distance == 0.0 {
             return None;
@@ -107,15 +103,8 @@ impl<'a> AngleSystem<'a> {
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
         // Force on a link less its mass times acceleration: the joints supply the difference.
         let left = applied - self.mechanism.mass_times(&accelerations);
-        let mut lambda = Multipliers::ZERO;
-        (lambda[TIP_X], lambda[TIP_Y]) = (tip[0], tip[1]);
-        for (tip, [ground, elbow], [on_p, on_d]) in [(tip[0], [G_X, E_X], [P_X, D_X]), (tip[1], [G_Y, E_Y], [P_Y, D_Y])] {
-            let from_elbow = legs_of(&left, on_d) - SIGMA * both(tip);
-            set_legs(&mut lambda, elbow, from_elbow);
-            set_legs(&mut lambda, ground, legs_of(&left, on_p) + from_elbow);
-        }
         let from_rest = self.acceleration_from_rest(q, v).map(|a| pose.velocities(legs(&a)));
-        (from_rest.unwrap_or(accelerations), lambda, power)
+        (from_rest.unwrap_or(accelerations), joint_forces(&left, *tip), power)
     }
 }
 
@@ -138,7 +127,6 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.mechanism.pose_along(directions_corrected((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
 
-    #[inline]
     fn trig_base(&self, pose: &Pose) -> [Legs2; 2] {
         [pose.u_p, pose.u_d]
     }
@@ -148,7 +136,6 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.mechanism.pose_along(directions_turned((legs(q), *trig_base), legs(by)))
     }
 
-    #[inline]
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
         if let Some(closure_branch) = self.closure_branch {
             return self.off_branch(closure_branch, *q);
@@ -156,22 +143,18 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.closure.gap(self.mechanism, pose)
     }
 
-    #[inline]
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
         self.closure.phi_q_times(pose, v)
     }
 
-    #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> AtTip {
         self.closure.phi_q_dot_times(pose, v)
     }
 
-    #[inline]
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
         self.inertia.mass_times(pose, x)
     }
 
-    #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
         self.forces_and_power(q, pose, v).0
     }
@@ -190,17 +173,14 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         Factor::new(self.inertia, &self.closure, pose, regularization)
     }
 
-    #[inline]
     fn has_stiff_forces(&self) -> bool {
         self.five_bar.has_stiff_forces()
     }
 
-    #[inline]
     fn configuration_signs(&self, pose: &Pose) -> u8 {
         self.five_bar.configuration_signs(pose)
     }
 
-    #[inline]
     fn has_sticking(&self) -> bool {
         self.five_bar.has_sticking()
     }
@@ -230,22 +210,18 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         Some(AccelerationTangents { by_q, by_v })
     }
 
-    #[inline]
     fn follows_work(&self) -> bool {
         self.five_bar.follows_work()
     }
 
-    #[inline]
     fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
         self.five_bar.acting(&self.motion(pose, q, v)).1
     }
 
-    #[inline]
     fn error_norm(&self, x: &Angles) -> f64 {
         x.max_norm()
     }
 
-    #[inline]
     fn length_scale(&self) -> f64 {
         self.five_bar.length_scale()
     }

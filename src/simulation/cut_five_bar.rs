@@ -5,12 +5,14 @@ use super::five_bar_steps::Step;
 use crate::integrator::{CutStep, Discrete, StepIncrement};
 use crate::linear::cut_loop::{BorderedMatrix, CutUnknowns, OpenMotion, OpenResidual, OpenStep, largest_turn};
 use crate::mechanism::secant::Secant;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
+use crate::mechanism::{COORDINATES, Coordinates};
 
 /// A step of a system with its loop cut.
 pub struct CutFiveBar<'a, const BARE: bool> {
     pub(super) system: &'a FiveBar<'a, BARE>,
     pub(super) step: OpenStep<'a>,
+    /// Factor on the regularisation rates of friction and servos.
+    pub(super) softening: f64,
 }
 
 impl<const BARE: bool> CutFiveBar<'_, BARE> {
@@ -19,70 +21,65 @@ impl<const BARE: bool> CutFiveBar<'_, BARE> {
     fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
         let &OpenStep { q, h, .. } = &self.step;
         let (secant, [d, v]) = (self.secant(motion), self.end(motion));
-        of(&StepIncrement { q, d: &d, v: &v, h, softening: 1.0, secant: &secant })
+        of(&StepIncrement { q, d: &d, v: &v, h, softening: self.softening, secant: &secant })
     }
 }
 
-impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE> {
+impl<const BARE: bool> CutStep<COORDINATES> for CutFiveBar<'_, BARE> {
     type Unknowns = CutUnknowns;
     type Secant = Secant;
     type Motion = OpenMotion;
     type Balance = OpenResidual;
     type Factor = BorderedMatrix;
 
-    #[inline(always)]
     fn motion(&self, x: &CutUnknowns, regularization: f64) -> OpenMotion {
         self.step.motion(*x, regularization)
     }
 
-    #[inline(always)]
+    fn free_motion(&self, x: &CutUnknowns) -> OpenMotion {
+        self.step.free_motion(*x)
+    }
+
     fn balance(&self, motion: &OpenMotion) -> OpenResidual {
         self.step.balance(motion, &self.over(motion, |step| self.system.mean_forces(step)))
     }
 
-    #[inline(always)]
     fn residuals(&self, motion: &OpenMotion, balance: &OpenResidual) -> [f64; 3] {
         self.step.left(motion, balance)
     }
 
-    #[inline(always)]
     fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> BorderedMatrix {
         let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
-        self.step.factor(motion, balance, self.step.inertias_of(motion, &slopes, &arm), regularization)
+        self.step.factor(motion, balance, (&slopes, &arm), regularization)
     }
 
-    #[inline(always)]
     fn newton_update(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> CutUnknowns {
         motion.x + self.step.correction(motion, balance, factor)
     }
 
-    #[inline(always)]
+    fn whole_correction(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> CutUnknowns {
+        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
+        self.step.whole_correction(motion, balance, (&slopes, &arm), regularization)
+    }
+
     fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> OpenMotion {
         self.step.with_rates(motion, balance, factor)
     }
 
-    #[inline(always)]
     fn rotation_norm(x: &CutUnknowns) -> f64 {
         largest_turn(x)
     }
 
-    #[inline(always)]
     fn unknowns(motion: &OpenMotion) -> CutUnknowns {
         motion.x
     }
 
-    #[inline(always)]
     fn end(&self, motion: &OpenMotion) -> [Coordinates; 2] {
         [self.step.way(motion), self.step.rates(motion)]
     }
 
-    #[inline(always)]
     fn secant(&self, motion: &OpenMotion) -> Secant {
-        self.step.secant(motion)
-    }
-
-    fn multipliers(&self, motion: &OpenMotion) -> [Multipliers; 2] {
-        self.step.multipliers(motion, &self.over(motion, |step| self.system.mean_forces(step)))
+        motion.secant
     }
 }
 
@@ -92,10 +89,12 @@ mod tests {
     use crate::effects::Inputs;
     use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::integrator::{System, velocity_correction};
+    use crate::mechanism::Multipliers;
     use crate::mechanism::Pose;
     use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+    use crate::mechanism::placement::joint_forces;
     use crate::simulation::Simulation;
-    use crate::simulation::five_bar_steps::tests::step;
+    use crate::simulation::five_bar_steps::tests::{loaded, step};
 
     /// For any unknowns of the cut loop all joints but the tip's are closed, and all rows of z and the position rows of momentum vanish;
     /// the reported residuals are those of (37), which is written down here in all coordinates.
@@ -106,14 +105,17 @@ mod tests {
         let system = FiveBar::<false>::new(&model, &inputs, &turns);
         let begin = system.pose(&q);
         let (v0, _) = closure_rates(&system, &begin);
-        let cut = system.cut(&begin, [&q, &v0], h);
+        let cut = system.cut(&begin, [&q, &v0], h, 1.0);
         for size in [1e-3, 0.1] {
             let x = CutUnknowns::from_fn(|i| size * (1.0 + i as f64).cos() * if i < 4 { 1.0 } else { 1e-3 });
             let motion = cut.motion(&x, 1e-9);
             let ([d, v], secant) = (cut.end(&motion), cut.secant(&motion));
-            let [lambda, nu] = cut.multipliers(&motion);
             let z = 0.5 * h * (v0 + v);
             let chord = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+            // From the tip to the ground the force at each joint is that of the next joint plus the load of the link between.
+            let taken = 0.5 * h * h * system.mean_forces(&chord) - system.mass_times(&secant.end, &(z - h * v0));
+            let lambda = joint_forces(&taken, [motion.x[4], motion.x[5]]);
+            let nu = joint_forces(&system.mass_times(&secant.end, &(d - z)), [motion.x[6], motion.x[7]]);
             let inertia = system.mass_times(&secant.end, &(z - h * v0));
             let joints = secant.discrete_transposed_times(&lambda) + 0.5 * secant.discrete_hessian_times(&z, &nu);
             let f = inertia + joints - 0.5 * h * h * system.mean_forces(&chord);
@@ -146,6 +148,37 @@ mod tests {
         }
     }
 
+    /// Along the increment by the whole tangent the residuals change by their negative, by central differences, with all effects active.
+    #[test]
+    fn the_whole_tangent_is_the_derivative_of_the_equations() {
+        let (model, inputs, [q, _, v0]) = loaded();
+        let (turns, h) = ([0; 4], 1e-3);
+        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let begin = system.pose(&q);
+        let cut = system.cut(&begin, [&q, &v0], h, 1.0);
+        let left = |x: &CutUnknowns| {
+            let motion = cut.free_motion(x);
+            let balance = cut.balance(&motion);
+            let [p, d] = balance.left.map(|left| left.to_array());
+            ([p[0], p[1], d[0], d[1]], motion.gap, motion.rate, cut.whole_correction(&motion, &balance, 0.0))
+        };
+        let x = CutUnknowns::from_fn(|i| (1.0 + i as f64).sin() * if i < 4 { 4e-3 } else { 1e-3 });
+        let (f, gap, rate, change) = left(&x);
+        let part = 1e-5;
+        let [more, less] = [part, -part].map(|part| left(&(x + part * change)));
+        let worst = |more: &[f64], less: &[f64], left: &[f64]| {
+            let sums = more.iter().zip(less).zip(left).map(|((more, less), left)| (more - less) / (2.0 * part) + left);
+            let largest = |x: f64, y: f64| x.max(y.abs());
+            sums.fold(0.0, largest) / left.iter().copied().fold(0.0, largest)
+        };
+        // Tolerance: round-off over 1e-5, and the slopes of friction and plane, which change along the increment.
+        for (more, less, left) in
+            [(&more.0[..], &less.0[..], &f[..]), (&more.1[..], &less.1[..], &gap[..]), (&more.2[..], &less.2[..], &rate[..])]
+        {
+            assert!(worst(more, less, left) < 1e-6, "{more:?} {less:?} {left:?}");
+        }
+    }
+
     /// Rates that satisfy the constraints of a pose, and their residual, m/s.
     fn closure_rates(system: &FiveBar<'_>, begin: &Pose) -> (Coordinates, f64) {
         let v = Coordinates::from_fn(|i| 3.0 * (0.3 + i as f64).cos());
@@ -165,8 +198,8 @@ mod tests {
         let (v0, open) = closure_rates(&system, &begin);
         assert!(open < 1e-14);
         for h in [1e-3, 4e-3] {
-            let cut = system.cut(&begin, [&q, &v0], h);
-            let mut x = system.cut_unknowns(&(h * v0), [&Multipliers::ZERO; 2]);
+            let cut = system.cut(&begin, [&q, &v0], h, 1.0);
+            let mut x = system.cut_unknowns(&(h * v0), &Multipliers::ZERO);
             let mut left = Vec::new();
             for _ in 0..4 {
                 let motion = cut.motion(&x, 1e-9);

@@ -233,7 +233,6 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.follows_work
     }
 
-    #[inline]
     fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Work {
         self.acting(&self.motion(q, pose, v)).1
     }
@@ -246,7 +245,6 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         (forces, if self.follows_work { power } else { Work::default() })
     }
 
-    #[cold]
     fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
         self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
@@ -303,7 +301,6 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         self.model.conservative.then(|| self.potential_energy(q, pose))
     }
 
-    #[cold]
     fn drive_forces(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
         self.model.has_servo.then(|| {
             let pose = self.pose(q);

@@ -1,21 +1,20 @@
 //! The five-bar over a finite step, as the conserving method needs it: discrete derivatives of the joint constraints
 //! (`src/mechanism/secant.rs`) and mean forces of the effects.
 
+use super::angles::{angles_of, legs};
 use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
 use crate::dynamics::TipArm;
 use crate::effects::{FiniteMotion, Slopes, Wrench};
 use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
-use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns};
-use crate::linear::secant_newton::{StepPoint, StepSlopes, newton};
+use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns, lengthened};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 pub(super) type Step<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    #[inline(always)]
     fn over(&self, step: &Step<'_>) -> FiniteMotion<'_> {
         let &StepIncrement { q, d, v, h, softening, secant } = step;
         self.conditions().finite_motion([q, d, v], secant, (h, softening), self.model.typical_inertia)
@@ -34,7 +33,6 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     }
 
     /// Slopes of the mean wrench over a step, with the arms of the tip.
-    #[inline(always)]
     pub(super) fn slopes_over(&self, step: &Step<'_>) -> (Slopes, TipArm) {
         let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
         if !BARE && !self.model.effects.is_empty() {
@@ -59,38 +57,14 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     where
         Self: 'a;
 
-    #[inline(always)]
     fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        let mechanism = &self.model.mechanism;
-        if BARE { mechanism.secant_in_place(begin, d) } else { mechanism.secant(begin, d) }
+        self.model.mechanism.secant(begin, legs(&angles_of(d)))
     }
 
-    #[inline(always)]
     fn end(secant: &Secant) -> &Pose {
         &secant.end
     }
 
-    #[inline(always)]
-    fn discrete_transposed_times(&self, secant: &Secant, multipliers: &Multipliers) -> Coordinates {
-        secant.discrete_transposed_times(multipliers)
-    }
-
-    #[inline(always)]
-    fn mean_transposed_times(&self, secant: &Secant, multipliers: &Multipliers) -> Coordinates {
-        secant.mean_transposed_times(multipliers)
-    }
-
-    #[inline(always)]
-    fn discrete_hessian_times(&self, secant: &Secant, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
-        secant.discrete_hessian_times(z, multipliers)
-    }
-
-    #[inline(always)]
-    fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
-        self.model.solver.legs().apply_inverse_mass(x)
-    }
-
-    #[inline(always)]
     fn mean_forces(&self, step: &Step<'_>) -> Coordinates {
         let wrench = if BARE || self.model.effects.is_empty() { self.inputs.wrench() } else { self.acting_over(self.over(step)).0 };
         let mut forces = self.model.weight;
@@ -102,33 +76,20 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         self.acting_over(self.over(step)).1
     }
 
-    #[inline(always)]
-    fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64) -> CutFiveBar<'a, BARE> {
-        CutFiveBar { system: self, step: OpenStep::new(self.model.solver.legs(), begin, at, h) }
+    fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64, softening: f64) -> CutFiveBar<'a, BARE> {
+        CutFiveBar { system: self, step: OpenStep::new(self.model.solver.legs(), begin, at, h), softening }
     }
 
-    #[inline(always)]
-    fn cut_unknowns(&self, d: &Coordinates, multipliers: [&Multipliers; 2]) -> CutUnknowns {
-        cut_unknowns(d, multipliers)
+    fn cut_unknowns(&self, d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
+        cut_unknowns(d, lambda)
     }
 
-    #[inline(always)]
+    fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
+        lengthened(x, factor)
+    }
+
     fn allows_staggering(&self) -> bool {
         BARE || self.model.solver.linear_solve() != LinearSolve::Dense
-    }
-
-    fn newton(
-        &self,
-        step: &Step<'_>,
-        multipliers: [&Multipliers; 2],
-        residuals: (&Coordinates, &Multipliers, &Multipliers),
-        regularization: f64,
-    ) -> (Coordinates, [Multipliers; 2]) {
-        let &StepIncrement { d, v, h, secant, .. } = step;
-        let (slopes, arm) = self.slopes_over(step);
-        let forces = StepSlopes::new(&slopes, &arm, h);
-        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization };
-        newton(&self.model.mechanism, &at, residuals)
     }
 
     fn is_conservative(&self) -> bool {
@@ -164,7 +125,7 @@ pub(super) mod tests {
     }
 
     /// All effects active, the tip in the plane, the left axis in its stop, and a step of 1 ms at some rad/s.
-    fn loaded() -> (Model, Inputs, [Coordinates; 3]) {
+    pub(in crate::simulation) fn loaded() -> (Model, Inputs, [Coordinates; 3]) {
         let mut parameters = default_parameters();
         let effects = &mut parameters.effects;
         for enabled in [
@@ -238,44 +199,6 @@ pub(super) mod tests {
                     assert!((got - want).abs() < 1e-4 * (1.0 + want.abs()), "{kind} {row} {column}: {got} {want}");
                 }
             }
-        }
-    }
-
-    /// Along Newton's increment the step's residuals change by their negative: the tangent is exact, by central differences of the
-    /// equations, which are written down here independently.
-    #[test]
-    fn the_whole_tangent_is_the_derivative_of_the_equations() {
-        let (model, inputs, [q, d, v0]) = loaded();
-        let (turns, h) = ([0; 4], 1e-3);
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
-        let begin = system.pose(&q);
-        let left = |d: &Coordinates, [lambda, nu]: [&Multipliers; 2]| {
-            let secant = system.secant(&begin, d);
-            let z = *d - system.apply_inverse_mass(&secant.mean_transposed_times(nu));
-            let v = (2.0 / h) * z - v0;
-            let step = StepIncrement { q: &q, d, v: &v, h, softening: 1.0, secant: &secant };
-            let inertia = system.mass_times(&secant.end, &(z - h * v0));
-            let joints = secant.discrete_transposed_times(lambda) + 0.5 * secant.discrete_hessian_times(&z, nu);
-            let f = inertia + joints - 0.5 * h * h * system.mean_forces(&step);
-            (f, system.phi(&(q + *d), &secant.end), secant.end.phi_q_times(&(h * v)), v)
-        };
-        let (lambda, nu) = (1e-3 * numbers(1.0), 1e-4 * numbers(2.0));
-        let (f, phi, rate, v) = left(&d, [&lambda, &nu]);
-        let secant = system.secant(&begin, &d);
-        let step = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
-        let (by_d, [by_lambda, by_nu]) = system.newton(&step, [&lambda, &nu], (&f, &phi, &rate), 0.0);
-        let along = |part: f64| left(&(d + part * by_d), [&(lambda + part * by_lambda), &(nu + part * by_nu)]);
-        let part = 1e-5;
-        let (more, less) = (along(part), along(-part));
-        let worst = |change: &[f64], left: &[f64]| {
-            change.iter().zip(left).fold(0.0f64, |worst, (change, left)| worst.max((change / (2.0 * part) + left).abs()))
-                / left.iter().fold(0.0f64, |largest, left| largest.max(left.abs()))
-        };
-        // Tolerance: round-off over 1e-5, and the slopes of friction and plane, which change along the increment.
-        for (change, left) in
-            [(&(more.0 - less.0)[..], &f[..]), (&(more.1 - less.1)[..], &phi[..]), (&(more.2 - less.2)[..], &rate[..])]
-        {
-            assert!(worst(change, left) < 1e-6, "{:?} {left:?}", change.iter().map(|x| x / (2.0 * part)).collect::<Vec<_>>());
         }
     }
 

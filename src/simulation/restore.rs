@@ -3,7 +3,6 @@
 use super::angles::AngleSystem;
 use super::five_bar::FiveBar;
 use super::model::Model;
-use super::passage::VERTEX_REGULARIZATION;
 use super::run::{Integrator, Run};
 use super::{Method, Parameters, Settings};
 use crate::hybrid::{Frictional, StickSlips};
@@ -25,17 +24,14 @@ impl Run {
             return Err(SceneError("an input or an energy is not finite".into()));
         }
         let system = FiveBar::<false>::new(model, inputs, turns);
-        let bounds = bounds(model, &parameters.settings);
+        let bounds = bounds(&parameters.settings);
         match integrator {
             Integrator::MacroStepped(run) => {
                 let system = system.on(run.mode);
                 check_stick_slip(model, &system, [&run.core.q, &run.core.v], false).and_then(|()| run.core.check(&system, &bounds))
             }
-            Integrator::Conserving(run) => run.state.check(&system, &bounds),
-            Integrator::DenseOutput(run) => {
-                let e = run.settings.regularization;
-                run.check(&AngleSystem::new(system), &Bounds { regularizations: [e, e], ..bounds })
-            }
+            Integrator::Conserving(run) => run.state.check(&system, &bounds, model.regularization),
+            Integrator::DenseOutput(run) => run.check(&AngleSystem::new(system), &bounds),
             Integrator::ModelExchange(run) => run.check(model, inputs, &bounds),
         }
         .map_err(|what| SceneError(what.into()))
@@ -53,20 +49,13 @@ pub(super) fn check_stick_slip(
     if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 
-/// Tolerances to which the method keeps constraints and equilibrium.
-fn bounds(model: &Model, settings: &Settings) -> Bounds {
-    let e = model.regularization;
-    let regularizations = [e, VERTEX_REGULARIZATION * e];
+/// Tolerances to which the method keeps the constraints.
+fn bounds(settings: &Settings) -> Bounds {
     let allowed = 4.0 * settings.tolerance;
     match settings.method {
-        Method::I3alpPrinted => {
-            Bounds { position: PRINTED_POSITION_TOLERANCE, velocity: RATE_TOLERANCES[1], in_balance: false, regularizations }
+        Method::I3alpPrinted => Bounds { position: PRINTED_POSITION_TOLERANCE, velocity: RATE_TOLERANCES[1] },
+        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => {
+            Bounds { position: POSITION_TOLERANCE.max(allowed), velocity: RATE_TOLERANCES[0].max(allowed) }
         }
-        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => Bounds {
-            position: POSITION_TOLERANCE.max(allowed),
-            velocity: RATE_TOLERANCES[0].max(allowed),
-            in_balance: true,
-            regularizations,
-        },
     }
 }

@@ -9,7 +9,7 @@ use crate::effects::{Inputs, Motion};
 use crate::hybrid::{FRICTION_PLACES, Frictional, Mode, StickSlips};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
 /// State of the integrator: coordinates, velocities, accelerations, multipliers and step memory.
 pub type Core = integrator::State<COORDINATES, MULTIPLIERS>;
@@ -68,13 +68,6 @@ impl State {
     /// Absolute angles of links 1 to 4, rad, not wrapped.
     pub fn angles(&self) -> [f64; 4] {
         std::array::from_fn(|link| self.core.q[THETA[link]] + self.turns[link] as f64 * TAU)
-    }
-
-    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
-    pub(super) fn solve(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
-        use crate::integrator::{Kkt, System};
-        let State { inputs, turns, .. } = self;
-        FiveBar::<false>::new(model, inputs, turns).factor_mass_in_place(pose, model.regularization).solve_in_place(b, c)
     }
 }
 

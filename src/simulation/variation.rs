@@ -1,19 +1,18 @@
-//! Linearised equations of motion: derivatives of accelerations and multipliers with respect to the inputs and to the proximal angles and
-//! rates, the minimal coordinates.
+//! Directional derivatives of a state: of accelerations and joint forces with respect to the inputs and to the proximal angles and rates,
+//! the minimal coordinates.
 //!
-//! ```text
-//! M δq̈ + Φ_qᵀ δλ = δQ − ∂(Φ_qᵀλ)/∂q δq           δQ = −K δq − C δq̇ + ∂Q/∂u δu
-//! Φ_q δq̈ − e δλ  = −δ(Φ_q) q̈ − δ(Φ̇_q q̇)
-//! ```
-//!
-//! The matrix is that of the equations of motion; K and C are those of the implicit steps; δq and δq̇ follow from the proximal variations
-//! by J_x ([`closure::varied`]).
+//! Changes of all angles and rates follow from the proximal ones by J_x ([`closure::varied`]); those of the accelerations and of the tip's
+//! force, from the equations of motion linearised in the link angles (`src/dynamics/angles.rs`); those of the other joints, link by link.
 
+use super::angles::{angles, angles_of, legs};
 use super::{Model, State};
+use crate::dynamics::angles::{AtTip, Closure, Equations};
 use crate::dynamics::change_of_motion;
 use crate::effects::{Effect, Inputs, Motion, MotionChange, Slopes, Wrench};
 use crate::hybrid::Frictional;
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
+use crate::mechanism::coordinates::{THETA, TIP_X, TIP_Y};
+use crate::mechanism::legs::both;
+use crate::mechanism::placement::{by_links, joint_forces, set_angles};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
 /// Direction of a directional derivative.
@@ -59,21 +58,27 @@ impl State {
 
         let (system, inputs) = (self.system(model), direction.inputs);
         let at = system.motion(&core.q, &pose, &core.v);
-        let effects = model.effects.iter().map(|effect| wrench_change(effect, &at, &motion, &inputs));
-        let wrench = effects.fold(inputs.wrench(), |sum, wrench| sum.plus(1.0, &wrench));
-        let mut force = wrench.in_coordinates(&pose) + system.slopes(at).turned_force(&pose, &q);
-        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(&core.lambda);
-        for (angles, stiffness) in [(P_THETA, stiffness_p), (D_THETA, stiffness_d)] {
-            let left = legs_of(&force, angles) - stiffness * legs_of(&q, angles);
-            set_legs(&mut force, angles, left);
-        }
+        let by_inputs = model.effects.iter().map(|effect| torques_by_inputs(effect, &at, &inputs));
+        let by_inputs = by_inputs.fold(inputs.wrench(), |sum, wrench| sum.plus(1.0, &wrench));
+        let wrench = by_inputs.plus(1.0, &system.slopes(at).change(&motion));
 
-        // The convective term Φ̇_q q̇ changes with the arms and with both factors of the rates.
-        let turning = pose.phi_q_varied_times(&q, &core.a);
-        let arms = pose.varied(&q).phi_q_dot_times(&core.v);
-        let rates = pose.phi_q_varied_times(&core.v, &v);
-        let centripetal = -turning - arms - 2.0 * rates;
-        let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
+        // The linearised equations in the link angles.
+        let [rates, alpha, turned, quickened] = [&core.v, &core.a, &q, &v].map(angles_of);
+        let closure = Closure::new(&model.mechanism, None);
+        let equations = Equations::new((&model.inertia, &closure), &pose, &rates, model.regularization);
+        let tip = AtTip::from([core.lambda[TIP_X], core.lambda[TIP_Y]]);
+        let slopes = system.slopes_of_torques(&pose, at, by_links(legs(&rates)));
+        let near = equations.linearised((&alpha, &tip), slopes);
+        let (d_alpha, d_tip) = near.change([&turned, &quickened], &angles(by_inputs.torques_in_angles(&pose)));
+
+        // Accelerations q̈ = T α + Ṫ ω of the links, and what is left of the forces on them for the joints.
+        let arms = pose.varied(&q);
+        let [w, dw] = [&rates, &quickened].map(legs);
+        let doubled = [0, 1].map(|i| both(2.0) * w[i] * dw[i]);
+        let mut a = pose.velocities(legs(&d_alpha)) + arms.velocities(legs(&alpha)) + arms.centripetal(w) + pose.inward(doubled);
+        set_angles(&mut a, legs(&d_alpha));
+        let left = wrench.in_coordinates(&pose) - model.mechanism.mass_times(&a);
+        let lambda = joint_forces(&left, *d_tip);
         let (a, lambda) = system.varied([&core.q, &core.v], (a, lambda))?;
         Ok(Variation { q, v, motion, inputs, a, lambda })
     }
@@ -83,6 +88,10 @@ impl State {
 pub fn wrench_change(effect: &Effect, at: &Motion, motion: &MotionChange, inputs: &Inputs) -> Wrench {
     let mut slopes = Slopes::default();
     effect.add_slopes(at, &mut slopes);
-    let by_inputs = Wrench { torques: effect.torques_by_inputs(&at.joints, inputs), ..Wrench::default() };
-    slopes.change(motion).plus(1.0, &by_inputs)
+    slopes.change(motion).plus(1.0, &torques_by_inputs(effect, at, inputs))
+}
+
+/// Change of the wrench of an effect for a change of the inputs.
+fn torques_by_inputs(effect: &Effect, at: &Motion, inputs: &Inputs) -> Wrench {
+    Wrench { torques: effect.torques_by_inputs(&at.joints, inputs), ..Wrench::default() }
 }

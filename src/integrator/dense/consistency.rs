@@ -1,22 +1,15 @@
-//! Consistency check of a stored current step: the step is made again and compared.
+//! Check of a stored current step: its ends and the states inside it close the loop, and its lengths and memory are possible.
 
 use std::borrow::Borrow;
 
-use super::driver::{LONGEST, Outcome, Plan, Try};
-use super::explicit::{Dop853, Explicit, Tsit5};
-use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
-use super::trial::{Origin, StageDerivative, Trial};
-use super::{DenseStep, Horizon, LEAST_LOG_ERROR, Memory, Scheme, Settings};
+use super::driver::LONGEST;
+use super::trial::StageDerivative;
+use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
-use crate::integrator::{Approach, Departure, Events, Passage, State, StepError, System};
-use crate::vector::Vector;
+use crate::integrator::{Events, Passage, State, System};
 
-/// Admissible relative deviation of a repeated straight motion, which another limit may have cut short.
-const TRANSIT_DEVIATION: f64 = 1e-9;
-
-fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
-    (*x - *y).max_norm() <= TRANSIT_DEVIATION * (1.0 + y.max_norm())
-}
+/// Number of states inside the rest of a step that are checked: more than the degree of the interpolant, which they bound.
+const INSIDE: u32 = 9;
 
 impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
@@ -59,72 +52,23 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let same = self.start == self.end && self.dense == [StageDerivative::NONE; 4] && !self.is_linear;
             return if same { Ok(()) } else { Err("a step of length 0 changes the state") };
         }
-        match self.reproduces_end(system, settings) {
-            Ok(true) => Ok(()),
-            _ => Err("the current step does not lead from its start to its end"),
+        if !settings.schemes.allow(self.scheme, settings.error_tolerance) {
+            return Err("its current step was made by another scheme");
         }
+        if self.elapsed == self.length { Ok(()) } else { self.check_inside(system, settings, bounds) }
     }
 
-    /// Whether the step, made again, has the stored end.
+    /// Checks the states from the present time to the end of the step, as they will be read.
     #[cold]
-    fn reproduces_end<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-    ) -> Result<bool, StepError> {
-        let mut end = self.start;
-        if self.is_linear {
-            let from = Departure { q: &self.start.q, v: &self.start.v, on_ray: self.start.on_ray, rest: self.length };
-            let Approach::Passed(transit) = system.approach(&settings.passage(), &from) else { return Ok(false) };
-            end.pass_through(system, &transit, settings.regularization)?;
-            let same = (transit.duration - self.length).abs() <= TRANSIT_DEVIATION * self.length && end.on_ray == self.end.on_ray;
-            return Ok(same
-                && self.dense == [StageDerivative::NONE; 4]
-                && close(&end.q, &self.end.q)
-                && close(&end.v, &self.end.v));
-        }
-        let system = system.on(self.mode);
-        let system = system.borrow();
-        Ok(match self.scheme {
-            scheme if !settings.schemes.allow(scheme, settings.error_tolerance) => false,
-            Scheme::Tsit5 => self.reproduces_end_by::<Explicit<Tsit5, N>, S>(system, settings),
-            Scheme::Dop853 => self.reproduces_end_by::<Explicit<Dop853, N>, S>(system, settings),
-            Scheme::Rodas4 => self.reproduces_end_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
-            Scheme::Rodas5p => self.reproduces_end_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
+    fn check_inside<S>(&self, system: &S, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency>
+    where
+        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+    {
+        let (mut there, rest) = (*self, self.length - self.elapsed);
+        (0..INSIDE).try_for_each(|part| {
+            there.elapsed = self.elapsed + rest * f64::from(part) / f64::from(INSIDE);
+            let sample = there.sample(system, settings);
+            bounds.hold(system.on(self.mode).borrow(), [&sample.q, &sample.v], self.is_linear)
         })
-    }
-
-    /// Whether the step, made again by [`DenseStep::try_once`] in one scheme, has the stored end and coefficients.
-    fn reproduces_end_by<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-    ) -> bool {
-        let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
-        let Some(linearization) = T::linearize(system, settings, (&self.start, &origin)) else { return false };
-        let is_truncated = self.truncated_from > 0.0;
-        let length = if is_truncated { self.truncated_from } else { self.length };
-        // A step without coefficients is over, so no state inside it can be read.
-        let needless = self.dense == [StageDerivative::NONE; 4] && self.elapsed == self.length;
-        let horizon = Horizon { output: if needless && !is_truncated { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
-        let plan = Plan { h: length, wanted: length, longest: length, near: true, locates_events: false, horizon, pose: None };
-        let this = Try::of(length);
-        let mut redone = *self;
-        redone.reset_to_start();
-        let Outcome::Accepted = redone.try_once::<T, S>(system, settings, &plan, (&linearization, &origin), &this) else {
-            return false;
-        };
-        if is_truncated && !redone.truncate_again(system, settings, self.length) {
-            return false;
-        }
-        if system.has_events() {
-            redone.end.work.dissipated = redone.end.work.dissipated.max(redone.start.work.dissipated);
-            redone.end.work.dissipated += redone.separation_energy(system, [&redone.end.q, &redone.end.v]);
-        }
-        let end = &redone.end;
-        let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]
-            && end.lambda == self.end.lambda
-            && end.work == self.end.work;
-        same && (needless || redone.dense == self.dense)
     }
 }

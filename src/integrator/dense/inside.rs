@@ -231,14 +231,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         false
     }
 
-    /// Ends the step at exactly `when` seconds after the beginning, as [`Self::truncate`] did before.
-    pub(super) fn truncate_again<S>(&mut self, system: &S, settings: &Settings, when: f64) -> bool
-    where
-        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
-    {
-        self.candidate(system, settings, when).is_some_and(|candidate| self.truncate_at(system, settings, when, candidate))
-    }
-
     /// Projected interpolant `when` seconds after the beginning of the step.
     fn candidate<S: System<N, M> + Passage<N>>(
         &self,

@@ -14,9 +14,8 @@
 //! With `max_work` = 0 the first stage is the only one.
 
 use super::Settings;
-use super::equations::{Evaluation, Step, Unknowns};
-use super::newton::{IterationBudget, StopRule, full_newton};
-use crate::integrator::{Discrete, Passage, Projection, StepError, velocity_correction};
+use super::newton::{Bounds, IterationBudget, StopRule, full_newton};
+use crate::integrator::{CutStep, Discrete, Passage, Projection, StepError, StepIncrement, velocity_correction};
 use crate::vector::Vector;
 
 /// Largest factor on the regularisation rates of friction: the root of the softest law is found from the first guess of
@@ -47,10 +46,35 @@ const VERTEX_REGULARIZATION: f64 = 1e-4;
 /// Admissible velocity violation in the energy-only stage, relative to the velocity times the system's size.
 const RATE_VIOLATION: f64 = 64.0 * f64::EPSILON;
 
+/// Beginning and length of a step.
+pub(super) struct Step<'a, S: Discrete<N, M>, const N: usize, const M: usize> {
+    pub(super) system: &'a S,
+    /// Coordinates q₀, m and rad.
+    pub(super) q: Vector<N>,
+    /// Velocities q̇₀, m/s and rad/s.
+    pub(super) v: Vector<N>,
+    /// Pose at q₀.
+    pose: S::Pose,
+    /// Length, s.
+    pub(super) h: f64,
+}
+
+/// A root of the equations.
+pub(super) struct Root<S, const N: usize, const K: usize> {
+    /// Unknowns with the loops cut.
+    pub(super) x: Vector<K>,
+    /// Increment d = q₁ − q₀, m and rad.
+    pub(super) d: Vector<N>,
+    /// Velocity q̇₁ at the end, m/s and rad/s.
+    pub(super) v: Vector<N>,
+    /// Discrete derivatives at d.
+    pub(super) secant: S,
+}
+
 /// Result of the fallback stages.
-pub(super) enum Recovered<S: Discrete<N, M>, const N: usize, const M: usize> {
-    /// A root with its evaluation.
-    Root(Unknowns<N, M>, Evaluation<S, N, M>),
+pub(super) enum Recovered<S, const N: usize, const K: usize> {
+    /// A root.
+    Root(Root<S, N, K>),
     /// No root: an end that conserves the energy only.
     Scaled {
         /// Increment d = q₁ − q₀, m and rad.
@@ -62,46 +86,83 @@ pub(super) enum Recovered<S: Discrete<N, M>, const N: usize, const M: usize> {
     },
 }
 
-/// A root of the equations with its evaluation.
-type Root<S, const N: usize, const M: usize> = (Unknowns<N, M>, Evaluation<S, N, M>);
+/// Increment of a step of `h` seconds at a constant acceleration.
+fn increment<const N: usize>(v: &Vector<N>, a: &Vector<N>, h: f64) -> Vector<N> {
+    h * (*v + (0.5 * h) * *a)
+}
 
 /// First guess of the unknowns for a step of `h` seconds from equilibrium at its beginning, with these q̈ and λ.
-pub(super) fn from_equilibrium<const N: usize, const M: usize>(
+pub(super) fn from_equilibrium<const N: usize, const M: usize, S: Discrete<N, M>>(
+    system: &S,
     v: &Vector<N>,
     (a, lambda): (&Vector<N>, &Vector<M>),
     h: f64,
-) -> Unknowns<N, M> {
-    Unknowns { d: h * (*v + (0.5 * h) * *a), lambda: (0.5 * h * h) * *lambda, nu: Vector::ZERO }
+) -> S::CutUnknowns {
+    system.cut_unknowns(&increment(v, a, h), &((0.5 * h * h) * *lambda))
 }
 
-/// Runs the fallback stages in order until one succeeds.
-#[cold]
-#[inline(never)]
-pub(super) fn recover_by_stages<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
-    step: &Step<'_, S, N, M>,
-    settings: &Settings,
-    rest: (&Vector<N>, &Vector<M>),
-    budget: &mut IterationBudget<'_>,
-) -> Result<Recovered<S, N, M>, StepError> {
-    match root(step, settings, rest, budget) {
-        Some((x, end)) => Ok(Recovered::Root(x, end)),
-        None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
-        None => keep_energy_only(step, settings, rest, budget),
+impl<'a, S, const N: usize, const M: usize, const K: usize> Step<'a, S, N, M>
+where
+    S: Discrete<N, M, CutUnknowns = Vector<K>>,
+{
+    /// Step of `h` seconds from q₀ and q̇₀.
+    pub(super) fn new(system: &'a S, [q, v]: [&Vector<N>; 2], h: f64) -> Self {
+        Self { system, q: *q, v: *v, pose: system.pose(q), h }
+    }
+
+    /// Step increment as forces take it.
+    pub(super) fn increment<'b>(&'b self, secant: &'b S::Secant, [d, v]: [&'b Vector<N>; 2]) -> StepIncrement<'b, S::Secant, N> {
+        StepIncrement { q: &self.q, d, v, h: self.h, softening: 1.0, secant }
+    }
+
+    /// Discrete derivatives at d.
+    pub(super) fn secant(&self, d: &Vector<N>) -> S::Secant {
+        self.system.secant(&self.pose, d)
+    }
+
+    /// Root of the equations for a length `h`, s, and softened laws, by full Newton iteration from the first guess `x`, which becomes the
+    /// unknowns of the root.
+    pub(super) fn root(
+        &self,
+        (h, softening): (f64, f64),
+        x: &mut Vector<K>,
+        (regularization, (most, stop_rule)): (f64, (u32, StopRule)),
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Root<S::Secant, N, K>> {
+        let cut = self.system.cut(&self.pose, [&self.q, &self.v], h, softening);
+        let motion = full_newton(&cut, x, &Bounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
+        let [d, v] = cut.end(&motion);
+        Some(Root { x: *x, d, v, secant: cut.secant(&motion) })
     }
 }
 
-fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
+/// Finds a root by stages 1 to 6, or the end of the last stage.
+pub(super) fn recover_by_stages<const N: usize, const M: usize, const K: usize, S>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     budget: &mut IterationBudget<'_>,
-) -> Option<Root<S, N, M>> {
+) -> Result<Recovered<S::Secant, N, K>, StepError>
+where
+    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+{
+    match root(step, settings, rest, budget) {
+        Some(root) => Ok(Recovered::Root(root)),
+        None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
+        None => keep_energy_only(step, settings, rest.0, budget),
+    }
+}
+
+fn root<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    budget: &mut IterationBudget<'_>,
+) -> Option<Root<S::Secant, N, K>> {
     let with = |part: f64| part * settings.regularization;
-    let start = from_equilibrium(&step.v, rest, step.h);
-    let by_full_newton = |part: f64, budget: &mut IterationBudget<'_>| {
-        let mut x = start;
-        full_newton(step, &mut x, with(part), TO_ROOT, budget).map(|end| (x, end))
-    };
+    let start = from_equilibrium(step.system, &step.v, rest, step.h);
+    let by_full_newton =
+        |part: f64, budget: &mut IterationBudget<'_>| step.root((step.h, 1.0), &mut { start }, (with(part), TO_ROOT), budget);
     if let Some(root) = by_full_newton(1.0, budget) {
         return Some(root);
     }
@@ -127,47 +188,45 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
 }
 
 /// Stage 6: first guess from `parts` shorter steps, which may lead to another root than a homotopy that ends in a fold.
-fn by_shorter_steps<const N: usize, const M: usize, S: Discrete<N, M>>(
+fn by_shorter_steps<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
     step: &Step<'_, S, N, M>,
     regularization: f64,
-    (a, lambda): (&Vector<N>, &Vector<M>),
+    rest: (&Vector<N>, &Vector<M>),
     parts: u32,
     budget: &mut IterationBudget<'_>,
-) -> Option<Root<S, N, M>> {
+) -> Option<Root<S::Secant, N, K>> {
     let h = step.h / f64::from(parts);
-    let mut x = from_equilibrium(&step.v, (a, lambda), h);
-    let mut sum = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
-    let (mut q, mut v) = (step.q, step.v);
-    for part in 0..parts {
-        let shorter = Step::new(step.system, [&q, &v], h);
-        if part > 0 {
-            x.d = h * v;
-        }
-        let end = full_newton(&shorter, &mut x, regularization, TO_ROOT, budget)?;
-        (q, v) = (q + x.d, end.v);
-        sum.d += x.d;
-        sum.lambda += f64::from(parts) * x.lambda;
+    let mut x = from_equilibrium(step.system, &step.v, rest, h);
+    let (mut q, mut v, mut mean) = (step.q, step.v, Vector::ZERO);
+    for _ in 0..parts {
+        let end = Step::new(step.system, [&q, &v], h).root((h, 1.0), &mut x, (regularization, TO_ROOT), budget)?;
+        (q, v) = (q + end.d, end.v);
+        mean += x / f64::from(parts);
     }
-    full_newton(step, &mut sum, regularization, TO_ROOT, budget).map(|end| (sum, end))
+    let mut x = S::lengthened(&mean, f64::from(parts));
+    step.root((step.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
 }
 
 /// Stage 2: softened friction has a root that is easy to find; from there the law is hardened in steps.
-fn harden_friction<const N: usize, const M: usize, S: Discrete<N, M>>(
+fn harden_friction<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
     step: &Step<'_, S, N, M>,
-    mut x: Unknowns<N, M>,
+    mut x: Vector<K>,
     regularization: f64,
     budget: &mut IterationBudget<'_>,
-) -> Option<Root<S, N, M>> {
+) -> Option<Root<S::Secant, N, K>> {
     let [least, most] = HARDENING_FACTORS;
     let (_, to_intermediate_root) = TO_INTERMEDIATE_ROOT;
-    full_newton(&step.softened(LARGEST_SOFTENING), &mut x, regularization, (SOFTENED_ITERATIONS, to_intermediate_root), budget)?;
+    let mut root = |softening: f64, x: &mut Vector<K>, stop_rule| {
+        step.root((step.h, softening), x, (regularization, (SOFTENED_ITERATIONS, stop_rule)), budget)
+    };
+    root(LARGEST_SOFTENING, &mut x, to_intermediate_root)?;
     let (mut softening, mut ratio) = (LARGEST_SOFTENING, most);
     while ratio > least {
         let next = (softening / ratio).max(1.0);
         let stop_rule = if next > 1.0 { to_intermediate_root } else { StopRule::Solved };
         let mut there = x;
-        match full_newton(&step.softened(next), &mut there, regularization, (SOFTENED_ITERATIONS, stop_rule), budget) {
-            Some(end) if next == 1.0 => return Some((there, end)),
+        match root(next, &mut there, stop_rule) {
+            Some(root) if next == 1.0 => return Some(root),
             Some(_) => (softening, x) = (next, there),
             None => ratio = ratio.sqrt(),
         }
@@ -176,41 +235,42 @@ fn harden_friction<const N: usize, const M: usize, S: Discrete<N, M>>(
 }
 
 /// Stages 3 and 5: the root is continued from a step of h/stages to one of h.
-fn continue_in_step_length<const N: usize, const M: usize, S: Discrete<N, M>>(
+fn continue_in_step_length<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
     step: &Step<'_, S, N, M>,
     regularization: f64,
     rest: (&Vector<N>, &Vector<M>),
     stages: u32,
     budget: &mut IterationBudget<'_>,
-) -> Option<Root<S, N, M>> {
-    let mut before = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
-    let (mut x, mut end) = (before, None);
+) -> Option<Root<S::Secant, N, K>> {
+    let (mut before, mut x, mut end) = (Vector::ZERO, Vector::ZERO, None);
     for stage in 1..=stages {
         let h = step.h * f64::from(stage) / f64::from(stages);
         let next = match stage {
-            1 => from_equilibrium(&step.v, rest, h),
-            // The increment d grows with h, the multipliers with its square.
-            2 => Unknowns { d: 2.0 * x.d, lambda: 4.0 * x.lambda, nu: 4.0 * x.nu },
-            _ => Unknowns { d: 2.0 * x.d - before.d, lambda: 2.0 * x.lambda - before.lambda, nu: 2.0 * x.nu - before.nu },
+            1 => from_equilibrium(step.system, &step.v, rest, h),
+            2 => S::lengthened(&x, 2.0),
+            _ => 2.0 * x - before,
         };
         (before, x) = (x, next);
         let stop_rule = if stage < stages { TO_INTERMEDIATE_ROOT } else { TO_ROOT };
-        end = Some(full_newton(&step.shortened(h), &mut x, regularization, stop_rule, budget)?);
+        end = Some(step.root((h, 1.0), &mut x, (regularization, stop_rule), budget)?);
     }
-    end.map(|end| (x, end))
+    end
 }
 
 /// Last stage: increment by rates or equilibrium, shortened if needed, projected onto the position constraints; its mean velocity,
 /// projected and scaled so that the kinetic energy changes by the work of the forces.
-fn keep_energy_only<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+fn keep_energy_only<const N: usize, const M: usize, const K: usize, S>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
-    rest: (&Vector<N>, &Vector<M>),
+    acceleration: &Vector<N>,
     budget: &mut IterationBudget<'_>,
-) -> Result<Recovered<S, N, M>, StepError> {
+) -> Result<Recovered<S::Secant, N, K>, StepError>
+where
+    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+{
     // Dampers and drives at the beginning do not represent the step, so the rates are tried first.
     let by_rates = (!step.system.is_conservative() && step.v.max_norm() > 0.0).then(|| step.h * step.v);
-    let starts = [by_rates, Some(from_equilibrium(&step.v, rest, step.h).d)];
+    let starts = [by_rates, Some(increment(&step.v, acceleration, step.h))];
     let projected = starts.into_iter().flatten().find_map(|increment| {
         (0..MOST_SHORTENINGS).find_map(|times| project_end(step, settings, SHORTENING.powi(times) * increment, budget))
     });
@@ -219,12 +279,15 @@ fn keep_energy_only<const N: usize, const M: usize, S: Discrete<N, M> + Passage<
 }
 
 /// Projects this increment, m and rad, and scales its velocity to the energy.
-fn project_end<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+fn project_end<const N: usize, const M: usize, const K: usize, S>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     increment: Vector<N>,
     budget: &mut IterationBudget<'_>,
-) -> Option<Recovered<S, N, M>> {
+) -> Option<Recovered<S::Secant, N, K>>
+where
+    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+{
     let &Step { system, q, v: v0, h, .. } = step;
     let mut end = q + increment;
     let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
@@ -244,7 +307,7 @@ fn project_end<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     }
     let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
     let secant = step.secant(&d);
-    let external_work = system.mean_forces(&step.increment(&secant, &d, &v)).dot(&d);
+    let external_work = system.mean_forces(&step.increment(&secant, [&d, &v])).dot(&d);
     let (wanted, got) = (kinetic(&v0) + external_work, kinetic(&v));
     if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
         return None;

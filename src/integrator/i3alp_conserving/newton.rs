@@ -1,8 +1,8 @@
 //! Newton's method for a conserving step: staggered, Λ and ν in turn with the loops cut; or full, all unknowns with the whole
 //! tangent.
 
-use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, CutStep, Discrete};
+use crate::vector::Vector;
 
 /// Admissible |M⁻¹f| per second of step, full iteration, m/s and rad/s: a residual of the momentum does work in proportion to
 /// itself.
@@ -80,7 +80,7 @@ impl IterationBudget<'_> {
 /// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
 /// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
 #[inline(always)]
-pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>, T>(
+pub(super) fn staggered_newton<const N: usize, C: CutStep<N>, T>(
     cut: &C,
     mut x: C::Unknowns,
     bounds: &Bounds,
@@ -123,44 +123,36 @@ pub(super) enum StopRule {
     Corrected(f64),
 }
 
-/// Full iteration: all unknowns at once, with the whole tangent.
+/// Full iteration: all unknowns at once, with the whole tangent. The first guess `x` becomes the unknowns of the root.
 #[inline(never)]
-pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
-    step: &Step<'_, S, N, M>,
-    x: &mut Unknowns<N, M>,
-    regularization: f64,
-    (most, stop_rule): (u32, StopRule),
+pub(super) fn full_newton<const N: usize, const K: usize, C: CutStep<N, Unknowns = Vector<K>>>(
+    cut: &C,
+    x: &mut Vector<K>,
+    bounds: &Bounds,
+    (regularization, most, stop_rule): (f64, u32, StopRule),
     budget: &mut IterationBudget<'_>,
-) -> Option<Evaluation<S, N, M>> {
-    let system = step.system;
-    let bounds = Bounds::new(system, step.h);
+) -> Option<C::Motion> {
     let (mut correction, mut before) = (f64::INFINITY, f64::INFINITY);
     for iteration in 0..=most {
-        let secant = step.secant(&x.d);
-        let z = step.mean_motion(&secant, x);
-        let found = step.evaluate(secant, z, x);
-        let Evaluation { secant, v, offset, force, phi, .. } = &found;
-        let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
+        let motion = cut.free_motion(x);
+        let balance = cut.balance(&motion);
+        let [offset, gap, rate] = cut.residuals(&motion, &balance);
         let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
         let done = match stop_rule {
-            StopRule::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
+            StopRule::Solved => no_further && bounds.are_met(offset, gap, rate),
             StopRule::Corrected(bound) => correction < bound || no_further,
         };
         if iteration > 0 && done {
-            return Some(found);
+            return Some(motion);
         }
         if iteration == most {
             return None;
         }
         budget.take()?;
-        let increment = step.increment(secant, &x.d, v);
-        let (d, [lambda, nu]) = system.newton(&increment, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
-        x.d += d;
-        x.lambda += lambda;
-        x.nu += nu;
-        (before, correction) = (correction, system.error_norm(&d));
-        let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
-        if !(finite && system.error_norm(&x.d) < LARGEST_ROTATION) {
+        let change = cut.whole_correction(&motion, &balance, regularization);
+        *x += change;
+        (before, correction) = (correction, C::rotation_norm(&change));
+        if !(x.is_finite() && C::rotation_norm(x) < LARGEST_ROTATION) {
             return None;
         }
     }

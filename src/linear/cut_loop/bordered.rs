@@ -29,17 +29,21 @@ impl BorderedMatrix {
     }
 
     /// The product (c A⁻¹ b + e)⁻¹ x.
-    #[inline(always)]
     fn at_tip(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [xx, xy, yx, yy] = self.tip_inverse;
         [xx * x + xy * y, yx * x + yy * y]
     }
 
+    /// The product A⁻¹ r.
+    pub(super) fn free(&self, [p, d]: [Legs; 2]) -> [Legs; 2] {
+        let [[pp, pd], [dp, dd]] = self.inverse;
+        [pp * p + pd * d, dp * p + dd * d]
+    }
+
     /// Solves A x + b y = r twice: returns x with c x − e y = −gap, and y with c x − e y = 0.
     #[inline(always)]
-    pub(super) fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
-        let [[pp, pd], [dp, dd]] = self.inverse;
-        let free = [pp * p + pd * d, dp * p + dd * d];
+    pub(super) fn solve(&self, right: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
+        let free = self.free(right);
         let open @ [x, y] = tip_separation(ends, free);
         let closing = at_tip(self.at_tip([x + gap[0], y + gap[1]]));
         ([free[0] - self.columns[0].dot(closing), free[1] - self.columns[1].dot(closing)], self.at_tip(open))
@@ -47,7 +51,6 @@ impl BorderedMatrix {
 }
 
 /// Separation of the legs' tips by given rotations of their links, c x, m.
-#[inline(always)]
-fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
+pub(super) fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
     [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
 }

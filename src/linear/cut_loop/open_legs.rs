@@ -1,6 +1,6 @@
 //! Constants of the two legs, open at the tip: moments and mobilities of the cut loop's equations.
 
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both};
 use crate::mechanism::{Coordinates, Mechanism};
 
@@ -8,8 +8,6 @@ use crate::mechanism::{Coordinates, Mechanism};
 #[derive(Clone, Copy, Debug)]
 pub struct OpenLegs {
     pub(super) mechanism: Mechanism,
-    /// Mobilities 1/m, 1/kg, and 1/I, 1/(kg·m²), in the order of the coordinates.
-    mobility: [Legs; 6],
     /// Lengths ℓ and L with the leg's sign in the tip's closure, m.
     pub(super) sigma_length: [Legs; 2],
     /// First moments m_P a, m_D ℓ and m_D a_D, kg·m.
@@ -24,25 +22,21 @@ pub struct OpenLegs {
 pub(super) type Moments = [Legs2; 2];
 
 impl Legs2 {
-    #[inline(always)]
     pub(super) fn plus(self, other: Self) -> Self {
         Self { x: self.x + other.x, y: self.y + other.y }
     }
 
-    #[inline(always)]
     pub(super) fn minus(self, other: Self) -> Self {
         Self { x: self.x - other.x, y: self.y - other.y }
     }
 }
 
 /// The position entries of coordinates: vectors of the proximal and the distal centres of mass.
-#[inline(always)]
 pub(super) fn centres(x: &Coordinates) -> [Legs2; 2] {
     [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
 }
 
 /// The angle entries of coordinates: proximal and distal links.
-#[inline(always)]
 pub(super) fn angles(x: &Coordinates) -> [Legs; 2] {
     [legs_of(x, P_THETA), legs_of(x, D_THETA)]
 }
@@ -56,7 +50,6 @@ impl OpenLegs {
         let moment = [proximal * a_p + elbow * length, distal * length, distal * a_d];
         Self {
             mechanism: *mechanism,
-            mobility: mechanism.mass_diagonal().map(|m| both(1.0) / m),
             sigma_length: [SIGMA * length, SIGMA * a_d + sigma_b_d],
             mass_moment,
             moment,
@@ -64,39 +57,25 @@ impl OpenLegs {
         }
     }
 
-    /// The product M⁻¹ x.
-    #[inline(always)]
-    pub fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
-        let mut result = Coordinates::ZERO;
-        for (i, mobility) in self.mobility.iter().enumerate() {
-            set_legs(&mut result, i, *mobility * legs_of(x, i));
-        }
-        result
-    }
-
     /// First moments of rotations of the links, with p and d the displacements per length, kg·m².
-    #[inline(always)]
     pub(super) fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [own, shared, distal] = self.moment;
         [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
     }
 
     /// First moments of displacements of the centres of mass, m.
-    #[inline(always)]
     pub(super) fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [proximal, elbow, distal] = self.mass_moment;
         [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
     }
 
     /// Moments of forces on the centres of mass, N.
-    #[inline(always)]
     pub(super) fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
         let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
         [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
     }
 
     /// Products of σ(ℓ, L) and a vector of the tip.
-    #[inline(always)]
     pub(super) fn levers(&self, tip: Legs2) -> Moments {
         self.sigma_length.map(|length| tip.scaled(length))
     }

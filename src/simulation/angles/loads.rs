@@ -26,13 +26,11 @@ impl AngleSystem<'_> {
     }
 
     /// Motion of joints and tip.
-    #[inline]
     pub(in crate::simulation) fn motion(&self, pose: &Pose, q: &Angles, v: &Angles) -> Motion<'_> {
         self.five_bar.conditions().motion_of_links(self.mechanism, [legs(q), legs(v)], pose)
     }
 
     /// The twelve coordinates and their velocities.
-    #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
         (self.mechanism.coordinates(pose, legs(q)), pose.velocities(legs(v)))
     }

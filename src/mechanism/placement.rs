@@ -6,21 +6,19 @@
 //!
 //! with l_P the arm from motor axis to elbow, a the arms to the centres of mass.
 
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::{Coordinates, Mechanism, Pose};
+use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use super::legs::{Legs, Legs2, SIGMA, both};
+use super::{Coordinates, Mechanism, Multipliers, Pose};
 
 /// Values of the proximal and of the distal links, each of the left and the right leg.
 pub type ByLink = [Legs; 2];
 
 /// Arm from motor axis to elbow, m.
-#[inline]
 pub fn proximal_arm(pose: &Pose) -> Legs2 {
     Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
 }
 
 /// Coordinates with these values of the proximal and distal centres of mass and of the link angles.
-#[inline]
 fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
     let mut x = Coordinates::ZERO;
     for (place, value) in [(P_X, p.x), (P_Y, p.y), (P_THETA, angle_p), (D_X, d.x), (D_Y, d.y), (D_THETA, angle_d)] {
@@ -30,14 +28,12 @@ fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
 }
 
 /// The forces on the proximal and the distal centres of mass.
-#[inline]
 pub fn on_centres(forces: &Coordinates) -> [Legs2; 2] {
     [Legs2 { x: legs_of(forces, P_X), y: legs_of(forces, P_Y) }, Legs2 { x: legs_of(forces, D_X), y: legs_of(forces, D_Y) }]
 }
 
 impl Mechanism {
     /// Coordinates q at link angles, rad, with their pose.
-    #[inline]
     pub fn coordinates(&self, pose: &Pose, angles: ByLink) -> Coordinates {
         let l = proximal_arm(pose);
         let proximal = Legs2 { x: self.ground_x + pose.a_p.x, y: pose.a_p.y };
@@ -48,7 +44,6 @@ impl Mechanism {
 
 impl Pose {
     /// Velocities q̇ = T ω at link rates ω, rad/s.
-    #[inline]
     pub fn velocities(&self, rates @ [w_p, w_d]: ByLink) -> Coordinates {
         let (n_p, n_l, n_d) = (self.a_p.turned(), proximal_arm(self).turned(), self.a_d.turned());
         let distal = Legs2 { x: n_l.x * w_p + n_d.x * w_d, y: n_l.y * w_p + n_d.y * w_d };
@@ -57,13 +52,17 @@ impl Pose {
 
     /// Centripetal part Ṫ ω of the accelerations q̈ at link rates ω, rad/s.
     pub fn centripetal(&self, [w_p, w_d]: ByLink) -> Coordinates {
-        let (l, [s_p, s_d]) = (proximal_arm(self), [-w_p * w_p, -w_d * w_d]);
-        let distal = Legs2 { x: l.x * s_p + self.a_d.x * s_d, y: l.y * s_p + self.a_d.y * s_d };
-        arranged([self.a_p.scaled(s_p), distal], [Legs::ZERO; 2])
+        self.inward([w_p * w_p, w_d * w_d])
+    }
+
+    /// Accelerations towards the first joints of the links, for squares of their rates, rad²/s².
+    pub fn inward(&self, [s_p, s_d]: ByLink) -> Coordinates {
+        let l = proximal_arm(self);
+        let distal = Legs2 { x: -l.x * s_p - self.a_d.x * s_d, y: -l.y * s_p - self.a_d.y * s_d };
+        arranged([self.a_p.scaled(-s_p), distal], [Legs::ZERO; 2])
     }
 
     /// Torques Tᵀ Q on the links, N·m, of a generalised force Q.
-    #[inline]
     pub fn torques_of(&self, forces: &Coordinates) -> ByLink {
         let [on_p, on_d] = on_centres(forces);
         let proximal = legs_of(forces, P_THETA) + self.a_p.turned().dot(on_p) + proximal_arm(self).turned().dot(on_d);
@@ -71,15 +70,32 @@ impl Pose {
     }
 }
 
+/// Sets the angle entries of coordinates.
+pub fn set_angles(x: &mut Coordinates, [p, d]: ByLink) {
+    set_legs(x, P_THETA, p);
+    set_legs(x, D_THETA, d);
+}
+
+/// Forces of all joints from the forces that they take on the centres of mass, N, and the force at the tip: from the tip to the ground,
+/// the force at each joint is that of the next joint plus the load of the link between.
+pub fn joint_forces(taken: &Coordinates, [x, y]: [f64; 2]) -> Multipliers {
+    let [on_p, on_d] = on_centres(taken);
+    let elbow = Legs2 { x: on_d.x - SIGMA * both(x), y: on_d.y - SIGMA * both(y) };
+    let mut joints = Multipliers::ZERO;
+    for (place, value) in [(E_X, elbow.x), (E_Y, elbow.y), (G_X, on_p.x + elbow.x), (G_Y, on_p.y + elbow.y)] {
+        set_legs(&mut joints, place, value);
+    }
+    (joints[TIP_X], joints[TIP_Y]) = (x, y);
+    joints
+}
+
 /// Values of links 1 to 4 from those by legs.
-#[inline]
 pub fn by_links([p, d]: ByLink) -> [f64; 4] {
     let ([p_left, p_right], [d_left, d_right]) = (p.to_array(), d.to_array());
     [p_left, d_left, d_right, p_right]
 }
 
 /// Values by legs from those of links 1 to 4.
-#[inline]
 pub fn by_legs([p_left, d_left, d_right, p_right]: [f64; 4]) -> ByLink {
     [Legs::new([p_left, p_right]), Legs::new([d_left, d_right])]
 }
