@@ -1,12 +1,14 @@
-"""The animation page in a real browser: Debian's Chromium, headless, the page opened from disk."""
+"""The pages of a run and of a map in a real browser: Debian's Chromium, headless, the page opened from disk."""
 
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fivebar import simulate
+from fivebar.variables import of_unit
 from made_scene import made_scene, write
 
 pytestmark = pytest.mark.full
@@ -122,11 +124,8 @@ def test_what_the_marks_rest_on(browser: object) -> None:
 
 def test_the_graver_kinds_have_a_lane(browser: object, fmu: Path, tmp_path: Path) -> None:
     """A start with all links in line is a constraint singularity, and the page names it so."""
-    import run
-
     scene = write(tmp_path / "in_line.json", made_scene({"init.theta[1]": 0.0, "init.theta[2]": 0.0}, 0.3))
-    assert run.main(["--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path)]) == 0
-    browser.get((tmp_path / "in_line.html").as_uri())
+    browser.get(simulate.run(scene, fmu=fmu).animate(tmp_path / "in_line.html").as_uri())
     mark = browser.find_element("css selector", ".lane.grave .mark.constraint")
     browser.execute_script("arguments[0].click()", mark)
     assert clock(browser) == 0.0
@@ -165,3 +164,58 @@ def test_small_dark_screen(browser: object) -> None:
         2, rel=0.01
     )
     assert picture(browser) not in ("", light)
+
+
+# The map's page
+
+
+@pytest.fixture(scope="module")
+def map_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of a robot with stops and servos."""
+    from fivebar import map_page, scene, workspace
+
+    table = scene.read("pick_and_place").changed({"stop.enabled": True, "stop.upper[1]": 2.8}, of_unit())
+    return map_page.write(workspace.compute(table, path=workspace.follow(table)), tmp_path_factory.mktemp("map") / "map.html")
+
+
+@pytest.fixture
+def map_browser(map_page: Path, tmp_path: Path) -> Iterator[object]:
+    """A browser that has the map open."""
+    yield from open_browser(map_page, tmp_path)
+
+
+def test_the_machine_follows_the_pointer(map_browser: object) -> None:
+    """In each mode the page has the angles and the condition number that the package computes, and says what cannot be reached."""
+    from fivebar.kinematics import WORKING_MODES, Machine
+
+    machine = Machine.from_scene("pick_and_place")
+    seen = set()
+    for number, working in enumerate(WORKING_MODES):
+        click(map_browser, f"modes-{number}")
+        seen.add(picture(map_browser))
+        map_browser.execute_script("go([0.05, 0.25])")
+        shown = dict(zip(*(map_browser.execute_script(f'return [...document.querySelectorAll("#values {kind}")].map((e) => e.textContent)') for kind in ("dt", "dd"))))
+        posture = machine.inverse((0.05, 0.25), working)
+        assert [shown["θ₁, left motor"], shown["θ₄, right motor"]] == [f"{np.degrees(angle):.2f}°" for angle in posture.motors]
+        assert float(shown["condition number"]) == pytest.approx(float(machine.condition(posture.theta)), abs=5e-3)
+        assert shown["assembly"] == posture.assembly and shown["force held in every direction"].endswith(" N")
+    assert len(seen) == 4 and "" not in seen
+    map_browser.execute_script("go([0.05, 0.5])")
+    assert map_browser.find_element("id", "refusal").text == "82.5 mm too far for the left leg"
+    map_browser.execute_script("mode = data.modes[0]; update(); go([-0.15, 0.05])")
+    assert "beyond its stops" in map_browser.find_element("id", "refusal").text
+
+
+def test_the_pointer_the_keys_and_the_fields(map_browser: object) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    canvas = map_browser.find_element("id", "canvas")
+    ActionChains(map_browser).move_to_element(canvas).perform()
+    before = map_browser.execute_script("return tip")
+    canvas.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.ARROW_UP)
+    after = map_browser.execute_script("return tip")
+    assert [after[0] - before[0], after[1] - before[1]] == pytest.approx([1e-3, 2e-3], abs=1e-9)
+    condition = picture(map_browser)
+    click(map_browser, "fields-1")
+    assert picture(map_browser) != condition and "(N)" in map_browser.find_element("id", "scaleName").text

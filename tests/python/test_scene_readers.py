@@ -1,7 +1,4 @@
-"""Two readers of scenes, the package's for users and the crate `scenes` for programs that measure, give the same answers, good and bad.
-
-Scenes in the tip's coordinates are the package's alone: the crate refuses them, and says who reads them.
-"""
+"""Two readers of scenes, the package's for users and the crate `scenes` for programs that measure, give the same answers, good and bad."""
 
 import json
 import random
@@ -40,6 +37,7 @@ TEXTS = (
     '{"description": "a\tb"}', '{"description": "a\\tb"}', '{"description": "a\\u0000b"}', '{"description": "\\uffff"}', '{"description": "\\u0085"}',
     '{"description": "\\u00a0"}', '{"description": "a", "signals": ' + 9 * "[" + 9 * "]" + "}", '{"description": "a", "signals": ' + 100_000 * "[",
     '{"description": "a", "link[2].length": 0.1, "link[2].Length": 0.1}', '{"description": "a", "": 1}', '{"description": "a", "tip.vx": 1}',
+    '{"description": "a", "tip.x": 1}', '{"description": "a", "signals": {"tip.y": {"linear": [[0, 0], [1, 1]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [1e9, 1]]}}, "experiment": {"stopTime": 1e9, "stepSize": 1e-9}}',
     '{"description": "a", "signals": {"tau[1]": {"minimumJerk": [[0, 0], [1e-320, 1], [1, 0]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [0.3, 1e308], [0.7, -1e308]]}}, "experiment": {"stopTime": 1, "stepSize": 0.07}}',
@@ -47,8 +45,8 @@ TEXTS = (
 )  # fmt: skip
 
 
-IN_THE_TIPS_COORDINATES = re.compile(r"'(?:tip\.[xy]|mode\.(?:working|assembly))' (?:is computed by|is not an input of) the FMU")
-"""How programs that measure refuse scenes in the tip's coordinates, which only users have."""
+IN_THE_TIPS_COORDINATES = "is in the tip's coordinates, which the Python package fivebar reads"
+"""How programs that measure refuse scenes that only users have."""
 
 
 def sentences() -> Iterator[str]:
@@ -105,7 +103,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
     good = refused = elsewhere = 0
     for file, line in zip(files, answers, strict=True):
         theirs = json.loads(line)
-        if isinstance(theirs, str) and IN_THE_TIPS_COORDINATES.search(theirs):
+        if isinstance(theirs, str) and IN_THE_TIPS_COORDINATES in theirs:
             elsewhere += 1
             continue
         try:
@@ -118,7 +116,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
         else:
             assert json.dumps(ours) == json.dumps(theirs), file.read_bytes()[:300]
             good += 1
-    assert good > 60 and refused > 140 and elsewhere < 6, (good, refused, elsewhere)
+    assert good > 60 and refused > 140 and 1 < elsewhere < 6, (good, refused, elsewhere)
 
 
 def plain(sentence: str) -> str:
