@@ -27,7 +27,7 @@ pub(crate) fn release(scope: Scope) -> Result<()> {
     for file in [&fmu, &paths::in_root("LICENSE-MIT"), &paths::in_root("LICENSE-APACHE")] {
         fs::copy(file, folder.join(file.file_name().context("a file has a name")?)).with_context(|| paths::short(file))?;
     }
-    wheel::build(&fmu, "wheel,sdist", &folder)?;
+    wheel::build(&fmu, &["wheel", "sdist"], &folder)?;
     let licenses = licenses(&fmu).with_context(|| paths::short(&fmu))?;
     fs::write(folder.join("THIRD-PARTY-LICENSES.txt"), page::notices(&licenses))?;
     let changes = fs::read_to_string(paths::in_root("CHANGELOG.md"))?;

@@ -14,19 +14,20 @@ pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
     if folder.exists() {
         fs::remove_dir_all(&folder)?;
     }
-    build(&fmu, "wheel", &folder)?;
+    build(&fmu, &["wheel"], &folder)?;
     let mut files = fs::read_dir(&folder)?;
     let wheel = files.next().context("hatchling has built no wheel")??.path();
     println!("{}: {} bytes", paths::short(&wheel), fs::metadata(&wheel)?.len());
     Ok(wheel)
 }
 
-/// Builds wheel, sdist or both (`wheel,sdist`) around a packed unit, in a folder; python/hatch_build.py adds to the package what is shipped.
-pub(crate) fn build(fmu: &Path, targets: &str, folder: &Path) -> Result<()> {
+/// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds to the package what is shipped.
+pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
     process::run(
         venv::python(Packages::Usual)?
-            .args(["-m", "hatchling", "build", "--target", targets, "--directory"])
+            .args(["-m", "hatchling", "build", "--directory"])
             .arg(folder)
+            .args(targets.iter().flat_map(|target| ["--target", target]))
             .current_dir(paths::in_root("python"))
             .env("FIVEBAR_FMU", fmu),
     )
