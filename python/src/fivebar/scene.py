@@ -113,7 +113,7 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
     steps = stop_time / step_size - 1e-9
     if not steps < MOST_POINTS:
         raise FiveBarError(f"{stop_time} s in steps of {step_size} s are too many: up to {MOST_POINTS} communication points are allowed")
-    points = np.arange(max(1, math.ceil(steps)) + 1) * step_size
+    points: NDArray[np.float64] = step_size * np.arange(max(1, math.ceil(steps)) + 1, dtype=np.float64)
     points[-1] = stop_time
     return points
 

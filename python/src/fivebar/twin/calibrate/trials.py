@@ -172,7 +172,7 @@ def done(file: FilePath, guid: str, machines: str = "one") -> dict[int, dict[str
         raise TwinError(f"{file} is not as this command writes it; delete it to begin anew") from None
 
 
-def run(trials: int, first: int, machines: str, fmu: Path, out: FilePath) -> int:
+def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) -> int:
     """0 if the bars of each unknown hold the truth as often as they should, within the chance of so many trials."""
     keys = range(first, first + trials)
     if len(keys) < 1 or keys[0] < 0:
