@@ -7,13 +7,13 @@ from packaging.requirements import Requirement
 from fivebar.errors import FiveBarError
 
 
-def need(extra: str, what: str) -> None:
-    """Refuses with one sentence if packages are missing that an extra needs; `what` is what cannot do without."""
+def need(extra: str) -> None:
+    """Refuses with one sentence if packages are missing that an extra needs."""
     missing = [name for name in packages(extra) if not _is_installed(name)]
     if missing:
         names = " and ".join([", ".join(missing[:-1]), missing[-1]] if len(missing) > 1 else missing)
         verb = "is" if len(missing) == 1 else "are"
-        raise FiveBarError(f"{what} needs {names}, which {verb} not installed: pip install 'fivebar[{extra}]' installs what is missing")
+        raise FiveBarError(f"{names} {verb} needed and not installed: pip install 'fivebar[{extra}]' installs what is missing")
 
 
 def packages(extra: str) -> list[str]:

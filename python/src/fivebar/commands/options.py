@@ -62,7 +62,7 @@ def need(extra: str) -> None:
     """Refuses a subcommand whose packages are missing."""
     from fivebar import extras
 
-    extras.need(extra, f"`{click.get_current_context().command_path}`")
+    extras.need(extra)
 
 
 def assignments(given: tuple[str, ...]) -> dict[str, Any]:
