@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 
 use super::guards::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
-use crate::integrator::{Kkt, StickingConstraint, System};
+use crate::integrator::{Kkt, StickingConstraint, System, held_at_zero};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
 
@@ -40,8 +40,6 @@ pub struct FrictionConstraint<const N: usize> {
     pub row: Vector<N>,
     /// Part of ẇ that depends on the rates alone: ẇ = row·q̈ + drift.
     pub drift: f64,
-    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
-    pub arms: [f64; LINKS],
 }
 
 /// Constraints of all friction places that are active at a state.
@@ -53,16 +51,22 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn stick_slip(&self) -> &StickSlips;
     /// The system with other stick-slip states.
     fn with_stick_slip(&self, stick_slip: StickSlips) -> Self;
-    /// Friction constraints at q with its pose and q̇.
-    fn friction_constraints(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionConstraints<N>;
+    /// Friction constraints at q with its pose and q̇, of places in the states that `wanted` takes.
+    fn friction_constraints(
+        &self,
+        at: (&Vector<N>, &Self::Pose, &Vector<N>),
+        wanted: impl Fn(StickSlip) -> bool,
+    ) -> FrictionConstraints<N>;
     /// Regularisation e of the saddle-point systems, 1/kg.
     fn regularization(&self) -> f64;
     /// Sliding rate below which a friction place counts as at rest, rad/s or m/s.
     fn stick_velocity(&self) -> f64;
+    /// Lever arms of a place: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
+    fn lever_arms(&self, place: usize) -> [f64; LINKS];
 
     /// Stick-slip states that follow from a state without history.
     fn resolved(&self, q: &Vector<N>, v: &Vector<N>) -> StickSlips {
-        let constraints = self.friction_constraints(q, &self.pose(q), v);
+        let constraints = self.friction_constraints((q, &self.pose(q), v), all);
         if v.max_norm() <= REST_RATE * self.stick_velocity() {
             let at_rest = self.friction_problem(q, &Vector::ZERO, &|_| true);
             if at_rest.can_rest() {
@@ -94,7 +98,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// Friction problem of the places that may stick, while the others slip.
     fn friction_problem(&self, q: &Vector<N>, v: &Vector<N>, rests: &dyn Fn(&FrictionConstraint<N>) -> bool) -> FrictionProblem {
         let pose = self.pose(q);
-        let constraints = self.friction_constraints(q, &pose, v);
+        let constraints = self.friction_constraints((q, &pose, v), all);
         let resting: FrictionConstraints<N> =
             constraints.iter().filter(|constraint| self.is_able(constraint) && rests(constraint)).copied().collect();
         let mut stick_slip = self.slipping(&constraints);
@@ -119,14 +123,15 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
 
     /// Constraint or reaction by which friction holds the system.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
-        let constraints = self.friction_constraints(q, pose, v);
         if self.stick_slip().at_rest() {
+            let constraints = self.friction_constraints((q, pose, v), all);
             let able = constraints.iter().filter(|constraint| self.is_able(constraint));
             let parts = able.zip(self.friction_problem(q, v, &|_| true).resting_torques());
             let force = parts.fold(Vector::ZERO, |sum, (constraint, torque)| sum + torque * constraint.row);
             return StickingConstraint::All { force };
         }
-        let Some(first) = first(self.stick_slip(), &constraints) else { return StickingConstraint::Nothing };
+        let constraints = self.friction_constraints((q, pose, v), sticks);
+        let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
         let shares = shares(self.stick_slip(), &constraints);
         let force = shares.fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
         StickingConstraint::Direction { row: first.row, drift: first.drift, force }
@@ -147,51 +152,23 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let mass = self.factor_mass(&pose, self.regularization());
         let (a, _) = mass.solve(&self.forces(q, &pose, v), &-self.phi_q_dot_times(&pose, v));
         let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
-        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints(q, &pose, v)) {
+        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), sticks)) {
             holding[constraint.place] = part * share;
         }
         holding
-    }
-
-    /// q̈ and λ with the friction reactions, from those without.
-    fn with_reaction(&self, [q, v]: [Vector<N>; 2], (a, lambda): (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
-        let pose = self.pose(&q);
-        match self.sticking(&q, &pose, &v) {
-            StickingConstraint::Nothing => (a, lambda),
-            StickingConstraint::Direction { row, drift, force } => {
-                let (by_force, by_force_lambda) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
-                let part = held_at_zero(row.dot(&a) + drift, row.dot(&by_force));
-                (a + part * by_force, lambda + part * by_force_lambda)
-            }
-            StickingConstraint::All { force } => {
-                let held = self.forces(&q, &pose, &v) + force;
-                (Vector::ZERO, self.factor_mass(&pose, self.regularization()).solve(&held, &Vector::ZERO).1)
-            }
-        }
-    }
-
-    /// Velocity without its component along the sticking direction: the projection that is smallest in the mass metric.
-    fn without_sliding(&self, q: &Vector<N>, v: Vector<N>) -> Vector<N> {
-        if self.stick_slip().at_rest() {
-            return Vector::ZERO;
-        }
-        let pose = self.pose(q);
-        let StickingConstraint::Direction { row, force, .. } = self.sticking(q, &pose, &v) else { return v };
-        let (by_force, _) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
-        v + held_at_zero(row.dot(&v), row.dot(&by_force)) * by_force
     }
 
     /// Friction guards at a state, for event location.
     fn friction_guards(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
-        let guard = |FrictionConstraint { place, rate, bound, arms, .. }: FrictionConstraint<N>| FrictionGuard {
+        let guard = |FrictionConstraint { place, rate, bound, .. }: FrictionConstraint<N>| FrictionGuard {
             place,
             rate,
             load: [holding[place], bound],
-            arms,
+            arms: self.lever_arms(place),
         };
-        self.friction_constraints(q, pose, v).into_iter().map(guard).collect()
+        self.friction_constraints((q, pose, v), all).into_iter().map(guard).collect()
     }
 
     /// Directional derivative of q̈ and λ with sticking joints, from those without friction: accelerations of sticking places stay 0.
@@ -247,25 +224,23 @@ const REST_RATE: f64 = 1e3;
 /// Largest rate at which a place may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
 const STICKING_RATE: f64 = 2.0;
 
-/// Friction torque or force that brings a change along its row to 0, by the mobility of the row; 0 where nothing moves it.
-fn held_at_zero(change: f64, mobility: f64) -> f64 {
-    if mobility > 0.0 { -change / mobility } else { 0.0 }
+/// Takes places in every state.
+fn all(_: StickSlip) -> bool {
+    true
 }
 
-/// First sticking place.
-fn first<'a, const N: usize>(
-    stick_slip: &StickSlips,
-    constraints: &'a FrictionConstraints<N>,
-) -> Option<&'a FrictionConstraint<N>> {
-    constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_)))
+/// Whether a place sticks.
+fn sticks(state: StickSlip) -> bool {
+    matches!(state, StickSlip::Sticks(_))
 }
 
-/// Sticking places of one motion with their torque per unit of the first: all use an equal fraction of their bounds.
+/// The places of these constraints, which all hold one motion, with their torque per unit of the first: all use an equal fraction of their
+/// bounds.
 fn shares<'a, const N: usize>(
     stick_slip: &'a StickSlips,
     constraints: &'a FrictionConstraints<N>,
 ) -> impl Iterator<Item = (&'a FrictionConstraint<N>, f64)> {
-    let first = first(stick_slip, constraints);
+    let first = constraints.first();
     constraints.iter().filter_map(move |constraint| {
         let StickSlip::Sticks(way) = stick_slip.at(constraint.place) else { return None };
         let leader = first?;

@@ -289,7 +289,7 @@ impl UnilateralGuard<'_> {
         self.spring.potential(self.phase(mode), self.depth)
     }
 
-    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`GuardValues::separation_energy`]).
+    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`super::GuardValues::separation_energy`]).
     pub fn dissipation(&self, mode: &Mode) -> f64 {
         self.spring.dissipation(self.phase(mode), self.depth, self.rate)
     }

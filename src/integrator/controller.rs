@@ -25,14 +25,12 @@ pub(super) struct StepSizeController {
 
 impl StepSizeController {
     /// Factor on the step after an accepted one, from ln of its error and of the error before.
-    #[inline]
     pub(super) fn growth(&self, log_error: f64, before: f64) -> f64 {
         let change = SAFETY * exp(self.memory * before - self.exponent * log_error);
         change.clamp(self.accepted[0], self.accepted[1])
     }
 
     /// Longest step that may follow one of `h` seconds.
-    #[inline]
     pub(super) fn longest_after(&self, h: f64) -> f64 {
         self.accepted[1] * h
     }
@@ -58,20 +56,17 @@ impl StepSizeController {
 
 /// Length of the next step, s, after one of `h` seconds where `wanted` was intended: a step cut short by a limit does not shorten
 /// later ones.
-#[inline]
 pub(super) fn next_step(h: f64, growth: f64, wanted: f64) -> f64 {
     if is_cut_short(h, wanted) { (h * growth).max(wanted) } else { h * growth }
 }
 
 /// Whether a step of `h` seconds was cut short by a limit.
-#[inline]
 pub(super) fn is_cut_short(h: f64, wanted: f64) -> bool {
     wanted.is_finite() && h < 0.5 * wanted
 }
 
 /// Natural logarithm of a positive number, absolute error below 2e-6, enough for step lengths at a third of the cost of full
 /// precision.
-#[inline(never)]
 pub(super) fn ln(x: f64) -> f64 {
     // The number is 2^k m with m from √½ to √2; for 0, k is below that of the smallest number.
     let k = (x.to_bits() as i64 - std::f64::consts::FRAC_1_SQRT_2.to_bits() as i64) >> (f64::MANTISSA_DIGITS - 1);
@@ -82,7 +77,6 @@ pub(super) fn ln(x: f64) -> f64 {
 }
 
 /// Exponential function for |x| ≤ 4 (larger arguments are clamped), relative error below 2e-7; covers all factors of a step length.
-#[inline(never)]
 fn exp(x: f64) -> f64 {
     // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;

@@ -25,14 +25,12 @@ pub(super) struct Convergence {
 
 impl Convergence {
     /// Before the first iteration, in a system of this length scale, m.
-    #[inline(always)]
     pub(super) fn new(tolerance: f64, length_scale: f64, last_correction: Option<f64>) -> Self {
         let round_off = ROUND_OFF * length_scale;
         Self { tolerance, round_off, last_correction, iterations: 0, violation: f64::INFINITY, correction: f64::INFINITY }
     }
 
     /// Takes the largest violation of the constraints, m; returns whether the iteration has converged.
-    #[inline(always)]
     pub(super) fn is_met(&mut self, violation: f64) -> bool {
         let stagnates = violation >= self.violation && violation < self.round_off;
         self.violation = violation;
@@ -40,7 +38,6 @@ impl Convergence {
     }
 
     /// Takes the largest correction of one iteration, m or rad.
-    #[inline(always)]
     pub(super) fn corrected(&mut self, correction: f64) {
         self.iterations += 1;
         self.correction = correction;

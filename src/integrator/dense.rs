@@ -1,10 +1,11 @@
-//! Error-controlled steps with dense output on the index-1 form of a [`System`], projected onto the constraints after every
+//! Error-controlled steps with dense output on the index-1 form of a [`super::System`], projected onto the constraints after every
 //! accepted step.
 //!
-//! A step belongs to a [`Scheme`]: explicit (`explicit.rs`) of order 8 or 5, or linearly implicit (`rosenbrock.rs`) for stiff loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
-//! interpolant. Inputs are constant during a step; if they change at a communication point inside it, the step is discarded and redone up
-//! to that point ([`DenseStep::truncate_and_redo`]). So the state of a run is its current step: both ends, the coefficients of the
-//! interpolant and the time elapsed in it. Events of the forces end a step (`locator.rs`).
+//! A step belongs to a [`Scheme`]: explicit (`explicit.rs`) of order 8 or 5, or linearly implicit (`rosenbrock.rs`) for stiff
+//! loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
+//! interpolant. Inputs are constant during a step; if they change at a communication point inside it, the step is discarded and
+//! redone up to that point ([`DenseStep::truncate_and_redo`]). So the state of a run is its current step: both ends, the
+//! coefficients of the interpolant and the time elapsed in it. Events of the forces end a step (`locator.rs`).
 //!
 //! `docs/explicit.md` and `docs/automatic.md` derive the methods.
 
@@ -21,7 +22,7 @@ use std::borrow::Borrow;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
-use super::{Counters, Events, Passage, State, StepError, System, Work};
+use super::{Counters, Mechanics, State, StepError, Work};
 use crate::vector::Vector;
 pub use inside::Sample;
 pub use scheme::{Scheme, Schemes};
@@ -118,12 +119,7 @@ struct Memory {
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Starts a run at q and q̇, which must meet the constraints.
-    pub fn start<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        system: &S,
-        q: Vector<N>,
-        v: Vector<N>,
-        settings: &Settings,
-    ) -> Self {
+    pub fn start<S: Mechanics<N, M, Mode = K>>(system: &S, q: Vector<N>, v: Vector<N>, settings: &Settings) -> Self {
         let mode = system.mode_of(&q, &v);
         let state = State::start(system.on(mode).borrow(), q, v, settings.regularization);
         let memory = Memory {
@@ -149,7 +145,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Advances by macro steps of `h` seconds within the current step, `most` at most; returns their number.
-    #[inline]
     pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
         let (length, rounded) = (self.length, MACRO_STEP_ROUND_OFF * self.length);
         // A macro step that begins before this time ends before the current step does.
@@ -174,7 +169,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Advances by one macro step of `h` seconds; `pose` is the pose at the end of the current step, if known. On failure the run
     /// is undefined, so the caller keeps a copy.
-    pub fn advance<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    pub fn advance<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -186,8 +181,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Advances by a macro step that exceeds the current step, see [`advance_within`](Self::advance_within).
-    #[inline(always)]
-    pub fn advance_past<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    pub fn advance_past<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -210,14 +204,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Number of evaluations and iterations since the start.
-    #[inline]
     fn work(&self) -> u64 {
         let Counters { substeps, rejected, iterations, .. } = self.end.counters;
         EVALUATIONS * (substeps + rejected) + iterations
     }
 
     /// Checks the work limit of a macro step that began at the count `done`.
-    #[inline]
     fn check_work(&self, settings: &Settings, done: u64) -> Result<(), StepError> {
         if self.work() - done <= u64::from(settings.max_work) {
             return Ok(());
@@ -227,11 +219,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Ends the current step at the present time, because inputs or parameters change: the step is redone up to here. `system` is
     /// the system of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
-    pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-    ) -> Result<(), StepError> {
+    pub fn truncate_and_redo<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> Result<(), StepError> {
         if self.finish() {
             return Ok(());
         }
@@ -254,7 +242,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the present time is the end of the current step, which then need not be redone.
-    #[inline]
     pub fn finish(&mut self) -> bool {
         let is_over = self.elapsed == self.length;
         if is_over {
@@ -281,13 +268,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Restarts after a discontinuity of the forces that did the given work, J; [`truncate_and_redo`](Self::truncate_and_redo)
     /// comes before. `pose` is the pose at the present state.
-    pub fn restart<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        pose: &S::Pose,
-        work: Work,
-    ) {
+    pub fn restart<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose, work: Work) {
         let mode = system.mode_of(&self.end.q, &self.end.v);
         self.end.restart(system.on(mode).borrow(), pose, settings.regularization);
         self.end.work += work;
@@ -297,7 +278,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Continues from another state with `external_work`, J, done on the system; the current step is discarded. `before` and
     /// `after` are the systems before and after the change.
-    pub fn resume_from<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    pub fn resume_from<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         [before, after]: [&S; 2],
         settings: &Settings,

@@ -1,6 +1,6 @@
 //! Dynamic equilibrium: accelerations q̈ and multipliers λ at given q, q̇ and forces (`docs/method.md`, (16)).
 
-use super::{Kkt, System, Work};
+use super::{Kkt, StickingConstraint, System, Work};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -13,8 +13,8 @@ pub fn equilibrium<const N: usize, const M: usize>(
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Vector<M>) {
-    let pose = system.pose_in_place(q);
-    equilibrium_at(system, q, &pose, v, &system.factor_mass_in_place(&pose, regularization))
+    let pose = system.pose(q);
+    equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization))
 }
 
 /// Solves for q̈ and λ at a given pose, and evaluates the power of the forces, W.
@@ -46,7 +46,7 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     let pose = system.pose_from_base(from, by);
     let (forces, power) = system.forces_and_power(&(*from.0 + *by), &pose, v);
     let mass = system.factor_mass(&pose, regularization);
-    (mass.solve_in_place(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
+    (mass.solve(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
 }
 
 /// Solves for q̈ and λ with given pose and factorised mass matrix.
@@ -69,12 +69,47 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
-    // Copies are made only where friction sticks: arguments by reference and returned values must be in memory, for all callers.
-    // Adding 0 forces a copy, so the other case stays in registers.
-    if system.has_sticking() {
-        let (held, by) = system.with_friction_reaction(*q, *v, (a, lambda));
-        return (Vector::ZERO + held, Vector::ZERO + by);
+    let (a, lambda) = mass.solve(forces, &-system.phi_q_dot_times(pose, v));
+    if system.has_sticking() { with_reaction(system, forces, (q, pose, v), (mass, a, lambda)) } else { (a, lambda) }
+}
+
+/// q̈ and λ with the reaction of sticking friction, from those without.
+#[cold]
+fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    forces: &Vector<N>,
+    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    (mass, a, lambda): (&S::Mass, Vector<N>, Vector<M>),
+) -> (Vector<N>, Vector<M>) {
+    match system.sticking_constraint(q, pose, v) {
+        StickingConstraint::Nothing => (a, lambda),
+        StickingConstraint::Direction { row, drift, force } => {
+            let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
+            let part = held_at_zero(row.dot(&a) + drift, row.dot(&by_force));
+            (a + part * by_force, lambda + part * by_force_lambda)
+        }
+        StickingConstraint::All { force } => (Vector::ZERO, mass.solve(&(*forces + force), &Vector::ZERO).1),
     }
-    (a, lambda)
+}
+
+/// Velocity q̇ without its component along the sticking direction: the projection that is smallest in the mass metric.
+#[cold]
+pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    mass: &S::Mass,
+) -> Vector<N> {
+    match system.sticking_constraint(q, pose, v) {
+        StickingConstraint::Nothing => *v,
+        StickingConstraint::Direction { row, force, .. } => {
+            let (by_force, _) = mass.solve(&force, &Vector::ZERO);
+            *v + held_at_zero(row.dot(v), row.dot(&by_force)) * by_force
+        }
+        StickingConstraint::All { .. } => Vector::ZERO,
+    }
+}
+
+/// Reaction that brings a change along its row to 0, by the mobility of the row; 0 where nothing moves it.
+pub fn held_at_zero(change: f64, mobility: f64) -> f64 {
+    if mobility > 0.0 { -change / mobility } else { 0.0 }
 }

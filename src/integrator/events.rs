@@ -36,11 +36,6 @@ pub trait Events<const N: usize>: Sized {
         false
     }
 
-    /// Whether the mode can ever change.
-    fn has_modes(&self) -> bool {
-        self.has_events()
-    }
-
     /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
     fn regularization_velocity(&self) -> f64 {
         f64::INFINITY

@@ -21,9 +21,10 @@ use std::borrow::Borrow;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::{Interpolant, Quintic};
+use super::equilibrium::project_sticking;
 use super::locator::{self, EventCheck, EventTrials, Path, SHORTEST};
 use super::{
-    Approach, Events, Implicit, Passage, PassageLimits, State, StepEnd, StepError, StepLimits, Transit, velocity_correction,
+    Approach, Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
@@ -88,7 +89,7 @@ impl MacroStep {
 
     /// Goes on from `mode`, in one step or in sub-steps. On failure `state` and `mode` are undefined, so the caller keeps a copy.
     #[inline(never)]
-    pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+    pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -105,7 +106,7 @@ impl MacroStep {
 
     /// After a blocked sub-step: applies the transit past the bifurcation, or tries a shorter sub-step where there is none. Returns
     /// whether the macro step is done.
-    pub fn cross<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+    pub fn cross<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -122,9 +123,9 @@ impl MacroStep {
         if self.rest <= 0.0 { Ok(Progress::Done) } else { self.advance(system, settings, state, mode) }
     }
 
-    /// Error-controlled sub-steps; the rest of the macro step is divided into equal parts again after each. A sub-step begins in the mode of
-    /// its start, is tried until its error is admissible, and ends early at an event.
-    fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+    /// Error-controlled sub-steps; the rest of the macro step is divided into equal parts again after each. A sub-step begins in
+    /// the mode of its start, is tried until its error is admissible, and ends early at an event.
+    fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
         base_system: &S,
         settings: &Settings,
@@ -166,7 +167,7 @@ impl MacroStep {
             error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
             match attempt {
                 Ok(attempt) if error <= tolerance => {
-                    let event = if settings.locates_events(system) {
+                    let event = if locates_events(settings, system) {
                         attempt.check_events(system, settings, state, h, trials.count)
                     } else {
                         EventCheck::Clear
@@ -182,7 +183,7 @@ impl MacroStep {
                     }
                     let last = h >= self.rest;
                     let wanted = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
-                    if settings.controls_rates(system) {
+                    if controls_rates(settings, system) {
                         state.work.input += drive_work(system, h, state, &attempt.end);
                     }
                     state.substep = wanted.min(trials.longest_next(&event, h));
@@ -213,7 +214,7 @@ impl MacroStep {
 
     /// Applies a transit through a vertex or bifurcation.
     #[cold]
-    fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+    fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
         base_system: &S,
         settings: &Settings,
@@ -227,7 +228,7 @@ impl MacroStep {
 }
 
 /// Sets the mode; if it changes, the rates are projected onto its sticking constraints, and accelerations are evaluated again.
-fn enter<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+fn enter<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     base_system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
@@ -252,7 +253,7 @@ struct Attempt<const N: usize, const M: usize> {
 /// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
 /// (15); acceleration and multipliers from equilibrium (16); local error (18).
 #[inline(never)] // one shared copy for fixed steps and sub-steps saves 33 kB and costs 1.5 % of the instructions of a bare step
-fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
@@ -270,7 +271,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
             Ok(found) => break found,
             // Stiff friction keeps the rates constant where the predicted accelerations would change them.
-            Err(_) if settings.controls_rates(system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
+            Err(_) if controls_rates(&settings, system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
                 break line_search::solve(&system.general(), settings, step.without_jerk(state), &mut state.counters)
                     .ok_or(error)?;
@@ -280,40 +281,36 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
 
     // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16): one factorisation serves both.
     let Solution { q, pose, v } = found;
-    let mass = system.factor_mass_in_place(&pose, settings.regularization);
+    let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
     if system.has_sticking() {
-        v = system.project_sticking(q, v);
+        v = project_sticking(system, (&q, &pose, &v), &mass);
     }
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
     let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
     // Next to a vertex the rates are already scaled to the energy.
-    if settings.controls_rates(system) && limits.energy.is_none() {
+    if controls_rates(&settings, system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
-    let separated = if settings.locates_events(system) { separation_loss(system, state, &end) } else { 0.0 };
-    if settings.controls_rates(system) {
+    let separated = if locates_events(&settings, system) { separation_loss(system, state, &end) } else { 0.0 };
+    if controls_rates(&settings, system) {
         error = error.max(stiff_error(system, &settings, state, h, (&pose, &end, separated)));
     }
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, separated }) } else { Err(StepError::NotFinite) }
 }
 
-impl Settings {
-    /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost
-    /// constant angles.
-    #[inline(always)]
-    fn controls_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
-        self.adaptive && system.has_stiff_forces()
-    }
+/// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost constant angles.
+fn controls_rates<const N: usize, const M: usize>(settings: &Settings, system: &impl Implicit<N, M>) -> bool {
+    settings.adaptive && system.has_stiff_forces()
+}
 
-    /// Whether sub-steps end at events.
-    fn locates_events<const N: usize>(&self, system: &impl Events<N>) -> bool {
-        self.adaptive && system.has_events()
-    }
+/// Whether sub-steps end at events.
+fn locates_events<const N: usize>(settings: &Settings, system: &impl Events<N>) -> bool {
+    settings.adaptive && system.has_events()
 }
 
 /// A step so short that q̈ and λ change by round-off only.

@@ -174,7 +174,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let mut guess = Some(x);
         if system.allows_staggering() {
             let Self { q, v, .. } = *self;
-            let pose = system.pose_in_place(&q);
+            let pose = system.pose(&q);
             let cut = system.cut(&pose, [&q, &v], h, 1.0);
             let accept_root = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);

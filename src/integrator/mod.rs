@@ -24,7 +24,7 @@ mod system;
 
 pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{CutStep, Discrete, StepIncrement};
-pub use equilibrium::{equilibrium, equilibrium_at};
+pub use equilibrium::{equilibrium, equilibrium_at, held_at_zero};
 pub use error::StepError;
 pub use events::{Events, Extremes};
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
@@ -32,3 +32,8 @@ pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
 pub use system::{AccelerationTangents, Implicit, Kkt, StickingConstraint, System, TangentPoint, Work};
+
+/// A system as the methods that follow their error need it: equations of motion, passages through vertices, and events.
+pub trait Mechanics<const N: usize, const M: usize>: System<N, M> + Passage<N> + Events<N> {}
+
+impl<const N: usize, const M: usize, S: System<N, M> + Passage<N> + Events<N>> Mechanics<N, M> for S {}

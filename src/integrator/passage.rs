@@ -141,7 +141,6 @@ pub trait Passage<const N: usize> {
 
 impl<const N: usize, const M: usize> State<N, M> {
     /// State from which the next step of at most `rest` seconds departs.
-    #[inline(always)]
     pub(super) fn departure(&self, rest: f64) -> Departure<'_, N> {
         Departure { q: &self.q, v: &self.v, on_ray: self.on_ray, rest }
     }

@@ -22,7 +22,6 @@ pub struct Settings {
 }
 
 /// One step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
-#[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,

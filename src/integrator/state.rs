@@ -3,7 +3,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium_under, equilibrium_with_power};
+use super::equilibrium::{equilibrium_under, equilibrium_with_power, project_sticking};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -34,7 +34,6 @@ pub struct Counters {
 
 impl Counters {
     /// Counts the determinants whose sign differs between two masks.
-    #[inline(always)]
     pub(super) fn count_sign_changes(&mut self, before: u8, after: u8) {
         for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
             *changes += u64::from((before ^ after) >> bit & 1);
@@ -115,7 +114,8 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium and resets the predictor.
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         if system.has_sticking() {
-            self.v = system.project_sticking(self.q, self.v);
+            let mass = system.factor_mass(pose, regularization);
+            self.v = project_sticking(system, (&self.q, pose, &self.v), &mass);
         }
         self.balance(system, pose, regularization);
         self.jerk = Vector::ZERO;
@@ -129,7 +129,6 @@ impl<const N: usize, const M: usize> State<N, M> {
     }
 
     /// Counts the determinants that have changed sign, and stores the new signs.
-    #[inline(always)]
     pub(super) fn count_sign_changes(&mut self, configuration_signs: u8) {
         if configuration_signs != self.configuration_signs {
             self.counters.count_sign_changes(self.configuration_signs, configuration_signs);
@@ -138,7 +137,6 @@ impl<const N: usize, const M: usize> State<N, M> {
     }
 
     /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.
-    #[inline(always)]
     pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
         let &StepEnd { q, v, a, lambda, power, configuration_signs } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
@@ -160,13 +158,11 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
 
 impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with given q̈ and λ.
-    #[inline(always)]
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
         Self { q, v, a, lambda, power: power(system, &q, pose, &v), configuration_signs: system.configuration_signs(pose) }
     }
 
     /// End at q and q̇ with q̈ and λ from equilibrium.
-    #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces_and_power(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
@@ -174,7 +170,6 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
     }
 
     /// End at q and q̇ with q̈, λ and power set to 0.
-    #[inline(always)]
     pub(super) fn without_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose) -> Self {
         Self {
             q,
@@ -194,20 +189,17 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
     }
 
     /// Whether q, q̇, q̈ and their sum are finite.
-    #[inline(always)]
     pub(super) fn is_finite(&self) -> bool {
         (self.q + self.v + self.a).is_finite()
     }
 
     /// The end itself, or [`StepError::NotFinite`].
-    #[inline(always)]
     pub(super) fn finite(self) -> Result<Self, StepError> {
         if self.is_finite() { Ok(self) } else { Err(StepError::NotFinite) }
     }
 }
 
 /// Power of inputs and dissipation, W; 0 unless [`System::follows_work`].
-#[inline(always)]
 fn power<const N: usize, const M: usize, S: System<N, M>>(system: &S, q: &Vector<N>, pose: &S::Pose, v: &Vector<N>) -> Work {
     if system.follows_work() { system.power(q, pose, v) } else { Work::default() }
 }

@@ -20,10 +20,6 @@ pub trait System<const N: usize, const M: usize> {
 
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
-    /// Pose at q, inlined into the caller so that steps keep the pose in registers; [`System::pose`] is the shared copy.
-    fn pose_in_place(&self, q: &Vector<N>) -> Self::Pose {
-        self.pose(q)
-    }
     /// Pose at q + `by` from the pose at q, cheaper than [`System::pose`] where `by` is small.
     fn updated_pose(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
@@ -46,11 +42,6 @@ pub trait System<const N: usize, const M: usize> {
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Vector<N>;
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
-    /// Factorises [M Φ_qᵀ; Φ_q −e], inlined into the caller.
-    fn factor_mass_in_place(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass {
-        self.factor_mass(pose, regularization)
-    }
-
     /// Whether any force is stiff, or has discontinuities that a step may miss (friction, servos, stops, contact).
     fn has_stiff_forces(&self) -> bool {
         false
@@ -67,15 +58,6 @@ pub trait System<const N: usize, const M: usize> {
     /// Sticking constraint with its reaction. Called only if [`System::has_sticking`].
     fn sticking_constraint(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> StickingConstraint<N> {
         StickingConstraint::Nothing
-    }
-    /// Accelerations q̈ and multipliers λ with the reaction of sticking friction, from those without. Called only if
-    /// [`System::has_sticking`].
-    fn with_friction_reaction(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
-        free
-    }
-    /// Velocities q̇ projected onto the sticking constraints. Called only if [`System::has_sticking`].
-    fn project_sticking(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
-        v
     }
     /// Tangents of q̈ with respect to q and q̇ at a state in dynamic equilibrium; `None` where they are unknown, so that no
     /// implicit step begins there.
@@ -125,17 +107,6 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         regularization: f64,
         right: (&Vector<N>, &Vector<M>),
     ) -> Result<(Vector<N>, Vector<M>), StepError>;
-
-    /// Solves the system of [`Implicit::solve_tangent`], as one shared copy of the code for rare operations.
-    #[inline(never)]
-    fn solve_tangent_out_of_line(
-        &self,
-        at: &TangentPoint<'_, Self::Pose, N, M>,
-        regularization: f64,
-        right: (&Vector<N>, &Vector<M>),
-    ) -> Result<(Vector<N>, Vector<M>), StepError> {
-        self.solve_tangent(at, regularization, right)
-    }
 
     /// Solves the system of [`Implicit::solve_tangent`] with A₀ made positive definite: a descent direction of the incremental
     /// potential for the line search after a failed Newton iteration. `None`: no fallback.
@@ -192,11 +163,6 @@ pub struct AccelerationTangents<const N: usize> {
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
     fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>);
-    /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c, inlined into the caller.
-    fn solve_in_place(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>) {
-        self.solve(b, c)
-    }
-
     /// The x for b = 0: the smallest change in the metric of A that moves Φ_q x by c, as projections need.
     fn correction(&self, c: &Vector<M>) -> Vector<N> {
         self.solve(&Vector::ZERO, c).0
@@ -234,7 +200,6 @@ pub struct Work {
 }
 
 impl AddAssign for Work {
-    #[inline(always)]
     fn add_assign(&mut self, other: Self) {
         self.input += other.input;
         self.dissipated += other.dissipated;
@@ -243,19 +208,16 @@ impl AddAssign for Work {
 
 impl Work {
     /// The vector (input, dissipated).
-    #[inline(always)]
     pub(super) fn pair(&self) -> Vector<2> {
         Vector::from([self.input, self.dissipated])
     }
 
     /// Work from the vector (input, dissipated).
-    #[inline(always)]
     pub(super) fn of_pair(pair: Vector<2>) -> Self {
         Self { input: pair[0], dissipated: pair[1] }
     }
 
     /// The sum self + duration·rate, J for a duration in s and a rate in W.
-    #[inline(always)]
     pub(super) fn plus(self, duration: f64, rate: Self) -> Self {
         Self { input: self.input + duration * rate.input, dissipated: self.dissipated + duration * rate.dissipated }
     }

@@ -108,12 +108,8 @@ pub struct MassFactor<'a, const BARE: bool> {
 }
 
 impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
-    #[inline(never)]
+    #[inline(always)]
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
-        self.solve_in_place(b, c)
-    }
-
-    fn solve_in_place(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         if !BARE && self.solver.solve == LinearSolve::Dense {
             return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
         }

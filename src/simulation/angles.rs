@@ -10,7 +10,7 @@ use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
 pub(super) use crate::dynamics::angles::{DISTAL, PROXIMAL, angles, legs};
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
-use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
+use crate::mechanism::constraints::{directions_corrected, directions_turned};
 use crate::mechanism::legs::Legs2;
 use crate::mechanism::placement::{by_links, joint_forces};
 use crate::mechanism::vertex::{self, Branch};
@@ -118,11 +118,6 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     #[inline(always)]
-    fn pose_in_place(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_along(directions(legs(q)))
-    }
-
-    #[inline(always)]
     fn updated_pose(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
         self.mechanism.pose_along(directions_corrected((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
@@ -187,14 +182,6 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     fn sticking_constraint(&self, q: &Angles, pose: &Pose, v: &Angles) -> StickingConstraint<ANGLES> {
         self.sticking(q, pose, v)
-    }
-
-    fn with_friction_reaction(&self, q: Angles, v: Angles, free: (Angles, AtTip)) -> (Angles, AtTip) {
-        self.with_reaction([q, v], free)
-    }
-
-    fn project_sticking(&self, q: Angles, v: Angles) -> Angles {
-        self.without_sliding(&q, v)
     }
 
     fn acceleration_tangents(

@@ -12,7 +12,6 @@ use crate::mechanism::coordinates::THETA;
 
 impl Run {
     /// Angles of links 1 to 4, rad, without the whole turns that are counted separately, and their rates, rad/s.
-    #[inline(never)]
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
         match &self.integrator {
@@ -28,7 +27,6 @@ impl Run {
 
     /// Continues from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy difference counts as input
     /// work; sign changes of the configuration do not count as passages.
-    #[inline(never)]
     pub(super) fn resume_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
         let geometry = &model.mechanism.geometry;
         let (before_theta, before_omega) = self.motion(model);

@@ -147,7 +147,6 @@ impl DenseRun {
         self.forward(model, (held, turns), inputs, steps).inspect_err(|_| (*self, *held, *turns) = before)
     }
 
-    #[inline(never)]
     fn forward(
         &mut self,
         model: &Model,
@@ -196,13 +195,11 @@ impl DenseRun {
 }
 
 /// Whether an angle exceeds two turns.
-#[inline(always)]
 fn has_whole_turns(step: &DenseStep<ANGLES, CLOSURES, Mode>) -> bool {
     step.end().max_norm() > 2.0 * TAU
 }
 
 /// Moves whole turns from angles that exceed two turns into `turns`, as [`super::state::remove_whole_turns`] does with q.
-#[inline(always)]
 fn remove_whole_turns(step: &mut DenseStep<ANGLES, CLOSURES, Mode>, turns: &mut [i64; 4]) {
     if !has_whole_turns(step) {
         return;

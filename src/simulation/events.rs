@@ -5,9 +5,10 @@ use std::borrow::Borrow;
 
 use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
 use super::five_bar::FiveBar;
-use crate::effects::{FrictionElement, FrictionElements, Motion};
+use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
-    self, FrictionConstraint, FrictionConstraints, FrictionGuards, Frictional, GuardValues, Mode, StickSlips, stick_velocity,
+    self, FrictionConstraint, FrictionConstraints, FrictionGuards, Frictional, GuardValues, Mode, StickSlip, StickSlips,
+    TIP_FRICTION, stick_velocity,
 };
 use crate::integrator::{Events, Extremes, System};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
@@ -21,7 +22,6 @@ enum InMode<'b, S> {
 }
 
 impl<S> Borrow<S> for InMode<'_, S> {
-    #[inline(always)]
     fn borrow(&self) -> &S {
         match self {
             Self::Same(system) => system,
@@ -40,18 +40,25 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     fn friction<const N: usize>(
         &self,
         at: &Motion,
+        wanted: impl Fn(StickSlip) -> bool,
         constraint: impl Fn(&FrictionElement) -> (Vector<N>, f64),
     ) -> FrictionConstraints<N> {
         let mut elements = FrictionElements::new();
         for effect in &self.model.effects {
             effect.add_friction(at, &mut elements);
         }
-        let geometry = &self.model.mechanism.geometry;
         let carried = |element: FrictionElement| {
-            let ((row, drift), FrictionElement { place, rate, bound, wrench }) = (constraint(&element), element);
-            FrictionConstraint { place, rate, bound, row, drift, arms: wrench.lever_arms(geometry) }
+            let (row, drift) = constraint(&element);
+            let FrictionElement { place, rate, bound, .. } = element;
+            FrictionConstraint { place, rate, bound, row, drift }
         };
-        elements.into_iter().map(carried).collect()
+        elements.into_iter().filter(|element| wanted(self.mode.stick_slip.at(element.place))).map(carried).collect()
+    }
+
+    /// Lever arms of a friction place.
+    fn arms_of(&self, place: usize) -> [f64; LINKS] {
+        let unit = if place == TIP_FRICTION { Wrench::of_tip([1.0, 0.0]) } else { Wrench::of_joint(place) };
+        unit.lever_arms(&self.model.mechanism.geometry)
     }
 
     /// Closure branch of a state with coaxial motors.
@@ -76,8 +83,12 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.in_mode(self.five_bar().mode.with_stick_slip(stick_slip))
     }
 
-    fn friction_constraints(&self, q: &Angles, pose: &Pose, v: &Angles) -> FrictionConstraints<ANGLES> {
-        self.five_bar().friction(&self.motion(pose, q, v), |FrictionElement { wrench, .. }| {
+    fn friction_constraints(
+        &self,
+        (q, pose, v): (&Angles, &Pose, &Angles),
+        wanted: impl Fn(StickSlip) -> bool,
+    ) -> FrictionConstraints<ANGLES> {
+        self.five_bar().friction(&self.motion(pose, q, v), wanted, |FrictionElement { wrench, .. }| {
             (angles(wrench.torques_in_angles(pose)), wrench.drift_in_angles(pose, legs(v)))
         })
     }
@@ -88,6 +99,10 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     fn stick_velocity(&self) -> f64 {
         stick_velocity(self.model().settings.error_tolerance)
+    }
+
+    fn lever_arms(&self, place: usize) -> [f64; LINKS] {
+        self.five_bar().arms_of(place)
     }
 }
 
@@ -100,8 +115,12 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
         self.on(self.mode.with_stick_slip(stick_slip))
     }
 
-    fn friction_constraints(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints<COORDINATES> {
-        self.friction(&self.motion(q, pose, v), |FrictionElement { wrench, .. }| {
+    fn friction_constraints(
+        &self,
+        (q, pose, v): (&Coordinates, &Pose, &Coordinates),
+        wanted: impl Fn(StickSlip) -> bool,
+    ) -> FrictionConstraints<COORDINATES> {
+        self.friction(&self.motion(q, pose, v), wanted, |FrictionElement { wrench, .. }| {
             (wrench.in_coordinates(pose), wrench.drift_in_coordinates(pose, v))
         })
     }
@@ -113,6 +132,10 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
     fn stick_velocity(&self) -> f64 {
         stick_velocity(self.model.settings.error_tolerance)
     }
+
+    fn lever_arms(&self, place: usize) -> [f64; LINKS] {
+        self.arms_of(place)
+    }
 }
 
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
@@ -121,10 +144,6 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
 
     fn has_events(&self) -> bool {
         self.model().has_events
-    }
-
-    fn has_modes(&self) -> bool {
-        self.has_events() || self.model().mechanism.geometry.base_distance == 0.0
     }
 
     fn regularization_velocity(&self) -> f64 {
@@ -162,7 +181,8 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     }
 
     fn on(&self, mode: Mode) -> impl Borrow<Self> {
-        if self.has_modes() { InMode::Others(self.in_mode(mode)) } else { InMode::Same(self) }
+        let has_modes = self.has_events() || self.model().mechanism.geometry.base_distance == 0.0;
+        if has_modes { InMode::Others(self.in_mode(mode)) } else { InMode::Same(self) }
     }
 
     fn guard_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
@@ -207,7 +227,6 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
 
-    #[inline(always)]
     fn has_events(&self) -> bool {
         !BARE && self.model.has_events
     }
@@ -226,17 +245,14 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         self.with_resolved_friction(mode, q, v)
     }
 
-    #[inline(always)]
     fn on(&self, mode: Mode) -> impl Borrow<Self> {
         FiveBar::on(self, mode)
     }
 
-    #[inline(always)]
     fn has_stick_slip(&self) -> bool {
         !BARE && self.model.sticks
     }
 
-    #[inline(always)]
     fn is_at_rest(&self) -> bool {
         !BARE && self.mode.stick_slip.at_rest()
     }

@@ -6,7 +6,7 @@ use crate::effects::{Inputs, Motion, Slopes, Wrench};
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{Events, Implicit, StepError, StickingConstraint, System, TangentPoint, Work};
 use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, largest_angle, legs_of};
+use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 /// A model with the inputs and whole turns that are constant during a step.
@@ -154,11 +154,6 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.pose(q)
     }
 
-    #[inline(always)]
-    fn pose_in_place(&self, q: &Coordinates) -> Pose {
-        self.model.mechanism.pose_in_place([legs_of(q, P_THETA), legs_of(q, D_THETA)])
-    }
-
     fn trig_base(&self, _: &Pose) {}
 
     #[inline(always)]
@@ -186,13 +181,8 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.forces_and_power(q, pose, v).0
     }
 
-    #[inline(never)]
-    fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
-        self.factor_mass_in_place(pose, regularization)
-    }
-
     #[inline(always)]
-    fn factor_mass_in_place(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
+    fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
         self.model.solver.factor_mass(pose, regularization)
     }
 
@@ -213,19 +203,6 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
 
     fn sticking_constraint(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
         self.sticking(q, pose, v)
-    }
-
-    fn with_friction_reaction(
-        &self,
-        q: Coordinates,
-        v: Coordinates,
-        free: (Coordinates, Multipliers),
-    ) -> (Coordinates, Multipliers) {
-        self.with_reaction([q, v], free)
-    }
-
-    fn project_sticking(&self, q: Coordinates, v: Coordinates) -> Coordinates {
-        self.without_sliding(&q, v)
     }
 
     #[inline(always)]

@@ -184,7 +184,6 @@ impl Following {
     }
 
     /// Faults of encoders that have not been reported yet: encoder index and fault, [`Fault::None`] for an encoder that has become silent.
-    #[inline(never)]
     pub fn take_reports(&mut self) -> ArrayVec<(usize, Fault), 2> {
         let Estimate { estimator, reported, .. } = &mut self.estimate;
         let mut news = ArrayVec::new();

@@ -96,7 +96,6 @@ pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
 
 impl MacroStepMethod {
     /// Advances the state from `mode` by one macro step of `h` seconds. On failure both are undefined, so the caller keeps a copy.
-    #[inline(always)]
     pub fn advance<const BARE: bool>(
         &self,
         system: &FiveBar<'_, BARE>,

@@ -122,14 +122,12 @@ impl Simulation {
     /// `steps` macro steps of `h` seconds with `inputs` held.
     ///
     /// On failure everything is as it was before the call. Allocates nothing.
-    #[inline(always)]
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true })
     }
 
     /// `steps` macro steps of `h` seconds with inputs that change: each macro step holds their value at its middle, which makes the impulse
     /// of a ramp exact and the motion of second order in h.
-    #[inline(always)]
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
     }

@@ -125,7 +125,6 @@ impl Model {
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
-    #[inline(always)]
     pub(super) fn is_bare(&self) -> bool {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
     }
@@ -179,7 +178,6 @@ impl Model {
     }
 
     /// Whether two inputs act equally; servo references are ignored in the absence of servos.
-    #[inline(always)]
     pub fn same_active_inputs(&self, a: &Inputs, b: &Inputs) -> bool {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }

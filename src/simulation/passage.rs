@@ -67,7 +67,6 @@ struct Ray {
 }
 
 impl Passage<ANGLES> for AngleSystem<'_> {
-    #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
             // At rest by friction there is no passage.
@@ -81,18 +80,15 @@ impl Passage<ANGLES> for AngleSystem<'_> {
         self.energy_scale_unless(LARGEST_POWER_VARIATION, before, [q, v], h)
     }
 
-    #[inline]
     fn can_project(&self, q: &Angles) -> bool {
         self.offset(q).is_none_or(|offset| offset.dot(&offset) >= UNPROJECTED_WITHIN * UNPROJECTED_WITHIN)
     }
 
     #[cold]
-    #[inline(never)]
     fn energy_to_keep(&self, q: &Angles, v: &Angles) -> Option<EnergyBalance> {
         (!self.can_project(q)).then(|| self.energy_balance(q, v))
     }
 
-    #[inline]
     fn is_near_vertex(&self, q: &Angles) -> bool {
         self.offset(q).is_some()
     }
@@ -124,7 +120,6 @@ impl AngleSystem<'_> {
 
     /// Passage, or step limits, near a vertex at this offset.
     #[cold]
-    #[inline(never)]
     fn approach_vertex(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let (distance, speed) = (offset.norm(), from.v.norm());
         let limited = |longest: f64| {
@@ -271,7 +266,6 @@ fn time_to_bifurcation(reach: f64, position: f64, speed: f64, acceleration: f64)
 
 /// Passage in the twelve coordinates: mapped to the link angles and back.
 impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
-    #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, COORDINATES>) -> Approach<COORDINATES> {
         let by_angles = AngleSystem::new(self.general());
         let (q, v) = (angles_of(from.q), angles_of(from.v));

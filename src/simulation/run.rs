@@ -158,7 +158,6 @@ impl Run {
     }
 
     /// Advances by macro steps with `inputs` held; the states of model exchange stay. A failure changes nothing.
-    #[inline(never)] // called from five places
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         let Self { turns, inputs: held, .. } = self;
         match &mut self.integrator {
@@ -268,21 +267,18 @@ trait Counted {
 }
 
 impl Counted for Core {
-    #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
     }
 }
 
 impl Counted for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
-    #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
     }
 }
 
 /// Macro steps by a method whose steps end with them. A failure leaves the state undefined.
-#[inline(always)]
 fn macro_steps<const BARE: bool, R: Counted>(
     model: &Model,
     run: &mut R,

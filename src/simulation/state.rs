@@ -72,7 +72,6 @@ impl State {
 }
 
 /// Moves whole turns from angles of q that exceed two turns into `turns`.
-#[inline(always)]
 pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
     if largest_angle(q) <= 2.0 * TAU {
         return;
@@ -81,7 +80,6 @@ pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
 }
 
 #[cold]
-#[inline(never)]
 fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
     for (turns, i) in turns.iter_mut().zip(THETA) {
         q[i] -= whole_turns(q[i], turns) * TAU;
@@ -89,7 +87,6 @@ fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
 }
 
 /// Whole turns of an angle that exceeds two turns, which are added to `turns`; otherwise 0.
-#[inline(never)]
 pub(super) fn whole_turns(angle: f64, turns: &mut i64) -> f64 {
     if angle.abs() <= 2.0 * TAU {
         return 0.0;

@@ -6,7 +6,7 @@ use super::driver::LONGEST;
 use super::trial::StageDerivative;
 use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
-use crate::integrator::{Events, Passage, State, System};
+use crate::integrator::{Mechanics, State};
 
 /// Number of states inside the rest of a step that are checked: more than the degree of the interpolant, which they bound.
 const INSIDE: u32 = 9;
@@ -29,7 +29,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Checks that both ends are possible states and that the step leads from one to the other.
     #[cold]
-    pub fn check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    pub fn check<S: Mechanics<N, M, Mode = K>>(
         &self,
         system: &S,
         settings: &Settings,
@@ -62,7 +62,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     #[cold]
     fn check_inside<S>(&self, system: &S, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency>
     where
-        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+        S: Mechanics<N, M, Mode = K>,
     {
         let (mut there, rest) = (*self, self.length - self.elapsed);
         (0..INSIDE).try_for_each(|part| {

@@ -6,11 +6,13 @@ use std::borrow::Borrow;
 use super::explicit::{Dop853, Explicit, Tsit5};
 use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
-use super::trial::{ErrorWeights, Origin, RATE, StageDerivative, StepResult, Trial};
+use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, checked_work};
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::locator::{self, EventCheck, EventTrials, SHORTEST};
-use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System, Transit, Work};
+use crate::integrator::{
+    Approach, EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, System, Transit, Work,
+};
 use crate::vector::Vector;
 
 /// Longest step, s, where nothing moves and the error sets no limit.
@@ -18,45 +20,41 @@ pub(super) const LONGEST: f64 = 10.0;
 /// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
 /// steps.
 const OUTPUT_MARGIN: f64 = 1.000_001;
-/// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
-const SLOW_RATE_PART: f64 = 0.3;
 /// Plan of the next step.
-pub(super) struct Plan<'a, P> {
+struct Plan<'a, P> {
     /// Step length, s.
-    pub(super) h: f64,
+    h: f64,
     /// Step length that the error control wants, s.
-    pub(super) wanted: f64,
+    wanted: f64,
     /// Longest admissible step, s.
-    pub(super) longest: f64,
+    longest: f64,
     /// Whether a vertex is near, where the energy may have to be conserved.
-    pub(super) near: bool,
-    /// Whether events are located; not so when a step is made again for comparison.
-    pub(super) locates_events: bool,
+    near: bool,
     /// Time of the next output and limit of the step while inputs are constant.
-    pub(super) horizon: Horizon,
+    horizon: Horizon,
     /// Pose at the beginning of the step, if known.
-    pub(super) pose: Option<&'a P>,
+    pose: Option<&'a P>,
 }
 
 /// One trial of a step.
-pub(super) struct Try {
+struct Try {
     /// Step length, s.
-    pub(super) h: f64,
+    h: f64,
     /// Length, s, and error of the last rejected trial.
-    pub(super) rejected: Option<[f64; 2]>,
+    rejected: Option<[f64; 2]>,
     /// Trials that are to end at a guard.
-    pub(super) event_trials: EventTrials,
+    event_trials: EventTrials,
 }
 
 impl Try {
     /// First trial of a step, of `h` seconds.
-    pub(super) fn of(h: f64) -> Self {
+    fn of(h: f64) -> Self {
         Self { h, rejected: None, event_trials: EventTrials::NONE }
     }
 }
 
 /// Outcome of a trial.
-pub(super) enum Outcome {
+enum Outcome {
     /// The step is accepted.
     Accepted,
     /// The error, in tolerances, is too large or NaN.
@@ -67,8 +65,7 @@ pub(super) enum Outcome {
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Makes the next step from the end of the current one, whose pose may be known.
-    #[inline(never)]
-    pub(super) fn step<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    pub(super) fn step<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -76,7 +73,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
         self.begin(system, settings, pose);
-        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+        let (longest, near) = match system.approach(&passage_limits(settings), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => (horizon.limit, false),
             Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
             Approach::Passed(transit) => {
@@ -107,7 +104,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, near, locates_events: true, horizon, pose };
+        let plan = Plan { h, wanted, longest, near, horizon, pose };
         match scheme {
             Scheme::Tsit5 => self.attempt::<Explicit<Tsit5, N>, S>(system, settings, &plan),
             Scheme::Dop853 => self.attempt::<Explicit<Dop853, N>, S>(system, settings, &plan),
@@ -117,8 +114,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.
-    #[inline]
-    fn probe_stiffness<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, limit: f64) {
+    fn probe_stiffness<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, limit: f64) {
         let at_start = self.start.counters.substeps == 0;
         // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
@@ -138,8 +134,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Makes a step in scheme `T`, shortened until the error is admissible and events are met.
-    #[inline(never)]
-    fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    fn attempt<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -148,7 +143,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // Two calls instead of one reference to a pose, because stages need little of a pose and keep it in registers.
         let origin = match plan.pose {
             Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
-            None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
+            None => Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization),
         };
         let mut in_mode = system.on(self.mode);
         let mut linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
@@ -185,8 +180,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Makes one trial of a step. A separate function, since most steps need one trial and prepare nothing for another.
-    #[inline(never)]
-    pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    fn try_once<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
@@ -194,14 +188,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (basis, origin): (&T::Linearization, &Origin<S::TrigBase, N>),
         Try { h, rejected, event_trials }: &Try,
     ) -> Outcome {
-        let (&Plan { wanted, near, locates_events, horizon, .. }, h) = (plan, *h);
+        let (&Plan { wanted, near, horizon, .. }, h) = (plan, *h);
         let energy_target = if near { self.energy_target(on, h) } else { None };
         let mut trial = T::new(on, basis, (&self.start, origin), h);
-        let (error, step_result) = trial.conclude(on, settings, origin, &settings.error_weights(on), energy_target);
+        let (error, step_result) = trial.conclude(on, settings, origin, &ErrorWeights::of(settings, on), energy_target);
         let Some(step_result) = step_result else { return Outcome::Rejected(error) };
         self.accept(&step_result, h, T::SCHEME);
         let mut longest_next = f64::INFINITY;
-        if on.has_events() && locates_events {
+        if on.has_events() {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
             match self.check_events(on, settings, &mut dense, event_trials.count) {
@@ -246,7 +240,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Energy that a step of `h` seconds conserves next to a vertex.
-    #[inline]
     pub(super) fn energy_target<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
@@ -266,12 +259,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Begins a step at the end of the current one, whose pose may be known.
-    fn begin<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        pose: Option<&S::Pose>,
-    ) {
+    fn begin<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: Option<&S::Pose>) {
         if self.end_is_unevaluated() {
             let fresh = pose.is_none().then(|| system.pose(&self.end.q));
             if let Some(pose) = pose.or(fresh.as_ref()) {
@@ -286,7 +274,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Sets the end of the step.
-    #[inline]
     pub(super) fn accept(&mut self, step_result: &StepResult<N, M>, h: f64, scheme: Scheme) {
         let StepResult { iterations, end_state, work } = step_result;
         (self.length, self.scheme) = (h, scheme);
@@ -296,7 +283,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Sets the length of the next step from the error of one of `h` seconds.
-    #[inline]
     fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
         // A rejected step is as long as its error allows, not cut short.
         let wanted = if rejected { h } else { wanted };
@@ -322,10 +308,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Sets the mode at the beginning of a step, after all transitions due there, and returns the longest useful step in that mode,
     /// s.
-    fn reinitialize<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
-        if !system.has_modes() {
-            return f64::INFINITY;
-        }
+    fn reinitialize<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         self.truncated_from = 0.0;
         let (mode, lasting) =
             locator::mode_at(system, self.next_mode_at_end, [&self.start.q, &self.start.v], settings.error_tolerance);
@@ -334,13 +317,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Applies the transition at a guard that the step crosses at its very beginning.
-    fn apply_transition<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
+    fn apply_transition<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
         self.set_mode(system, settings, mode);
     }
 
     /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
-    fn set_mode<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
+    fn set_mode<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
             self.start.reinitialize(next_mode.borrow(), &system.pose(&self.start.q), settings.regularization);
@@ -355,8 +338,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard; or refuses it with the error
     /// of its work, in tolerances. `system` is in the mode of the step, and `dense` evaluates the interpolant's coefficients.
-    #[inline(never)]
-    fn check_events<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    fn check_events<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -377,7 +359,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if let EventCheck::Before(_) = event {
             return Ok(event);
         }
-        settings.checked_work(Work::of_pair(self.end.work.pair() - self.start.work.pair()))?;
+        checked_work(settings, Work::of_pair(self.end.work.pair() - self.start.work.pair()))?;
         self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated);
         if shown > 0.0 {
             self.end.work.dissipated += self.separation_energy(system, [&self.end.q, &self.end.v]);
@@ -396,7 +378,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Makes a straight step through a vertex.
     #[cold]
-    fn pass_through<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    fn pass_through<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         transit: &Transit<N>,
@@ -408,22 +390,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 }
 
-impl Settings {
-    /// Weights of the local error. With events the work is weighted too: it depends on discontinuous forces, whose error the motion
-    /// does not show.
-    #[inline]
-    pub(super) fn error_weights<const N: usize>(&self, system: &impl Events<N>) -> ErrorWeights {
-        let rate = RATE.min(SLOW_RATE_PART * system.regularization_velocity() / self.error_tolerance);
-        ErrorWeights {
-            coordinate: self.error_tolerance,
-            rate,
-            work: system.has_events().then_some(self.error_tolerance * self.energy_scale),
-            has_sharp_nonlinearity: system.has_sharp_nonlinearity(),
-        }
-    }
-
-    /// Thresholds for passages: the local error is far below the impact parameter at any tolerance.
-    pub(super) fn passage(&self) -> PassageLimits {
-        PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
-    }
+/// Thresholds for passages: the local error is far below the impact parameter at any tolerance.
+fn passage_limits(settings: &Settings) -> PassageLimits {
+    PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: settings.first_step }
 }

@@ -8,7 +8,7 @@ mod tsit5;
 
 use std::marker::PhantomData;
 
-use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
+use super::trial::{self, ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
@@ -227,7 +227,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         let work = || Work::default().plus(*h, self.stages.power(&T::END));
         match weights.work(settings, system.follows_work(), work) {
             Ok(work) => {
-                (error, settings.conclude::<N, M, S>(T::EVALUATES_END, system, (origin, end[0] - *q), end, energy_target, work))
+                (error, trial::end_step(settings, T::EVALUATES_END, system, (origin, end[0] - *q), end, energy_target, work))
             }
             Err(error) => (error, None),
         }

@@ -7,12 +7,12 @@
 
 use std::borrow::Borrow;
 
-use super::trial::{RATE, StageDerivative, StepResult};
+use super::trial::{ErrorWeights, RATE, StageDerivative, StepResult, project};
 use super::{DenseStep, Scheme, Settings};
 use crate::integrator::dense_output::{Interpolant, Quintic, max_magnitude};
 use crate::integrator::locator::{EventWindow, Path};
 use crate::integrator::state::StepEnd;
-use crate::integrator::{Counters, Events, Passage, State, System, Work};
+use crate::integrator::{Counters, Events, Mechanics, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// Largest integrated defect, in units of the admissible error.
@@ -46,12 +46,7 @@ pub struct Sample<const N: usize, P> {
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// State at the present time on the constraints: inside the step the projected interpolant, or the interpolant itself where the
     /// projection does not converge.
-    #[inline]
-    pub fn sample<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-    ) -> Sample<N, S::Pose> {
+    pub fn sample<S: Mechanics<N, M, Mode = K>>(&self, system: &S, settings: &Settings) -> Sample<N, S::Pose> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
             return Sample {
@@ -67,7 +62,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let projected = if self.is_linear {
             None
         } else {
-            settings.project(system.on(self.mode).borrow(), &mut pose, &mut on_q, &mut on_v).ok()
+            project(settings, system.on(self.mode).borrow(), &mut pose, &mut on_q, &mut on_v).ok()
         };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |_| (on_q, on_v, pose));
         let configuration_signs = system.configuration_signs(&pose);
@@ -87,7 +82,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Dissipated work up to the present time inside the step, as it has been shown, J.
-    pub(super) fn dissipated<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
+    pub(super) fn dissipated<S: Mechanics<N, M, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
         if self.end.work.dissipated > self.start.work.dissipated {
             self.shown(system, settings).interpolated(system.on(self.mode).borrow(), settings).1.dissipated
         } else {
@@ -110,7 +105,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Interpolant at the present time, not projected, with the work.
-    #[inline]
     fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
@@ -142,7 +136,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Interpolated q and q̇ at a part of the step.
-    #[inline]
     pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
@@ -155,13 +148,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         [q, v]
     }
 
-    #[inline]
     pub(super) fn positions(&self) -> Interpolant<N> {
         let Self { start, end, length, dense, .. } = self;
         Interpolant::new([start.q, end.q], [*length * start.v, *length * end.v], std::array::from_fn(|k| dense[k].q))
     }
 
-    #[inline]
     pub(super) fn velocities(&self) -> Interpolant<N> {
         let Self { start, end, length, dense, .. } = self;
         Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
@@ -212,10 +203,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Ends the step at an event that its interpolant shows `when` seconds after the beginning; returns false and changes nothing
     /// if the result would be less accurate than a step up to there.
-    #[inline(never)]
     pub(super) fn truncate<S>(&mut self, system: &S, settings: &Settings, mut when: f64) -> bool
     where
-        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+        S: Mechanics<N, M, Mode = K>,
     {
         for _ in 0..MOST_CORRECTIONS {
             let Some(candidate) = self.candidate(system, settings, when) else { return false };
@@ -243,7 +233,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let [mut q, mut v] = self.interpolated_state(when / self.length);
         let mut pose = system.pose(&q);
-        let (iterations, mass) = settings.project(system, &mut pose, &mut q, &mut v).ok()?;
+        let (iterations, mass) = project(settings, system, &mut pose, &mut q, &mut v).ok()?;
         Some((iterations, [q, v], pose, mass))
     }
 
@@ -255,7 +245,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (iterations, state, pose, mass): Candidate<N, S::Pose, S::Mass>,
     ) -> bool
     where
-        S: System<N, M> + Passage<N> + Events<N, Mode = K>,
+        S: Mechanics<N, M, Mode = K>,
     {
         let Ok(end_state) = StepEnd::in_balance(system, state, &pose, &mass).finite() else { return false };
         let part = when / self.length;
@@ -270,7 +260,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             Work::of_pair(defect)
         };
         let rates = [&self.start.v, &end_state.v];
-        let sum = settings.error_weights(system).mean_square(defects, rates, power);
+        let sum = ErrorWeights::of(settings, system).mean_square(defects, rates, power);
         if sum.is_nan() || sum > GREATEST_DEFECT * GREATEST_DEFECT {
             return false;
         }

@@ -51,7 +51,6 @@ pub(super) struct Linearization<const N: usize> {
 
 impl<const N: usize> Linearization<N> {
     /// Tangents at a state with its pose; `None` where they are unknown.
-    #[inline(never)]
     pub(super) fn about<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
@@ -72,7 +71,6 @@ const DIFFERENCE_STEP: f64 = 1e-4;
 
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::A`].
-    #[inline(always)]
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let [mut q, mut v] = self.start;
         macro_rules! add {
@@ -89,7 +87,6 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 
     /// Contribution Σ coefficient · u of earlier stages to the right-hand side, over a row of [`Tableau::C`].
-    #[inline(always)]
     fn earlier_stages<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
         macro_rules! add {
@@ -106,7 +103,6 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 
     /// Solution u of a stage for its right-hand side.
-    #[inline(never)]
     fn solve(&self, tangents: &AccelerationTangents<N>, [q, v]: [Vector<N>; 2]) -> [Vector<N>; 2] {
         let part = self.h * T::GAMMA;
         let v = self.inverse.times(&(v + part * combination(&tangents.by_q, &q)));
@@ -114,7 +110,6 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 
     /// Work of the step by given weights of the stages, J.
-    #[inline(never)]
     fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MAX_STAGES]) -> Work {
         let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
         for ((weight, power), u) in weights.iter().zip(&self.power).zip(&self.u) {
@@ -138,7 +133,6 @@ struct StiffProjection<'a, const N: usize> {
 
 impl<const N: usize> StiffProjection<'_, N> {
     /// End of a step with its pose, projected, in equilibrium, and scaled to the energy to be conserved, if any.
-    #[inline(never)]
     fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
@@ -209,7 +203,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         Linearization::about(system, settings, (from, &origin.pose_at(system, &Vector::ZERO)))
     }
 
-    #[inline(never)]
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         linearization: &Linearization<N>,

@@ -113,7 +113,6 @@ impl Schemes {
     }
 
     /// Scheme of the next step, which other reasons limit to `limit` seconds.
-    #[inline]
     pub(super) fn next(self, stiffness_switch: &StiffnessSwitch, error_tolerance: f64, limit: f64) -> Scheme {
         match self {
             Self::Only(scheme) => scheme,
@@ -238,7 +237,6 @@ pub(super) struct StiffnessDetector {
 
 impl StiffnessDetector {
     /// Whether a check is due after `substeps` accepted steps.
-    #[inline]
     pub(super) fn is_due(&self, substeps: u64) -> bool {
         !self.detected && (self.at_limit > 0 || substeps.is_multiple_of(INTERVAL))
     }

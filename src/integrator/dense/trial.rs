@@ -5,9 +5,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::Interpolant;
-use crate::integrator::equilibrium::acceleration_near;
+use crate::integrator::equilibrium::{acceleration_near, project_sticking};
 use crate::integrator::state::StepEnd;
-use crate::integrator::{EnergyBalance, Passage, Projection, State, StepError, System, Work, velocity_correction};
+use crate::integrator::{EnergyBalance, Events, Passage, Projection, State, StepError, System, Work, velocity_correction};
 use crate::vector::Vector;
 use wide::f64x2;
 
@@ -100,6 +100,19 @@ pub(super) struct ErrorWeights {
 pub(super) const RATE: f64 = 10.0;
 
 impl ErrorWeights {
+    /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, whose error the motion does not
+    /// show.
+    pub(super) fn of<const N: usize>(settings: &Settings, system: &impl Events<N>) -> Self {
+        /// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
+        const SLOW_RATE_PART: f64 = 0.3;
+        Self {
+            coordinate: settings.error_tolerance,
+            rate: RATE.min(SLOW_RATE_PART * system.regularization_velocity() / settings.error_tolerance),
+            work: system.has_events().then_some(settings.error_tolerance * settings.energy_scale),
+            has_sharp_nonlinearity: system.has_sharp_nonlinearity(),
+        }
+    }
+
     /// Mean square of an error of q, q̇ and the work, in units of the admissible error, with the rates at both ends of the step.
     #[inline(always)]
     pub(super) fn mean_square<const N: usize>(
@@ -117,13 +130,13 @@ impl ErrorWeights {
         mean + (input * input + dissipated * dissipated) / (admissible * admissible)
     }
 
-    /// Work of a step, corrected by [`Settings::checked_work`]; with events that happens after their location.
+    /// Work of a step, corrected by [`checked_work`]; with events that happens after their location.
     #[inline]
     pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
         match follows {
             false => Ok(Work::default()),
             true if self.work.is_some() => Ok(work()),
-            true => settings.checked_work(work()),
+            true => checked_work(settings, work()),
         }
     }
 
@@ -134,59 +147,57 @@ impl ErrorWeights {
     }
 }
 
-impl Settings {
-    /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
-    /// exceeds the admissible error, the step is refused with the error in tolerances.
-    #[inline]
-    pub(super) fn checked_work(&self, work: Work) -> Result<Work, f64> {
-        let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
-        if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
-    }
+/// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
+/// exceeds the admissible error, the step is refused with the error in tolerances.
+#[inline]
+pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64> {
+    let error = -work.dissipated / (settings.error_tolerance * settings.energy_scale);
+    if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
+}
 
-    /// Ends a step at q and q̇, given with the increment from the origin: projects it onto the constraints and, if `evaluated`, solves for
-    /// q̈, λ and power there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
-    #[inline(always)]
-    pub(super) fn conclude<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        evaluated: bool,
-        system: &S,
-        (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
-        [mut q, mut v]: [Vector<N>; 2],
-        energy_target: Option<(EnergyBalance, f64)>,
-        work: Work,
-    ) -> Option<StepResult<N, M>> {
-        let mut pose = origin.pose_at(system, &by);
-        let (iterations, mass) = self.project(system, &mut pose, &mut q, &mut v).ok()?;
-        v = project_to_energy(system, [&q, &v], energy_target).ok()?;
-        let end_state = match evaluated {
-            true => StepEnd::in_balance(system, [q, v], &pose, &mass),
-            false => StepEnd::without_balance(system, [q, v], &pose),
-        };
-        StepResult::finite(work, iterations, end_state)
-    }
+/// Ends a step at q and q̇, given with the increment from the origin: projects it onto the constraints and, if `evaluated`, solves for
+/// q̈, λ and power there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
+#[inline(always)]
+pub(super) fn end_step<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    settings: &Settings,
+    evaluated: bool,
+    system: &S,
+    (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
+    [mut q, mut v]: [Vector<N>; 2],
+    energy_target: Option<(EnergyBalance, f64)>,
+    work: Work,
+) -> Option<StepResult<N, M>> {
+    let mut pose = origin.pose_at(system, &by);
+    let (iterations, mass) = project(settings, system, &mut pose, &mut q, &mut v).ok()?;
+    v = project_to_energy(system, [&q, &v], energy_target).ok()?;
+    let end_state = match evaluated {
+        true => StepEnd::in_balance(system, [q, v], &pose, &mass),
+        false => StepEnd::without_balance(system, [q, v], &pose),
+    };
+    StepResult::finite(work, iterations, end_state)
+}
 
-    /// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; returns
-    /// iterations and mass factor.
-    #[inline(always)]
-    pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        pose: &mut S::Pose,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
-    ) -> Result<(u32, S::Mass), StepError> {
-        if !system.can_project(q) {
-            return Ok((0, system.factor_mass(pose, self.regularization)));
-        }
-        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let iterations = projection.position_from(system, pose, q)?;
-        let mass = system.factor_mass(pose, self.regularization);
-        *v += velocity_correction(system, pose, &mass, v);
-        if system.has_sticking() {
-            *v = system.project_sticking(*q, *v);
-        }
-        Ok((iterations, mass))
+/// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; returns
+/// iterations and mass factor.
+#[inline(always)]
+pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    settings: &Settings,
+    system: &S,
+    pose: &mut S::Pose,
+    q: &mut Vector<N>,
+    v: &mut Vector<N>,
+) -> Result<(u32, S::Mass), StepError> {
+    if !system.can_project(q) {
+        return Ok((0, system.factor_mass(pose, settings.regularization)));
     }
+    let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
+    let iterations = projection.position_from(system, pose, q)?;
+    let mass = system.factor_mass(pose, settings.regularization);
+    *v += velocity_correction(system, pose, &mass, v);
+    if system.has_sticking() {
+        *v = project_sticking(system, (q, pose, v), &mass);
+    }
+    Ok((iterations, mass))
 }
 
 /// Velocity q̇ scaled to the energy that was there `h` seconds before, if one is to be conserved.
@@ -279,7 +290,7 @@ mod tests {
             max_work: 1000,
             regularization: 1e-20,
         };
-        let lost = |dissipated: f64| settings.checked_work(Work { input: 1.0, dissipated });
+        let lost = |dissipated: f64| checked_work(&settings, Work { input: 1.0, dissipated });
         assert_eq!(lost(3e-6), Ok(Work { input: 1.0, dissipated: 3e-6 }));
         assert_eq!(lost(-1e-6), Ok(Work { input: 1.0, dissipated: 0.0 }));
         // Negative dissipation of 1.5 times the admissible error.

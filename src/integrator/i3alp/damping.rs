@@ -25,7 +25,6 @@ const STIFF_RATIO: f64 = 0.2;
 
 /// End of a sub-step, damped if the unpredicted change of q̈ is stiff.
 #[cold]
-#[inline(never)]
 pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
@@ -40,10 +39,7 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     }
     let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
     let filter = |x: &Vector<N>| {
-        system
-            .solve_tangent_out_of_line(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO))
-            .ok()
-            .map(|(x, _)| x)
+        system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
     };
     // Oscillations of non-stiff components are within the error.
     if filter(&unpredicted).is_none_or(|filtered| system.error_norm(&filtered) > STIFF_RATIO * system.error_norm(&unpredicted)) {

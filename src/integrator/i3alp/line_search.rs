@@ -28,7 +28,6 @@ const FLAT: f64 = 1e-12;
 
 /// End of the step, if δ and λ are found. Only for systems whose forces have a potential.
 #[cold]
-#[inline(never)]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: Settings,

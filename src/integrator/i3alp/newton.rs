@@ -1,7 +1,7 @@
 //! Newton's method on the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
 
-use super::Settings;
 use super::stiff_forces::RATE;
+use super::{Settings, controls_rates};
 use crate::integrator::convergence::Convergence;
 use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, TangentPoint};
 use crate::vector::Vector;
@@ -101,11 +101,11 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let (mut q, mut pose);
     loop {
         q = step.q();
-        pose = system.pose_in_place(&q);
+        pose = system.pose(&q);
         let phi = system.phi(&q, &pose);
         // Before the first iteration the correction is infinite.
         let met = convergence.is_met(phi.max_norm());
-        if met && (!settings.controls_rates(system) || rates_converged(system, settings, step, held, (&q, &pose))) {
+        if met && (!controls_rates(settings, system) || rates_converged(system, settings, step, held, (&q, &pose))) {
             break;
         }
         if convergence.iterations >= max_iterations {
@@ -119,7 +119,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
         if system.has_sticking() {
-            let (found, force) = project_sticking(system, regularization, &at, (correction, y))?;
+            let (found, force) = keep_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
         }
         step.lambda = y / beta;
@@ -131,7 +131,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 
 /// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
 #[cold]
-fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
+fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     regularization: f64,
     at: &TangentPoint<'_, S::Pose, N, M>,
@@ -141,7 +141,7 @@ fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
         return Ok(((correction, y), Vector::ZERO));
     };
     let beta = at.h * at.h / 4.0;
-    let (by_force, y_by_force) = system.solve_tangent_out_of_line(at, regularization, (&(beta * force), &Vector::ZERO))?;
+    let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
     // By the trapezoidal rule a correction changes the rate by 2/h times itself.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {

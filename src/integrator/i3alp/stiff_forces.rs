@@ -32,7 +32,7 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
         let inertia = system.mass_times(pose, &unpredicted);
         rates = system
-            .solve_tangent_out_of_line(&at, settings.regularization, (&inertia, &Vector::ZERO))
+            .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
             .map_or(rates, |(unpredicted, _)| rate_error(system, h, &unpredicted, &to.v));
     }
     let external_work = |work: Work| work.input - work.dissipated;
