@@ -1,4 +1,4 @@
-"""What `cargo xtask wheel` adds to the package when it is built in a checkout: the unit, the scenes, the live page and the licences.
+"""The build hook of `cargo xtask wheel` adds to the package, in a checkout, the unit, the scenes, the live page and the licences.
 
 Files of `fivebar/shipped/` are read by `fivebar.shipped`. A wheel whose unit has one library is for this machine's kind; with several it is
 for all of them.
@@ -46,5 +46,5 @@ def libraries(unit: Path) -> set[str]:
 
 
 def platform() -> str:
-    """This machine's kind, as tags of wheels have it."""
+    """The kind of the building machine, in the words of wheel tags."""
     return sysconfig.get_platform().replace("-", "_").replace(".", "_")

@@ -26,6 +26,10 @@ POINTER = re.compile(
 )
 
 
+LEANING = re.compile(r'^\s*(?://[/!]?|#|"{3})\s?(?:The same|It|This|What|Which|Where)\b')
+"""A line that begins a comment or docstring with a word that leans on something else."""
+
+
 def tracked(*patterns: str) -> list[Path]:
     """The files of the repository that fit, those included that git does not know yet."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns]
@@ -122,6 +126,24 @@ def test_tests_named_in_papers_are_there() -> None:
     for paper in ("docs/scope.md", "CONTRIBUTING.md"):
         names = set(re.findall(r"`([a-z][a-z0-9]*_[a-z0-9_]+)`", (REPOSITORY / paper).read_text(encoding="utf-8")))
         assert names and names <= known, f"{paper} names {sorted(names - known)}"
+
+
+def leans(before: str, line: str) -> bool:
+    """Whether a comment begins on the line with a word that leans on something else; a line that continues a comment may."""
+    mark = re.match(r"\s*(//|#)", line)
+    continues = mark is not None and before.lstrip().startswith(mark[1])
+    return not continues and LEANING.match(line) is not None
+
+
+def test_comments_stand_alone() -> None:
+    """A comment is a sentence with its own subject: CONTRIBUTING.md has the rule."""
+    assert leans("", "    /// It ends") and leans("x = 1", "# Where it is") and leans("def f():", '    """What is written."""')
+    assert not leans("/// The step ends.", "/// It is short.") and not leans("", "// Itself a step") and not leans("", "x = 1  # It")
+    for file in SOURCES:
+        if file.suffix in (".rs", ".py"):
+            lines = file.read_text(encoding="utf-8").splitlines()
+            found = [number for number, (before, line) in enumerate(zip(["", *lines], lines), 1) if leans(before, line)]
+            assert not found, f"{short(file)}: comments of lines {found} lean on something else"
 
 
 def test_the_machine_of_the_readme_runs(fmu: Path) -> None:

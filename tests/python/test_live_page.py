@@ -305,7 +305,7 @@ def test_the_link_holds_the_state(browser: Any) -> None:
 
 
 def saved_scene(browser: Any) -> dict[str, Any]:
-    """What the button "Save scene" writes."""
+    """The scene that the button "Save scene" writes."""
     keep = """const [make, done] = [URL.createObjectURL, arguments[0]];
               URL.createObjectURL = (blob) => { blob.text().then(done); return make.call(URL, blob); };
               HTMLAnchorElement.prototype.click = () => {};

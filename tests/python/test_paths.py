@@ -184,7 +184,7 @@ def test_profiles(profile: pieces.Profile, length: float) -> None:
     assert 1.875 * 0.9601 / 0.5 == pytest.approx(3.600375) and 10 / np.sqrt(3) * 0.9601 / 0.25 == pytest.approx(22.172560, rel=1e-7)
 
 
-# Where it is blocked
+# Places at which a path is blocked
 
 
 STOPS = {"stop.enabled": True, "stop.lower[1]": 0.9, "stop.upper[1]": 2.9, "stop.lower[2]": 0.2, "stop.upper[2]": 2.2}

@@ -53,7 +53,7 @@ class User:
     def run(self, *command: str, code: int | None = 0, seconds: float = 300.0) -> "subprocess.CompletedProcess[str]":
         """Runs a program of the environment; nothing else is on PATH. `code` is the exit code that it has to have, None for any."""
         variables = {"PATH": str(self.programs), "HOME": str(self.home), "TMPDIR": str(self.temporary), "XDG_CACHE_HOME": str(self.cache), "LANG": "C.UTF-8"}
-        # Where packages come from is the machine's matter.
+        # The machine decides where packages come from.
         variables |= {name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_", "HTTPS_", "https_"))}
         program, *rest = command
         done = subprocess.run(
@@ -101,7 +101,7 @@ def test_what_is_missing_is_one_sentence(user: User, wheel: Path) -> None:
         sentence = user.fivebar(*words, code=2)
         assert sentence.count("\n") == 1 and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is missing\n"), sentence
     assert user.made() == {"fall_90_120"}
-    # What the sentence says, with the wheel in hand.
+    # The remedy that the sentence names, with the wheel in hand.
     user.run("python", "-m", "pip", "install", "--quiet", "--no-input", f"{wheel}[all]")
 
 

@@ -222,7 +222,7 @@ def _enough(piece: Piece, timing: Timing, count: int, step: float, machine: Mach
     return high
 
 
-# Where a path is blocked
+# Places at which a path is blocked
 
 
 def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[Piece]) -> None:
