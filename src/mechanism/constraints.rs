@@ -1,4 +1,4 @@
-//! The five revolute joints: Φ(q) = 0 and its derivatives.
+//! The five revolute joints: Φ(q) = 0 and its derivatives, at a [`Pose`]: directions of the links and arms along them.
 //!
 //! Per leg (σ = +1 left, −1 right), with û = (cos θ, sin θ) of each link, n̂ = û turned by +90°, c the centre of mass:
 //!

@@ -2,7 +2,7 @@
 //!
 //! A [`Case`] is data: trials (a scene, a start, a schedule of loads and communication steps, what to watch) and a demand on the
 //! result. [`Case::measure`] runs it by a [`Setting`] (method, step, tolerance) and gives a [`Row`]. The cases themselves are in
-//! [`cases`], numbered as in the list that asked for them.
+//! [`cases`], in the numbered groups of `docs/hard-cases.md`.
 
 pub mod books;
 pub mod cases;

@@ -1,4 +1,4 @@
-//! Rows and how they are written.
+//! Rows of the battery's tables, a case by a method each, with the verdict; and tables in CSV and Markdown.
 
 use std::fmt;
 use std::io::{self, Write};

@@ -1,5 +1,5 @@
-//! A goal: the battery's first 200 perturbed falls by the explicit method, in communication steps of several lengths; energy error,
-//! and wall time per simulated second. Part of `cargo xtask bench`.
+//! Energy error and wall time per simulated second of the battery's first 200 perturbed falls, by the explicit method in communication
+//! steps of several lengths. Part of `cargo xtask bench`.
 
 use std::io::{self, Write};
 

@@ -1,4 +1,6 @@
-"""Borders of the regions in which the tip can move: circles of inverse singularities, direct loci by working mode, arcs of stops."""
+"""Borders of the regions in which the tip can move: circles of inverse singularities, direct loci by working mode, arcs of
+stops; how far a place is from them; their points for pages.
+"""
 
 from pathlib import Path
 from typing import Any, NamedTuple

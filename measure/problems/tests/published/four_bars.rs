@@ -1,4 +1,4 @@
-//! IFToMM A02, N four-bars in a row: singular twice per turn, at 5 rad/s.
+//! N four-bars in a row (IFToMM benchmark A02), singular twice per turn at 5 rad/s, against the pendulum that they equal.
 
 use fivebar::integrator::{Events, Implicit, Passage, State};
 use problems::{Outcome, Problem, four_bars};

@@ -1,4 +1,4 @@
-"""`fivebar path`: a drawing as a scene."""
+"""`fivebar path`: a drawing timed, checked and drawn by a scene's machine."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`fivebar soak`: hours of samples."""
+"""`fivebar soak`: whether the twin follows hours of samples without loss or growth."""
 
 from pathlib import Path
 from typing import Any
