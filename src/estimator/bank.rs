@@ -5,44 +5,24 @@
 //! the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::innovation::{PredictedSample, log_likelihood};
-use super::linkage::{Frame, Linkage, Pair};
-use super::process_noise::ProcessNoise;
-use super::propagate::{FORCE, apply, propagate_covariance, turned};
-use super::transition::ERRORS;
+use super::constants::{
+    FORCE_WALK, LARGEST_VARIANCES, LEAST_LIKELIHOOD, LIKELY_MODELS, MASS_WALK, MODELS, NEGLIGIBLE_PROBABILITY, WHITE_TORQUE,
+};
+use super::propagation::{ProcessNoise, transformed};
+use super::stored;
+use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
 
-/// Number of models.
-pub const MODELS: usize = 4;
+/// Number of error components: two of the angles, two of the rates, two of the unknown force.
+pub const ERRORS: usize = 6;
+/// Index of the first force component in an error.
+pub(super) const FORCE: usize = 4;
 
 /// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m.
-pub type Error = [f64; ERRORS];
+pub type Error = SVector<f64, ERRORS>;
 /// Covariance or transition matrix of the error state.
-pub type Matrix = [Error; ERRORS];
-
-/// Process noise: variance rate of the unknown force in each model, 1/s, relative to the squared torque scale. Factors of 100 to 1000
-/// cover a constant disturbance to an impact.
-const FORCE_WALK: [f64; MODELS] = [4e-5, 0.04, 4.0, 4000.0];
-/// Process noise: variance rate of the unknown force by errors of masses, 1/s, relative to the squared inertia torques. Quiet models alone
-/// have it: its effect drowns in the force walk of the others.
-const MASS_WALK: [f64; MODELS] = [2e-4, 0.03, 0.0, 0.0];
-/// Process noise: spectral density of a white torque on every link, s, relative to the squared torque scale.
-const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
-/// Prior probabilities of the models before any sample, and for switching in hypotheses beside the estimate. A model of probability 0 takes
-/// no part.
-pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
-/// Prior probabilities for switching in the estimate under white encoder noise: the loudest is rare, because a large innovation may be
-/// noise.
-pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
-/// Prior probabilities for switching in the estimate under quantisation intervals: the loudest is frequent, because only a force moves an
-/// angle out of an interval, and nothing announces it.
-pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
-/// Smallest likelihood ratio of a model in one sample: keeps a model recoverable after an outlier.
-const LEAST_LIKELIHOOD: f64 = 1e-12;
-/// Largest variances of angles, rad², and rates, rad²/s²: beyond these nothing is known.
-const LARGEST_VARIANCES: [f64; 2] = [0.3, 1e4];
-/// Probability below which a model is left out of the moments of the mixture, whose digits it does not reach.
-const NEGLIGIBLE: f64 = 1e-12;
+pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -50,8 +30,10 @@ pub struct Member {
     /// Probability of the model.
     pub weight: f64,
     /// Mean of the error state.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     pub error: Error,
     /// Covariance of the error state.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     pub covariance: Matrix,
 }
 
@@ -62,42 +44,70 @@ pub struct Bank {
     pub members: [Member; MODELS],
 }
 
+/// Innovation of one encoder sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Innovation {
+    /// Measured minus expected angle, rad.
+    pub residual: f64,
+    /// Derivative H of the measured angle with respect to the error state, as a column.
+    pub row: Error,
+    /// Variance R of the measurement, rad².
+    pub noise: f64,
+}
+
+impl Innovation {
+    /// Innovation of a sample that an encoder takes of a motion.
+    pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, noise: f64) -> Self {
+        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row: at.row(encoder), noise }
+    }
+}
+
+/// Expectation of a sample by the models.
+#[derive(Clone, Copy, Debug)]
+pub struct PredictedSample {
+    weights: [f64; MODELS],
+    /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
+    pub(super) each: [(f64, f64, Error); MODELS],
+}
+
+impl PredictedSample {
+    /// Mean, rad, and variance, rad², of the innovation in the mixture.
+    pub(super) fn mixture_moments(&self) -> (f64, f64) {
+        let models = || self.weights.iter().zip(&self.each);
+        let mean: f64 = models().map(|(weight, (residual, ..))| weight * residual).sum();
+        let spread = |residual: f64| (residual - mean) * (residual - mean);
+        let variance = models().map(|(weight, (residual, variance, _))| weight * (variance + spread(*residual))).sum();
+        (mean, variance)
+    }
+
+    /// Normalised innovation squared of the mixture.
+    pub fn nis(&self) -> f64 {
+        let (mean, variance) = self.mixture_moments();
+        mean * mean / variance
+    }
+
+    /// Normalised innovation squared of the loudest model.
+    pub fn nis_of_loudest_model(&self) -> f64 {
+        let (residual, variance, _) = self.each[MODELS - 1];
+        residual * residual / variance
+    }
+
+    /// Log-likelihood of the innovation in a normal distribution with the moments of the mixture, up to a constant.
+    pub(super) fn log_likelihood(&self) -> f64 {
+        log_likelihood(self.nis(), self.mixture_moments().1)
+    }
+}
+
+/// Log-likelihood of an innovation up to a constant: −½ (NIS + ln of the variance).
+fn log_likelihood(nis: f64, variance: f64) -> f64 {
+    -0.5 * (nis + libm::log(variance))
+}
+
 impl Bank {
     /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
     pub fn new(variances: [f64; 3]) -> Self {
-        let mut covariance = [[0.0; ERRORS]; ERRORS];
-        for (i, row) in covariance.iter_mut().enumerate() {
-            row[i] = variances[i / 2];
-        }
-        Self { members: PRIOR.map(|weight| Member { weight, error: [0.0; ERRORS], covariance }) }
-    }
-
-    /// Propagates all errors by a transition matrix.
-    #[inline(never)]
-    pub fn propagate(&mut self, f: &Matrix) {
-        for member in self.active_members() {
-            member.error = apply(f, &member.error);
-            member.covariance = propagate_covariance(f, &member.covariance);
-        }
-    }
-
-    /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
-    #[inline(never)]
-    pub fn change_basis(&mut self, turn: &[Pair; 2]) {
-        for member in self.active_members() {
-            member.error = turned(turn, &member.error);
-            // Transform of the second index, then of the first.
-            let half = member.covariance.map(|row| turned(turn, &row));
-            let p = &mut member.covariance;
-            for first in (0..ERRORS).step_by(2) {
-                for (i, row) in turn.iter().enumerate() {
-                    for k in 0..=first + i {
-                        p[first + i][k] = row[0] * half[first][k] + row[1] * half[first + 1][k];
-                        p[k][first + i] = p[first + i][k];
-                    }
-                }
-            }
-        }
+        let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| variances[i / 2]));
+        Self { members: LIKELY_MODELS.map(|weight| Member { weight, error: Error::zeros(), covariance }) }
     }
 
     /// Models of non-zero probability.
@@ -105,20 +115,38 @@ impl Bank {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
-    /// Time update by h seconds: mixing of the models, propagation, process noise. The scales are the torque scale and the inertia torques,
+    /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
+    #[inline(never)]
+    pub fn transform(&mut self, f: &Matrix) {
+        for member in self.active_members() {
+            member.error = f * member.error;
+            member.covariance = transformed(f, &member.covariance);
+        }
+    }
+
+    /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
+    #[inline(never)]
+    pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
+        for member in self.active_members() {
+            member.error = turned(turn, &member.error);
+            member.covariance = turned(turn, &turned(turn, &member.covariance).transpose());
+            member.covariance.fill_upper_triangle_with_lower_triangle();
+        }
+    }
+
+    /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
     /// N·m. A model persists for `switch_time`, s, before one drawn from `priors` replaces it.
     #[inline(never)]
     pub fn predict(
         &mut self,
-        linkage: &Linkage,
-        (at, f): (&Frame, &Matrix),
-        [scale, accelerates]: Pair,
+        f: &Matrix,
+        noise: &ProcessNoise,
+        [scale, inertia]: [f64; 2],
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
         let stay = libm::exp(-h / switch_time);
         let (mean, all) = self.moments();
-        let noise = ProcessNoise::new(linkage, at, h);
         for (j, member) in self.members.iter_mut().enumerate() {
             // Mixing weights: the model has persisted, or any model has switched to it.
             let (own, any) = (member.weight * stay, (1.0 - stay) * priors[j]);
@@ -127,30 +155,20 @@ impl Bank {
                 continue;
             }
             let (own, any) = (own / member.weight, any / member.weight);
+            let off = member.error - mean;
+            let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
             let white = scale * scale * WHITE_TORQUE[j];
-            let walk = scale * scale * FORCE_WALK[j] + accelerates * accelerates * MASS_WALK[j];
-            let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
-            let error: Error = std::array::from_fn(|i| own * member.error[i] + any * mean[i]);
-            for i in 0..ERRORS {
-                for k in 0..ERRORS {
-                    let apart = off[i] * off[k];
-                    member.covariance[i][k] = own * (member.covariance[i][k] + any * apart) + any * all[i][k];
-                }
-            }
-            (member.error, member.covariance) = (apply(f, &error), propagate_covariance(f, &member.covariance));
-            for i in 0..ERRORS {
-                for k in 0..ERRORS {
-                    member.covariance[i][k] += white * noise.white[i][k] + walk * noise.walk[i][k];
-                }
-            }
+            let walk = scale * scale * FORCE_WALK[j] + inertia * inertia * MASS_WALK[j];
+            member.error = f * (member.error * own + mean * any);
+            member.covariance = transformed(f, &mixed) + noise.white * white + noise.walk * walk;
             bound(&mut member.covariance);
         }
     }
 
-    /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`PRIOR`]; evidence of samples stays.
+    /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`LIKELY_MODELS`]; evidence of samples stays.
     #[cold]
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
-        for (member, (prior, model_prior)) in self.members.iter_mut().zip(PRIOR.iter().zip(model_prior)) {
+        for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
             member.weight *= prior / model_prior;
         }
         self.normalise();
@@ -164,11 +182,11 @@ impl Bank {
         }
     }
 
-    /// Inflates the variances of angles, rad², and rates, rad²/s²; those of the force stay.
-    pub fn inflate(&mut self, variances: Pair) {
+    /// Inflates the variances of angles, rad², rates, rad²/s², and force, (N·m)².
+    pub fn inflate(&mut self, variances: [f64; 3]) {
         for member in &mut self.members {
-            for i in 0..4 {
-                member.covariance[i][i] += variances[i / 2];
+            for i in 0..ERRORS {
+                member.covariance[(i, i)] += variances[i / 2];
             }
         }
     }
@@ -184,24 +202,13 @@ impl Bank {
     #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
-        for member in &mut bank.members {
-            for i in FORCE..ERRORS {
-                member.error[i] = 0.0;
-                member.covariance[i] = [0.0; ERRORS];
-                member.covariance.iter_mut().for_each(|row| row[i] = 0.0);
-                member.covariance[i][i] = variance;
-            }
+        for Member { error, covariance, .. } in &mut bank.members {
+            error.fixed_rows_mut::<2>(FORCE).fill(0.0);
+            covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
+            covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
+            (covariance[(FORCE, FORCE)], covariance[(FORCE + 1, FORCE + 1)]) = (variance, variance);
         }
         bank
-    }
-
-    /// Inflates the variance of the force by `variance`, (N·m)².
-    pub fn inflate_force(&mut self, variance: f64) {
-        for member in &mut self.members {
-            for i in FORCE..ERRORS {
-                member.covariance[i][i] += variance;
-            }
-        }
     }
 
     /// Expected variance rate of the unknown force at the present probabilities, 1/s, relative to the squared torque scale.
@@ -211,37 +218,56 @@ impl Bank {
 
     /// Mean error of the mixture.
     pub fn mean(&self) -> Error {
-        std::array::from_fn(|i| self.members.iter().map(|member| member.weight * member.error[i]).sum())
-    }
-
-    /// Covariance of the force about zero error, (N·m)²: xx, xy, yy.
-    pub fn force_covariance(&self) -> [f64; 3] {
-        let mut sum = [0.0; 3];
-        for Member { weight, error, covariance } in &self.members {
-            let [.., x, y] = *error;
-            let [.., [.., xx, xy], [.., yy]] = *covariance;
-            sum = [sum[0] + weight * (xx + x * x), sum[1] + weight * (xy + x * y), sum[2] + weight * (yy + y * y)];
-        }
-        sum
+        self.members.iter().map(|member| member.error * member.weight).sum()
     }
 
     /// Mean and covariance of the mixture.
     #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
-        let mut covariance = [[0.0; ERRORS]; ERRORS];
-        for member in self.members.iter().filter(|member| member.weight >= NEGLIGIBLE) {
-            let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
-            for i in 0..ERRORS {
-                for k in 0..ERRORS {
-                    covariance[i][k] += member.weight * (member.covariance[i][k] + off[i] * off[k]);
-                }
-            }
-        }
+        let covariance = self
+            .members
+            .iter()
+            .filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY)
+            .map(|member| {
+                let off = member.error - mean;
+                (member.covariance + off * off.transpose()) * member.weight
+            })
+            .sum();
         (mean, covariance)
     }
 
-    /// Measurement update of all models by a sample; their probabilities change by the likelihoods.
+    /// Covariance of the error about the estimate, the mean error included.
+    pub fn covariance(&self) -> Matrix {
+        let (mean, covariance) = self.moments();
+        covariance + mean * mean.transpose()
+    }
+
+    /// Covariance of the force about zero error, (N·m)².
+    pub fn force_covariance(&self) -> Matrix2<f64> {
+        self.members
+            .iter()
+            .map(|Member { weight, error, covariance }| {
+                let force: Pair = error.fixed_rows::<2>(FORCE).into();
+                (covariance.fixed_view::<2, 2>(FORCE, FORCE) + force * force.transpose()) * *weight
+            })
+            .sum()
+    }
+
+    /// Expectation of a sample.
+    #[inline(never)]
+    pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
+        let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
+            if *weight == 0.0 {
+                return (0.0, 1.0, Error::zeros());
+            }
+            let column = covariance * sample.row;
+            (sample.residual - sample.row.dot(error), sample.row.dot(&column) + sample.noise, column)
+        });
+        PredictedSample { weights: self.members.map(|member| member.weight), each }
+    }
+
+    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
     #[inline(never)]
     pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
@@ -251,17 +277,13 @@ impl Bank {
                 continue;
             }
             *likelihood = log_likelihood(residual * residual / variance, *variance);
-            let gain = column.map(|element| element / variance);
+            let gain = column / *variance;
+            member.error += gain * *residual;
+            member.covariance -= gain * column.transpose();
+            member.covariance.fill_upper_triangle_with_lower_triangle();
             for i in 0..ERRORS {
-                member.error[i] += gain[i] * residual;
-                for k in 0..=i {
-                    let less = member.covariance[i][k] - gain[i] * column[k];
-                    member.covariance[i][k] = less;
-                    member.covariance[k][i] = less;
-                }
                 // A variance may turn negative by round-off only.
-                let own = &mut member.covariance[i][i];
-                *own = own.max(f64::EPSILON * gain[i] * column[i]);
+                member.covariance[(i, i)] = member.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
             }
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
@@ -271,44 +293,45 @@ impl Bank {
         self.normalise();
     }
 
+    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
+    pub fn subtract_mean(&mut self, by: &Error) {
+        for member in &mut self.members {
+            member.error -= by;
+        }
+    }
+
     /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9
-            && self.members.iter().all(|member| {
-                let p = &member.covariance;
-                member.weight >= 0.0
-                    && member.error.iter().all(|x| x.is_finite())
-                    && (0..ERRORS).all(|i| {
-                        p[i][i] >= 0.0
-                            && (0..i)
-                                .all(|k| p[i][k].to_bits() == p[k][i].to_bits() && p[i][k] * p[i][k] <= 1.01 * p[i][i] * p[k][k])
-                    })
+            && self.members.iter().all(|Member { weight, error, covariance: p }| {
+                let is_bounded = |i: usize, k: usize| p[(i, k)] * p[(i, k)] <= 1.01 * p[(i, i)] * p[(k, k)];
+                *weight >= 0.0
+                    && error.iter().all(|x| x.is_finite())
+                    && *p == p.transpose()
+                    && (0..ERRORS).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
             })
-    }
-
-    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
-    pub fn subtract_mean(&mut self, by: &Error) {
-        for member in &mut self.members {
-            for (error, by) in member.error.iter_mut().zip(by) {
-                *error -= by;
-            }
-        }
     }
 }
 
+/// Errors, by columns, whose angles, rates and force change alike.
+pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
+    let mut turned = *errors;
+    for pair in (0..ERRORS).step_by(2) {
+        turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
+    }
+    turned
+}
+
 /// Bounds the variances of unobserved directions.
-#[inline(never)]
 fn bound(covariance: &mut Matrix) {
-    for i in 0..4 {
-        let most = LARGEST_VARIANCES[i / 2];
-        if covariance[i][i] > most {
-            let factor = (most / covariance[i][i]).sqrt();
-            for k in 0..ERRORS {
-                covariance[i][k] *= factor;
-                covariance[k][i] *= factor;
-            }
+    for i in 0..FORCE {
+        let (variance, most) = (covariance[(i, i)], LARGEST_VARIANCES[i / 2]);
+        if variance > most {
+            let factor = (most / variance).sqrt();
+            covariance.row_mut(i).scale_mut(factor);
+            covariance.column_mut(i).scale_mut(factor);
         }
     }
 }
@@ -316,8 +339,9 @@ fn bound(covariance: &mut Matrix) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimator::constants::{BY_INTERVALS, BY_NOISE};
 
-    /// Without samples the probabilities become [`PRIOR`]; evidence of samples stays; models of probability 0 stay out.
+    /// Without samples the probabilities become [`LIKELY_MODELS`]; evidence of samples stays; models of probability 0 stay out.
     #[test]
     fn forecasts_are_of_what_is_likely() {
         let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {
@@ -326,14 +350,14 @@ mod tests {
             assert!(bank.is_sound());
             bank.members.map(|member| member.weight)
         };
-        for model_prior in [PRIOR, BY_NOISE, BY_INTERVALS] {
+        for model_prior in [LIKELY_MODELS, BY_NOISE, BY_INTERVALS] {
             let weights = weights(model_prior, &model_prior);
             // Tolerance: round-off.
-            assert!((0..MODELS).all(|i| (weights[i] - PRIOR[i]).abs() <= 1e-15), "{weights:?}");
+            assert!((0..MODELS).all(|i| (weights[i] - LIKELY_MODELS[i]).abs() <= 1e-15), "{weights:?}");
         }
         // Odds of 3 to 2 under priors of 3 to 1.
         let [_, _, third, fourth] = weights([0.0, 0.0, 0.4, 0.6], &BY_INTERVALS);
-        assert!((fourth / third / (0.5 * PRIOR[3] / PRIOR[2]) - 1.0).abs() < 1e-14);
+        assert!((fourth / third / (0.5 * LIKELY_MODELS[3] / LIKELY_MODELS[2]) - 1.0).abs() < 1e-14);
         assert_eq!(weights([0.0, 0.0, 0.0, 1.0], &BY_INTERVALS), [0.0, 0.0, 0.0, 1.0]);
     }
 }

@@ -1,41 +1,223 @@
-//! Data of the estimator that stay constant between changes of parameters.
+//! Tuned constants of the estimator, each with the run or the reason that chose it. Runs are those of
+//! `docs/notes/estimator.md`, by `cargo xtask estimator`.
 
-use super::linkage::{Frame, Linkage, Pair};
-use super::{Parameters, track};
-use crate::mechanism::Geometry;
+// ---- Models of the bank: notes, "Priors of the models".
 
+/// Number of models.
+pub(super) const MODELS: usize = 4;
+/// Process noise: variance rate of the unknown force in each model, 1/s, relative to the squared torque scale. Factors of 100 to 1000 cover a
+/// constant disturbance to an impact. Ten times the first makes the tip's error in free falls by 16 bits a tenth to a fifth larger.
+pub(super) const FORCE_WALK: [f64; MODELS] = [4e-5, 0.04, 4.0, 4000.0];
+/// Process noise: variance rate of the unknown force by errors of masses, 1/s, relative to the squared inertia torques. Quiet models alone
+/// have it: its effect drowns in the force walk of the others. Chosen by the NEES of pushes, falls and sines with masses 5 % off.
+pub(super) const MASS_WALK: [f64; MODELS] = [2e-4, 0.03, 0.0, 0.0];
+/// Process noise: spectral density of a white torque on every link, s, relative to the squared torque scale. Chosen by the NEES of falls,
+/// with masses that are exact and 5 % off.
+pub(super) const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
+/// Prior probabilities of the models before any sample, without samples, and next to a direct singularity, where a push assumed too readily
+/// takes the estimate back from the line of the distal links. Without them the ellipses of half a second ahead of `pick_and_place` were 72 mm
+/// wide for errors of 0.1 mm. A model of probability 0 takes no part.
+pub(super) const LIKELY_MODELS: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
+/// Prior probabilities under white encoder noise, where a large innovation may be noise: a loudest model of 0.2 makes the torque of the
+/// benchmark at 1° 1.3 to 1.5 N·m, of 0.005 0.81 to 0.93, of 1e-4 0.80 to 0.82.
+pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
+/// Prior probabilities under quantisation intervals, out of which only a force moves an angle, and nothing announces it: the NEES of pushes
+/// was 10.2, 7.0, 6.0 and 5.4 with a loudest model of 0.005, 0.1, 0.2 and 0.3.
+pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which [`LIKELY_MODELS`] are the priors with quantised encoders: slow crossings.
+pub(super) const NEAR_SINGULARITY: f64 = 0.3;
+/// Smallest likelihood ratio of a model in one sample: keeps a model recoverable after an outlier.
+pub(super) const LEAST_LIKELIHOOD: f64 = 1e-12;
+/// Probability below which a model is left out of the moments of the mixture, whose digits it does not reach.
+pub(super) const NEGLIGIBLE_PROBABILITY: f64 = 1e-12;
+/// Largest variances of angles, rad², and rates, rad²/s²: beyond these nothing is known.
+pub(super) const LARGEST_VARIANCES: [f64; 2] = [0.3, 1e4];
 /// Standard deviation of the unknown force at the start, in torque scales.
-const UNKNOWN_FORCE: f64 = 0.3;
+pub(super) const UNKNOWN_FORCE: f64 = 0.3;
+/// Regularisation of the squared input effects: next to a singularity no input is asked for a force that it cannot exert.
+pub(super) const EFFECT_REGULARIZATION: f64 = 1e-6;
+/// Largest normalised innovation squared that is reported, to stay finite.
+pub(super) const LARGEST_NIS: f64 = 1e12;
 
-/// Data of the estimator that stay constant between changes of parameters.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Constants {
-    pub(super) geometry: Geometry,
-    /// The mechanism in its link angles.
-    pub linkage: Linkage,
-    /// The parameters in force.
-    pub parameters: Parameters,
+// ---- Propagation.
+
+/// Least number of Runge–Kutta steps per second, 1/s: without and with stiff loads.
+pub(super) const LEAST_STEP_RATES: [f64; 2] = [600.0, 2500.0];
+/// Runge–Kutta steps per time constant of a damper: stability needs 0.36. A spring has one step per reciprocal of its natural frequency.
+pub(super) const STEPS_PER_DAMPER_TIME: f64 = 0.8;
+/// Runge–Kutta steps per radian of the fastest link in a regular posture.
+pub(super) const STEPS_PER_RADIAN: f64 = 8.0;
+/// Smallest singular value of J over the mean length that shortens Runge–Kutta steps further.
+pub(super) const VERTEX_STEP_FLOOR: f64 = 0.01;
+/// Largest number of Runge–Kutta steps in a macro step of the estimate: bounded work.
+pub(super) const MOST_STEPS: f64 = 64.0;
+/// Largest number of Runge–Kutta steps in a macro step of a hypothesis, which begins next to a vertex: bounded work.
+pub(super) const MOST_FINE_STEPS: f64 = 256.0;
+/// Largest turn of a link per Runge–Kutta step of a hypothesis relative to the smallest singular value of J over the mean length.
+pub(super) const LARGEST_TURN: f64 = 0.125;
+/// Floor of the smallest singular value in a division, dimensionless.
+pub(super) const LEAST_SINGULAR_VALUE: f64 = 1e-6;
+/// Smallest singular value of J over the mean length below which propagated and simulated motion are compared.
+pub(super) const COMPARED_BELOW: f64 = 0.2;
+/// Largest differences of angles, rad, and rates, rad/s, for which propagated and simulated motion agree.
+pub(super) const AGREEMENT: [f64; 2] = [1e-3, 0.1];
+/// Largest rate of a credible estimate, rad/s.
+pub(super) const LARGEST_RATE: f64 = 2e3;
+
+// ---- Closed loop.
+
+/// Smallest singular value of J over the mean length below which branches of a vertex cannot be told apart.
+pub(super) const NEAR_VERTEX: f64 = 0.03;
+/// Newton steps onto the closure: largest number.
+pub(super) const NEWTON_STEPS: usize = 8;
+/// Tolerance of Newton's iteration relative to the mean length: round-off of four arms.
+pub(super) const NEWTON_TOLERANCE: f64 = 1e-13;
+/// Regularisation of det JJᵀ relative to the mean length: no division by 0 in a vertex.
+pub(super) const RANK_LOSS: f64 = 1e-20;
+/// Largest closure error of a stored state relative to the mean length: anywhere, and next to a vertex, which motions cross straight.
+pub(super) const CLOSURE_TOLERANCES: [f64; 2] = [1e-4, 1e-2];
+/// Regularisation of the squared effect of the tangent basis on the motor angles: where motors hardly turn along it, uncertain lengths move
+/// the tip by J⁺ alone.
+pub(super) const MOTOR_REGULARIZATION: f64 = 0.01;
+/// Least |det| of the effect of the motors on the tangent basis for which unknown forces are reported as motor torques: closer to a direct
+/// singularity they grow without bound.
+pub(super) const LEAST_TORQUE_DETERMINANT: f64 = 0.15;
+/// Least |det| of the effect of the motors on the tangent basis for which errors of a mirrored assembly follow from those of the motors.
+pub(super) const LEAST_MOTOR_DETERMINANT: f64 = 1e-3;
+
+// ---- Encoders: notes, "Quantised samples".
+
+/// Smallest size of an invalid angle, rad: its fraction of a turn is round-off.
+pub(super) const LARGEST_ANGLE: f64 = 1e9;
+/// Round-off of the master's times, relative to them or to 1 s.
+pub(super) const TIME_ROUND_OFF: f64 = 1e-9;
+/// Gate: normalised innovation squared above which a sample is rejected once.
+pub(super) const GATE: f64 = 30.0;
+/// Gate of the loudest model: normalised innovation squared above which no assumed force explains a sample.
+pub(super) const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
+/// Largest number of samples rejected in a row before the encoder is trusted again.
+pub(super) const MOST_REJECTED_IN_A_ROW: u32 = 10;
+/// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
+pub(super) const CORRELATION_TIME: f64 = 0.3;
+/// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
+pub(super) const DITHER: f64 = 0.4;
+/// Largest change of a reading, in quantisation intervals, that means that one edge between intervals was passed.
+pub(super) const SINGLE_EDGE: f64 = 1.5;
+/// Standard deviation of the angle at an edge passage, in quantisation intervals: with 0.3, 7 of 2,400 slow crossings were lost.
+pub(super) const EDGE_SIGMA: f64 = 0.5;
+/// Silence, in sampling intervals since the last sample, after which an encoder counts as silent.
+pub(super) const SILENT_AFTER_INTERVALS: f64 = 1.5;
+/// Sampling interval assumed before two samples are known, s.
+pub(super) const UNKNOWN_INTERVAL: f64 = 0.1;
+/// Least variance of the white noise that replaces an interval, in Δ²/12, for an axis that crosses an interval per sample; a slower axis has
+/// a multiple, by the number of samples that share an error. With 0.04 the NEES of sines was 1.5.
+pub(super) const LEAST_VARIANCE: f64 = 0.003;
+/// Least standard deviation of a sample, rad, so that no variance is 0.
+pub(super) const LEAST_SIGMA: f64 = 1e-9;
+/// Standard deviation of the estimate, in quantisation intervals, above which an interval is plain white noise of Δ²/12.
+pub(super) const WIDEST_SIGMA: f64 = 2.0;
+/// Innovation, in quantisation intervals, above which a reading is plain white noise: no model assumed its cause.
+pub(super) const LARGEST_INNOVATION: f64 = 1.5;
+/// Largest variance of the replacing noise, in Δ²/12: an estimate well inside an interval learns almost nothing.
+pub(super) const LARGEST_VARIANCE: f64 = 1e4;
+/// Factor of the variance for successive intervals, which confine an error more than variances say: with bounded noise the error decreases
+/// with the number of samples, not with its root. Chosen by NEES and tip error of free falls.
+pub(super) const SUCCESSIVE_INTERVALS_FACTOR: f64 = 0.56;
+/// Distance of an interval, in standard deviations, beyond which its probability underflows and its near edge replaces it.
+pub(super) const FARTHEST_INTERVAL: f64 = 35.0;
+/// Floors of an interval's probability and of its relative variance, below which they are round-off.
+pub(super) const INTERVAL_FLOORS: [f64; 2] = [1e-300, 1e-3];
+
+// ---- Delayed samples.
+
+/// Least |det| of a map between tangent bases that rows of the history can be transformed by.
+pub(super) const LEAST_TURN: f64 = 1e-6;
+/// Largest element of the inverse of a transition that rows of the history can be propagated by.
+pub(super) const LARGEST_INVERSE: f64 = 1e12;
+
+// ---- Hypotheses: notes, "Hypotheses".
+
+/// Life and evidence of the hypotheses of a question.
+#[derive(Debug)]
+pub(super) struct HypothesisRules {
+    /// Life, s: by then samples have decided.
+    pub(super) lifetime: f64,
+    /// Log-likelihood ratio at which a hypothesis is dropped.
+    pub(super) refuted: f64,
+    /// Log-likelihood ratio at which a hypothesis replaces the estimate.
+    pub(super) decided: f64,
+    /// Torque scale of the unknown force relative to that of the estimate.
+    pub(super) force_scale: f64,
+    /// Prior probabilities of the models.
+    pub(super) models: [f64; MODELS],
 }
 
-impl Constants {
-    /// Constant data for a geometry that includes all masses.
-    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
-        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone() }
-    }
+/// Behind a vertex, by the passes of vertices of the table `singular`.
+pub(super) const AFTER_VERTEX: HypothesisRules =
+    HypothesisRules { lifetime: 0.5, refuted: -12.0, decided: 6.0, force_scale: 1.0, models: LIKELY_MODELS };
+/// In two assemblies, under nearly no unknown force. Under a real disturbance the loudest model takes over in both, so that the disturbance
+/// does not decide: of 150 slow crossings with a push of up to 0.05 N at 0.1° 45 were lost with the quietest model alone, 6 with both, 17 with
+/// all four and a scale of 0.003.
+pub(super) const QUIET: HypothesisRules =
+    HypothesisRules { lifetime: 5.0, refuted: -30.0, decided: 6.0, force_scale: 0.006, models: QUIET_MODELS };
+/// Prior probabilities of the models under nearly no unknown force: the quietest and the loudest alone.
+pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
+/// Initial standard deviation of the unknown force in quiet hypotheses, in torque scales: 0.006 held a motion back from the line of the
+/// distal links that it had crossed.
+pub(super) const INITIAL_FORCE_SIGMA: f64 = 0.001;
+/// Variance of the unknown force added when the other assembly replaces the estimate, in squared torque scales.
+pub(super) const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;
+/// Log-likelihood ratio of the first samples after a vertex that replaces the estimate at once.
+pub(super) const IMMEDIATE_EVIDENCE: f64 = 15.0;
+/// Angle of the fastest link before the vertex at which turning hypotheses start, rad.
+pub(super) const START_DISTANCE: f64 = 0.05;
+/// Lateral offset at which turning hypotheses start, rad: the way they turn hardly depends on it.
+pub(super) const LATERAL_OFFSET: f64 = 5e-3;
+/// Runge–Kutta steps of a turning hypothesis, there and back.
+pub(super) const TURNING_STEPS: u32 = 128;
+/// Change of a rate in a step, relative to the fastest rate, that means that the motion has turned in a vertex.
+pub(super) const LEAST_RATE_CHANGE: f64 = 0.3;
+/// Rate below which a machine next to a vertex counts as at rest, rad/s.
+pub(super) const REST_RATE: f64 = 0.05;
+/// Least |det| of the map between tangent spaces for which a hypothesis takes the transition matrix of the estimate.
+pub(super) const LEAST_BASIS_OVERLAP: f64 = 0.9999;
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity at which its passage ends: hypotheses in both assemblies are distinguishable.
+pub(super) const DISTINGUISHABLE: f64 = 0.1;
+/// Rate of sin(θ₃ − θ₂), 1/s, above which a passage is certain: no machine turns back from that.
+pub(super) const SLOW_PASSAGE: f64 = 1.0;
+/// Least log-likelihood of the other side for which hypotheses open: next to the line the estimate errs by more than its covariance says.
+pub(super) const LEAST_ODDS_TO_OPEN: f64 = -300.0;
+/// Least log-likelihood assigned to the other side when hypotheses open.
+pub(super) const LEAST_INITIAL_ODDS: f64 = -10.0;
+/// Largest prior log-likelihood of the mirrored assembly for a quiet motion that has crossed the line itself.
+pub(super) const LARGEST_ODDS_AFTER_CROSSING: f64 = -4.0;
+/// Log-likelihood of the other side far from direct singularities.
+pub(super) const NEGLIGIBLE_ODDS: f64 = -1e3;
+/// Innovation that means that the machine is lost, rad.
+pub(super) const DIVERGED_INNOVATION: f64 = 0.1;
+/// Accumulated time of diverged samples that restarts the estimate, s.
+pub(super) const DIVERGENCE_TIME: f64 = 0.1;
+/// Largest duration that a single sample counts for, s.
+pub(super) const LONGEST_SAMPLE_TIME: f64 = 0.02;
 
-    /// Torque scale of the unknown force, N·m.
-    pub fn torque_scale(&self) -> f64 {
-        if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
-    }
+// ---- Forecasts and alarm: notes, "Alarm".
 
-    /// Initial variances of angles, rad², rates, rad²/s², and unknown force, (N·m)².
-    pub(super) fn start_variances(&self) -> [f64; 3] {
-        let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
-        [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale()].map(|sigma| sigma * sigma)
-    }
-
-    /// Inputs that exert a unit of each force on the tangent basis.
-    pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
-        track::by_inputs(&self.linkage, at)
-    }
-}
+/// Variance rate of the unknown force by errors of masses in a forecast, 1/s, relative to the squared inertia torques: samples have revealed
+/// only the mass errors that mattered until now. Chosen by the coverage of falls with masses 5 % off.
+pub(super) const FORECAST_MASS_WALK: f64 = 0.2;
+/// Sudden alarm: change of the unknown force, in torque scales, and probability of the loud models above which it counts.
+pub(super) const SUDDEN_CHANGE: (f64, f64) = (0.25, 0.999);
+/// Sudden alarm of lower probability: probability of the loud models, and normalised change in standard deviations.
+pub(super) const PROBABLE_CHANGE: (f64, f64) = (0.9, 2.5);
+/// Lasting alarm: change of the unknown force, in torque scales, and in standard deviations.
+pub(super) const LASTING_CHANGE: (f64, f64) = (0.5, 6.0);
+/// Time constant by which the reference force follows, s: slower drift is no alarm.
+pub(super) const REFERENCE_TIME_CONSTANT: f64 = 0.3;
+/// Duration of an alarm, s.
+pub(super) const ALARM_DURATION: f64 = 0.1;
+/// Largest normalised innovation squared of a sample in the average: caps the influence of an outlier.
+pub(super) const LARGEST_NIS_IN_MEAN: f64 = 30.0;
+/// Consistency test: averaging length in samples.
+pub(super) const CONSISTENCY_LENGTH: f64 = 100.0;
+/// Consistency test: largest mean normalised innovation squared, of 1 expected.
+pub(super) const LARGEST_CONSISTENT_NIS: f64 = 4.0;

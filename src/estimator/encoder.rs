@@ -3,39 +3,15 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::innovation::PredictedSample;
-use super::track::wrapped;
+use super::bank::PredictedSample;
+use super::constants::{
+    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
+    MOST_REJECTED_IN_A_ROW, SILENT_AFTER_INTERVALS, SINGLE_EDGE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
+};
+use super::tangent::wrapped;
 
 /// Time of an encoder that has no sample, s.
 pub const NEVER: f64 = -1e30;
-/// Smallest size of an invalid angle, rad: its fraction of a turn is round-off.
-const LARGEST_ANGLE: f64 = 1e9;
-/// Round-off of the master's times, relative to them or to 1 s.
-const TIME_ROUND_OFF: f64 = 1e-9;
-/// Gate: normalised innovation squared above which a sample is rejected once.
-const GATE: f64 = 30.0;
-/// Gate of the loudest model: normalised innovation squared above which no assumed force explains a sample.
-const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
-/// Largest number of samples rejected in a row before the encoder is trusted again.
-const MOST_REJECTED_IN_A_ROW: u32 = 10;
-/// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
-const CORRELATION_TIME: f64 = 0.3;
-/// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
-const DITHER: f64 = 0.4;
-/// Largest change of a reading, in quantisation intervals, that means that one edge between intervals was passed.
-const SINGLE_EDGE: f64 = 1.5;
-/// Standard deviation of the angle at an edge passage, in quantisation intervals.
-const EDGE_SIGMA: f64 = 0.5;
-/// Silence, in sampling intervals since the last sample, after which an encoder counts as silent.
-const SILENT_AFTER_INTERVALS: f64 = 1.5;
-/// Sampling interval assumed before two samples are known, s.
-const UNKNOWN_INTERVAL: f64 = 0.1;
-/// Least variance of the white noise that replaces an interval, in Δ²/12, for an axis that crosses an interval per sample; a slower axis
-/// has a multiple, by the number of samples that share an error.
-const LEAST_VARIANCE: f64 = 0.003;
-/// Least standard deviation of a sample, rad, so that no variance is 0.
-const LEAST_SIGMA: f64 = 1e-9;
-
 /// Samples connected by a master: angles and their times.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Measured {
@@ -302,13 +278,12 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::bank::Bank;
-    use crate::estimator::innovation::Innovation;
+    use crate::estimator::bank::{Bank, Innovation};
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
     fn whole_steps_repeat() {
-        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0].into());
         let known = (0.5 * quantum).powi(2);
         // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals.
         let variance = |steps: f64| {

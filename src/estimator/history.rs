@@ -5,90 +5,77 @@
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::Matrix2;
 
-use super::bank::{Error, Matrix};
-use super::linkage::{Frame, MEASURED, Pair};
-use super::track::{Track, wrapped};
-use super::transition::ERRORS;
-
-/// Least |det| of a map between tangent bases that rows can be transformed by.
-const LEAST_TURN: f64 = 1e-6;
+use super::bank::{Error, Matrix, turned};
+use super::constants::{LARGEST_INVERSE, LEAST_TURN};
+use super::stored;
+use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 
 /// Number of macro steps whose angles the history holds.
 pub const REMEMBERED: usize = 64;
 
-/// Estimated encoder angles at a past instant.
+/// Estimated angle of an encoder's axis at a past instant.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Axis {
+    /// Angle, rad.
+    angle: f64,
+    /// Rate, rad/s.
+    rate: f64,
+    /// Derivative of the angle with respect to the present error.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    row: Error,
+}
+
+/// Both axes at a past instant.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Past {
     /// Age, s.
     age: f64,
-    /// Angles, rad.
-    angles: [f64; 2],
-    /// Rates, rad/s.
-    rates: [f64; 2],
-    /// Derivatives of the angles with respect to the present error.
-    rows: [Error; 2],
+    axes: [Axis; 2],
 }
 
 impl Past {
-    fn present(track: &Track, frame: &Frame) -> Self {
-        let rows = MEASURED.map(|link| {
-            let mut row = [0.0; ERRORS];
-            (row[0], row[1]) = (frame.basis[0][link], frame.basis[1][link]);
-            row
-        });
-        Self { age: 0.0, angles: MEASURED.map(|link| track.theta[link]), rates: MEASURED.map(|link| track.omega[link]), rows }
-    }
-
-    fn is_finite(&self) -> bool {
-        let numbers = self.angles.iter().chain(&self.rates).chain(self.rows.iter().flatten());
-        numbers.chain([&self.age]).all(|x| x.is_finite())
+    fn present(motion: &LinkState, frame: &Frame) -> Self {
+        let axis = |i: usize| Axis { angle: motion.theta[MEASURED[i]], rate: motion.omega[MEASURED[i]], row: frame.row(i) };
+        Self { age: 0.0, axes: [axis(0), axis(1)] }
     }
 }
 
 /// Past macro steps, the latest last.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct History(ArrayVec<Past, REMEMBERED>);
 
 impl History {
-    /// Time update by h seconds and a transition matrix from `track`; entries older than `max_age`, s, are dropped.
+    /// Time update by h seconds and a transition matrix from a motion; entries older than `max_age`, s, are dropped.
     #[inline(never)]
-    pub(super) fn step(&mut self, (track, frame): (&Track, &Frame), transition: &Matrix, h: f64, max_age: f64) {
+    pub(super) fn step(&mut self, (motion, frame): (&LinkState, &Frame), transition: &Matrix, h: f64, max_age: f64) {
         if max_age == 0.0 {
             return;
         }
-        let Some(back) = inverse(transition) else {
-            self.0.clear();
-            return;
+        let Some(back) = transition.try_inverse().filter(|back| back.iter().all(|x| x.abs() < LARGEST_INVERSE)) else {
+            return self.clear();
         };
         // One older entry stays for interpolation.
         while self.0.len() > 1 && self.0[1].age + h > max_age || self.0.is_full() {
             self.0.remove(0);
         }
-        self.0.push(Past::present(track, frame));
+        self.0.push(Past::present(motion, frame));
         for past in &mut self.0 {
             past.age += h;
-            past.rows = past.rows.map(|row| times(&row, &back));
+            for axis in &mut past.axes {
+                axis.row = back.tr_mul(&axis.row);
+            }
         }
     }
 
     /// Measurement update: the estimate was corrected by `error`, and the basis changed.
-    pub(super) fn correct(&mut self, error: &Error, [[a, b], [c, d]]: &[Pair; 2]) {
-        let determinant = a * d - b * c;
+    pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         // After a correction of the order of 1 rad the tangent bases before and after have no common plane.
-        if determinant.is_nan() || determinant.abs() < LEAST_TURN {
-            self.0.clear();
-        }
-        for past in &mut self.0 {
-            for i in 0..2 {
-                past.angles[i] += past.rows[i].iter().zip(error).map(|(a, b)| a * b).sum::<f64>();
-                let row = past.rows[i];
-                for first in (0..ERRORS).step_by(2) {
-                    let (x, y) = (row[first], row[first + 1]);
-                    past.rows[i][first] = (x * d - y * c) / determinant;
-                    past.rows[i][first + 1] = (y * a - x * b) / determinant;
-                }
-            }
+        let Some(back) = turn.try_inverse().filter(|_| turn.determinant().abs() >= LEAST_TURN) else { return self.clear() };
+        for axis in self.0.iter_mut().flat_map(|past| &mut past.axes) {
+            axis.angle += axis.row.dot(error);
+            axis.row = turned(&back.transpose(), &axis.row);
         }
     }
 
@@ -100,76 +87,25 @@ impl History {
     /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the history is
     /// shorter.
     #[inline(never)]
-    pub(super) fn at(&self, track: &Track, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
-        let present = Past::present(track, frame);
+    pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
+        let present = Past::present(motion, frame);
         let before = self.0.iter().rposition(|past| past.age >= age)?;
         let (past, next) = (&self.0[before], self.0.get(before + 1).unwrap_or(&present));
         let length = past.age - next.age;
         let part = (past.age - age) / length;
         // Cubic Hermite interpolation; whole turns between the ends are removed.
-        let whole = wrapped(next.angles[encoder] - past.angles[encoder]);
-        let [begin, end] = [past, next].map(|at| length * at.rates[encoder]);
+        let [begin, end] = [past, next].map(|at| at.axes[encoder]);
+        let whole = wrapped(end.angle - begin.angle);
         let (other, curve) = (1.0 - part, part * (1.0 - part));
-        let angle = past.angles[encoder] + part * whole + curve * (other * (begin - whole) - part * (end - whole));
-        let row = std::array::from_fn(|i| other * past.rows[encoder][i] + part * next.rows[encoder][i]);
-        Some((angle, row))
+        let bent = curve * (other * (length * begin.rate - whole) - part * (length * end.rate - whole));
+        Some((begin.angle + part * whole + bent, begin.row * other + end.row * part))
     }
 
     /// Whether stored entries are possible: finite, the latest last.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        self.0.iter().all(Past::is_finite)
+        let is_finite = |axis: &Axis| [axis.angle, axis.rate].iter().chain(&axis.row).all(|x| x.is_finite());
+        self.0.iter().all(|past| past.age.is_finite() && past.age > 0.0 && past.axes.iter().all(is_finite))
             && self.0.windows(2).all(|pair| pair[0].age > pair[1].age)
-            && self.0.iter().all(|past| past.age > 0.0)
     }
-}
-
-impl BorshSerialize for History {
-    fn serialize<W: std::io::Write>(&self, writer: &mut W) -> std::io::Result<()> {
-        self.0.as_slice().serialize(writer)
-    }
-}
-
-impl BorshDeserialize for History {
-    fn deserialize_reader<R: std::io::Read>(reader: &mut R) -> std::io::Result<Self> {
-        let all = Vec::<Past>::deserialize_reader(reader)?;
-        all.as_slice()
-            .try_into()
-            .map(Self)
-            .map_err(|_| std::io::Error::other("the history of the estimator is longer than its capacity"))
-    }
-}
-
-/// Product x F of a row and a matrix.
-fn times(x: &Error, f: &Matrix) -> Error {
-    std::array::from_fn(|k| (0..ERRORS).map(|i| x[i] * f[i][k]).sum())
-}
-
-/// Inverse of a matrix by Gauss–Jordan elimination with pivots; `None` where it is singular.
-#[inline(never)]
-fn inverse(f: &Matrix) -> Option<Matrix> {
-    let mut left = *f;
-    let mut right: Matrix = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(u8::from(i == k))));
-    for column in 0..ERRORS {
-        let pivot =
-            (column + 1..ERRORS).fold(column, |best, i| if left[i][column].abs() > left[best][column].abs() { i } else { best });
-        left.swap(column, pivot);
-        right.swap(column, pivot);
-        let value = left[column][column];
-        if value.is_nan() || value.abs() <= 1e-12 {
-            return None;
-        }
-        for k in 0..ERRORS {
-            left[column][k] /= value;
-            right[column][k] /= value;
-        }
-        for i in (0..ERRORS).filter(|&i| i != column) {
-            let factor = left[i][column];
-            for k in 0..ERRORS {
-                left[i][k] -= factor * left[column][k];
-                right[i][k] -= factor * right[column][k];
-            }
-        }
-    }
-    Some(right)
 }

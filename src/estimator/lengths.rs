@@ -1,62 +1,50 @@
 //! Effect of uncertain lengths on motor angles and tip: a persistent error.
 
-use super::linkage::{CLOSURE_SIGNS, Frame, Links, MEASURED, NEAR_VERTEX, Pair};
+use nalgebra::{Matrix2, Matrix2x5};
+
+use super::constants::{MOTOR_REGULARIZATION, NEAR_VERTEX};
+use super::tangent::{CLOSURE_SIGNS, Frame, Links, MEASURED, Pair};
 
 impl Frame {
     /// Variances of the motor angles, rad², by a standard deviation `sigma` of all lengths, m: the loop closes by J⁺.
-    pub(super) fn motors_by_lengths(&self, sigma: f64) -> Pair {
+    pub(super) fn motors_by_lengths(&self, sigma: f64) -> [f64; 2] {
         if sigma == 0.0 {
             return [0.0; 2];
         }
-        let mut variances = [0.0; 2];
-        for gap in self.gaps_by_length() {
-            let turned = self.closing(gap);
-            for (variance, link) in variances.iter_mut().zip(MEASURED) {
-                *variance += sigma * sigma * turned[link] * turned[link];
-            }
-        }
-        variances
+        let turned = self.turned_by_lengths();
+        MEASURED.map(|link| turned.iter().map(|turned| (sigma * turned[link]).powi(2)).sum())
     }
 
-    /// Covariance of the tip, m²: xx, xy, yy, by a standard deviation `sigma` of all lengths, m, while encoders hold the motors as far as
-    /// possible.
-    pub(super) fn tip_by_lengths(&self, sigma: f64) -> [f64; 3] {
-        /// Regularisation of the squared effect of the tangent basis N on the motor angles: where the motors hardly turn along N, the tip moves by
-        /// the pseudo-inverse J⁺ of the closure alone.
-        const MOTOR_REGULARIZATION: f64 = 0.01;
+    /// Covariance of the tip, m², by a standard deviation `sigma` of all lengths, m, while encoders hold the motors as far as possible.
+    pub(super) fn tip_by_lengths(&self, sigma: f64) -> Matrix2<f64> {
         if sigma == 0.0 {
-            return [0.0; 3];
+            return Matrix2::zeros();
         }
-        let [[a, b], [c, d]] = self.basis.map(|direction| MEASURED.map(|link| direction[link]));
-        let (xx, xy, yy) = (a * a + b * b + MOTOR_REGULARIZATION, a * c + b * d, c * c + d * d + MOTOR_REGULARIZATION);
-        let determinant = xx * yy - xy * xy;
-        let mut sum = [0.0; 3];
-        for (link, gap) in self.gaps_by_length().into_iter().enumerate() {
-            let back = self.closing(gap).map(|angle| -angle);
-            let off = MEASURED.map(|motor| back[motor]);
-            let [p, q] = [a * off[0] + b * off[1], c * off[0] + d * off[1]];
-            let held = self.tangent([(yy * p - xy * q) / determinant, (xx * q - xy * p) / determinant]);
-            let turned = std::array::from_fn(|i| back[i] - held[i]);
-            let mut moved = self.tip_velocity(&turned);
-            if link < 2 {
-                moved = [0, 1].map(|k| moved[k] + self.directions[link][k]);
-            }
-            let [x, y] = moved.map(|x| sigma * x);
-            sum = [sum[0] + x * x, sum[1] + x * y, sum[2] + y * y];
-        }
-        sum
+        let motors = self.motors();
+        // Regularised, the matrix is positive definite.
+        let squared = motors.tr_mul(&motors) + Matrix2::identity() * MOTOR_REGULARIZATION;
+        let holding = squared.try_inverse().unwrap_or_default() * motors.transpose();
+        self.turned_by_lengths()
+            .iter()
+            .enumerate()
+            .map(|(link, turned)| {
+                let held = turned - self.basis * (holding * Pair::new(turned[MEASURED[0]], turned[MEASURED[1]]));
+                let moved = self.tip_by_links() * held;
+                let moved = if link < 2 { moved + self.directions.column(link) } else { moved };
+                moved * moved.transpose() * (sigma * sigma)
+            })
+            .sum()
     }
 
-    /// Closing turn J⁺ r, damped next to a vertex, where J⁺ grows without bound and says nothing of finite lengths.
-    fn closing(&self, gap: Pair) -> Links {
+    /// Turns of the links by the length of each link and of the base: −J⁺ of the closure gap, damped next to a vertex, where J⁺ grows without
+    /// bound and says nothing of finite lengths.
+    fn turned_by_lengths(&self) -> [Links; 5] {
         let part = (self.smallest / NEAR_VERTEX).min(1.0);
-        self.least_squares(gap).map(|angle| part * part * angle)
-    }
-
-    /// Derivatives of the closure gap with respect to the length of each link and of the base.
-    fn gaps_by_length(&self) -> [Pair; 5] {
-        let [first, second, third, fourth] =
-            std::array::from_fn(|i| self.directions[i].map(|component| CLOSURE_SIGNS[i] * component));
-        [first, second, third, fourth, [-1.0, 0.0]]
+        let mut gaps = Matrix2x5::zeros();
+        for (i, sign) in CLOSURE_SIGNS.into_iter().enumerate() {
+            gaps.set_column(i, &(self.directions.column(i) * sign));
+        }
+        gaps[(0, 4)] = -1.0;
+        std::array::from_fn(|i| self.least_squares(gaps.column(i).into()) * (-part * part))
     }
 }

@@ -1,51 +1,56 @@
 //! Estimator: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force among its states, a
 //! multiple-model bank of process noises, and alternative hypotheses after singularities; `docs/estimator.md` derives it.
 //!
-//! The module knows the mechanism and the data that a simulation passes: loads with tangents, and the motion at the end of each macro step.
-//! The simulation owns the motion; the estimator returns the corrected state and the unknown force to continue with.
+//! | file | holds |
+//! | --- | --- |
+//! | `tangent.rs` | the closed loop: J, N, closure |
+//! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
+//! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
+//! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
+//! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
+//! | `forecast.rs`, `bands.rs`, `lengths.rs`, `alarm.rs` | what is told of the estimate |
+//! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
+//!
+//! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
+//! and the end of each macro step. The simulation owns the motion; the estimator returns the corrected one and the unknown force to continue with.
 //!
 //! Invariant: no input or output and no clock; equal input bits give equal output bits.
 
-#![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
-
 pub mod alarm;
-mod assembly;
 mod bands;
 pub mod bank;
-mod branches;
+pub mod belief;
 mod constants;
 pub mod encoder;
+pub mod flow;
 pub mod forecast;
 mod history;
-pub mod innovation;
+mod hypotheses;
 mod lengths;
-pub mod linkage;
 mod parameters;
-mod posture;
-mod process_noise;
-mod propagate;
+mod propagation;
 mod quantiser;
-mod restart;
-mod track;
-pub mod transition;
+mod stored;
+pub mod tangent;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 pub use alarm::Alarm;
-use assembly::{AssemblyHypotheses, Passage, Propagation};
-pub use bank::Matrix;
-use branches::Branches;
-pub use constants::Constants;
+pub use bank::Innovation;
+pub use belief::Belief;
+use constants::{
+    BY_INTERVALS, BY_NOISE, DIVERGED_INNOVATION, LARGEST_NIS, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
+};
 use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
+pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
-pub use innovation::Innovation;
-pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
-pub use parameters::{Bands, Parameters};
-pub use track::{Track, wrapped};
-pub use transition::{Loads, Scene};
+use hypotheses::Hypotheses;
+pub use parameters::{Bands, Constants, Parameters};
+use propagation::Propagation;
+pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 
 /// Quality of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,22 +71,19 @@ pub enum Status {
     Faulty(Fault),
 }
 
-/// Changing part of the estimator.
+/// Changing part of the estimator. The motion that its errors are about is the simulation's.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
-    track: Track,
+    belief: Belief,
     /// Whether the last macro step came too close to a vertex to know the branch.
     held: bool,
     /// Whether no samples arrived before the last macro step.
     coasts: bool,
-    branches: Branches,
-    assembly: AssemblyHypotheses,
+    hypotheses: Hypotheses,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
     alarm: Alarm,
-    /// Accumulated time with large innovations minus that with small ones, s.
-    diverged: f64,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
     /// Innovation of the last sample of each encoder, rad.
@@ -90,189 +92,243 @@ pub struct Estimator {
     nis: f64,
 }
 
-/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which models of large process noise keep a low prior probability: an unknown force
-/// that is assumed there without need pulls the estimate back to the singularity.
-const NEAR_SINGULARITY: f64 = 0.3;
-/// Largest normalised innovation squared that is reported, to stay finite.
-const LARGEST_NIS: f64 = 1e12;
+/// New sample of an encoder.
+#[derive(Clone, Copy)]
+struct Sample {
+    /// Angle, rad.
+    angle: f64,
+    /// Age, s.
+    age: f64,
+    innovation: Innovation,
+}
 
 impl Estimator {
     /// Initial estimate of a scene.
     #[cold]
-    pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
+    pub fn new(constants: &Constants) -> Self {
         Self {
-            track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
+            belief: Belief::new(constants.start_variances()),
             held: false,
             coasts: true,
-            branches: Branches::default(),
-            assembly: AssemblyHypotheses::default(),
+            hypotheses: Hypotheses::default(),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
             alarm: Alarm::default(),
-            diverged: 0.0,
             restarted: false,
             innovation: [0.0; 2],
             nis: 0.0,
         }
     }
 
-    /// Present estimate.
-    pub fn track(&self) -> &Track {
-        &self.track
+    /// Unknown force and errors.
+    pub fn belief(&self) -> &Belief {
+        &self.belief
     }
 
-    /// Moves the estimate by a known discontinuity; the errors about it stay.
-    pub fn move_to(&mut self, theta: Links, omega: Links) {
-        (self.track.theta, self.track.omega) = (theta, omega);
-    }
-
-    /// Measurement update by the samples that are new at time `now`, s on the encoders' clock. Returns whether the estimate has changed.
-    pub fn correct(&mut self, constants: &Constants, measured: &Measured, now: f64) -> bool {
-        let Constants { linkage, parameters, .. } = constants;
-        let (mut received, mut ages) = ([None; 2], [0.0; 2]);
-        let mut any = false;
-        let mut frame = linkage.frame(&self.track.theta);
-        let persistent = frame.motors_by_lengths(parameters.sigma0_length);
-        for i in 0..2 {
-            let Some(sample) = self.encoders[i].receive(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
-                continue;
-            };
-            let rate = self.track.omega[MEASURED[i]];
-            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], rate, persistent[i]);
-            let mut innovation = self.track.innovation(&frame, i, sample.angle, noise);
-            if sample.age > 0.0 {
-                match self.history.at(&self.track, &frame, i, sample.age) {
-                    Some((angle, row)) => innovation = Innovation { residual: wrapped(sample.angle - angle), row, noise },
-                    // The sample is older than the run or than the last change of hypothesis.
-                    None => {
-                        self.encoders[i].fault = Fault::Late;
-                        continue;
-                    }
-                }
-            }
-            (received[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
-        }
+    /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion,
+    /// `None` where no sample has changed the estimate.
+    pub fn correct(&mut self, constants: &Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
+        let (linkage, mut motion) = (&constants.linkage, *motion);
+        let mut frame = linkage.frame(&motion.theta);
+        let persistent = frame.motors_by_lengths(constants.parameters.sigma0_length);
+        let mut samples = [0, 1].map(|i| self.receive(i, constants, (&motion, &frame), persistent[i], (measured, now)));
         // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
-        if any && self.reinitialize(constants, &received, &ages) {
-            return true;
+        if samples.iter().all(Option::is_none) {
+            return None;
         }
-        if !any || self.held {
-            return false;
+        if let Some(anew) = self.restart(constants, &motion, &samples) {
+            return Some(anew);
         }
-        // While several hypotheses are open, the first samples select one before any of them is corrected.
-        let preferred = self.branches.preferred(linkage, &self.track, &received);
-        if let Some(other) = preferred {
-            self.branches.swap(&mut self.track, other);
-            self.history.clear();
-            frame = linkage.frame(&self.track.theta);
-            for i in 0..2 {
-                if let Some((innovation, angle)) = &mut received[i] {
-                    *innovation = self.track.innovation(&frame, i, *angle, innovation.noise);
-                    ages[i] = 0.0;
+        if self.held {
+            return None;
+        }
+        // While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected.
+        let told = samples.map(|sample| sample.map(|sample| (sample.innovation, sample.angle)));
+        let favoured = self.hypotheses.favoured(linkage, &self.belief, &told);
+        if let Some(other) = favoured {
+            frame = self.take_over(other, constants, &mut motion);
+            for (i, sample) in samples.iter_mut().enumerate() {
+                if let Some(Sample { angle, age, innovation }) = sample {
+                    *innovation = Innovation::new(&motion, &frame, i, *angle, innovation.noise);
+                    *age = 0.0;
                 }
             }
         }
-        let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
-        let (mut nis, mut fit, mut used) = (0.0, 0.0, [None; 2]);
-        for i in 0..2 {
-            let Some((innovation, angle)) = received[i] else { continue };
-            let expected = self.track.bank.predict_sample(&innovation);
-            let ((own, _), least) = (expected.nis_and_variance(), expected.nis_of_loudest_model());
-            let rate = self.track.omega[MEASURED[i]];
-            let suspicious =
-                !other_stands[i] && self.encoders[i].should_not_repeat(rate, parameters.quantum[i], parameters.sigma[i]);
-            self.innovation[i] = innovation.residual;
-            nis += own;
-            if self.encoders[i].passes_gate(own, least, (suspicious, self.branches.is_branch_known())) {
-                self.branches.subtract_likelihood(&expected);
-                let (encoder, told) = ((parameters.sigma[i], parameters.quantum[i]), [innovation.noise, persistent[i]]);
-                self.track.bank.update(&self.encoders[i].with_quantisation_interval(&expected, encoder, rate, told));
-                fit += own;
-                used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], dead_zone: 0.0 });
-            }
+        let Update { readings, likelihood, fit } = self.update(constants, &motion, persistent, &samples);
+        let used = readings.iter().flatten().count();
+        if used == 0 {
+            return favoured.map(|_| motion);
         }
-        self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
-        if used.iter().all(Option::is_none) {
-            return preferred.is_some();
-        }
-        match self.track.inject_error(linkage, &frame) {
+        match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
                 frame = to;
             }
             // No closed configuration is near the corrected one: the covariance is worthless.
-            None => self.track.bank = bank::Bank::new(constants.start_variances()),
+            None => self.belief.bank = bank::Bank::new(constants.start_variances()),
         }
-        let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
-        let confined_to_interval = [0, 1].map(|i| {
-            let (noise, rate) = ((parameters.sigma[i], parameters.quantum[i]), self.track.omega[MEASURED[i]]);
-            used[i].map(|reading| self.encoders[i].confined_to_interval(reading, noise, rate))
-        });
-        let by_grazing = self.assembly.correct(constants, &confined_to_interval).map(|other| self.track = other);
-        if by_branches.or(by_grazing).is_some() {
-            self.history.clear();
-            frame = linkage.frame(&self.track.theta);
+        let readings =
+            if self.hypotheses.are_quiet() { self.confined_to_intervals(constants, &motion, &readings) } else { readings };
+        if let Some(other) = self.hypotheses.correct(linkage, &readings, likelihood) {
+            frame = self.take_over(other, constants, &mut motion);
         }
-        let samples = used.iter().flatten().count();
-        self.alarm.receive(&self.track, &frame, constants.torque_scale(), (fit, samples));
-        true
+        self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used));
+        Some(motion)
     }
 
-    /// Time update by a macro step of h seconds that ended at these angles, rad, and rates, rad/s. `scene` has the loads of the step with
-    /// the unknown force, `known` without.
-    pub fn predict<S: Scene>(&mut self, constants: &Constants, [scene, known]: [&S; 2], (theta, omega): (&Links, &Links), h: f64) {
-        let Constants { linkage, parameters, .. } = constants;
-        let frame = linkage.frame(&self.track.theta);
-        let timing = (h, parameters.switch_time);
-        // Inertia torques, link by link: in a fast passage next to a singularity those of two links nearly cancel on the basis, while
-        // errors of their masses do not.
-        let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
-        let [first, second] = frame.basis;
-        let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
-        let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
-        let coasts = self.is_coasting();
-        // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
-        let has_intervals = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        // Prior probabilities of the models while samples arrive.
-        let model_prior = match has_intervals {
-            true if frame.side().abs() < NEAR_SINGULARITY => &bank::PRIOR,
-            true => &bank::BY_INTERVALS,
-            false => &bank::BY_NOISE,
+    /// Sample of an encoder if it is new and valid, with its innovation y − h(x̂).
+    fn receive(
+        &mut self,
+        i: usize,
+        constants: &Constants,
+        (motion, frame): (&LinkState, &Frame),
+        persistent: f64,
+        (measured, now): (&Measured, f64),
+    ) -> Option<Sample> {
+        let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
+        let encoder::Sample { angle, age } = self.encoders[i].receive(measured.theta[i], measured.time[i], now, max_delay)?;
+        let noise = self.encoders[i].noise(sigma[i], quantum[i], motion.omega[MEASURED[i]], persistent);
+        let innovation = if age > 0.0 {
+            let Some((expected, row)) = self.history.at(motion, frame, i, age) else {
+                // The sample is older than the run or than the last change of hypothesis.
+                self.encoders[i].fault = Fault::Late;
+                return None;
+            };
+            Innovation { residual: wrapped(angle - expected), row, noise }
+        } else {
+            Innovation::new(motion, frame, i, angle, noise)
         };
+        Some(Sample { angle, age, innovation })
+    }
+
+    /// Measurement update of the bank by the samples that pass their gates, one after the other.
+    fn update(&mut self, constants: &Constants, motion: &LinkState, persistent: [f64; 2], samples: &[Option<Sample>; 2]) -> Update {
+        let Parameters { sigma, quantum, .. } = constants.parameters;
+        let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
+        let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
+        let mut nis = 0.0;
+        for i in 0..2 {
+            let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
+            let expected = self.belief.bank.predict_sample(&innovation);
+            let (encoder, rate, own) = (&mut self.encoders[i], motion.omega[MEASURED[i]], expected.nis());
+            let suspicious = !other_stands[i] && encoder.should_not_repeat(rate, quantum[i], sigma[i]);
+            self.innovation[i] = innovation.residual;
+            nis += own;
+            if encoder.passes_gate(own, expected.nis_of_loudest_model(), (suspicious, self.hypotheses.is_branch_known())) {
+                let told = [innovation.noise, persistent[i]];
+                self.belief.bank.update(&encoder.with_quantisation_interval(&expected, (sigma[i], quantum[i]), rate, told));
+                if self.hypotheses.are_open() {
+                    update.likelihood += expected.log_likelihood();
+                }
+                update.fit += own;
+                update.readings[i] = Some(Reading { angle, noise: innovation.noise, age, dead_zone: 0.0 });
+            }
+        }
+        self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
+        update
+    }
+
+    /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where
+    /// samples are not used, one that is far suffices. Returns the motion.
+    fn restart(&mut self, constants: &Constants, motion: &LinkState, samples: &[Option<Sample>; 2]) -> Option<LinkState> {
+        self.restarted = false;
+        let [Some(left), Some(right)] = samples else { return None };
+        let off = [left, right].map(|sample| sample.innovation.residual.abs() > DIVERGED_INNOVATION);
+        let off = if self.held { off[0] || off[1] } else { off[0] && off[1] };
+        let intervals = self.encoders.each_ref().map(Encoder::interval);
+        if !self.hypotheses.is_lost(off, intervals[0].min(intervals[1]).min(LONGEST_SAMPLE_TIME)) {
+            return None;
+        }
+        let axes = [(0, left), (1, right)].map(|(i, sample)| {
+            let (expected, rate) = (motion.theta[MEASURED[i]], self.encoders[i].rate());
+            Pair::new(expected + wrapped(sample.angle - expected) + sample.age * rate, rate)
+        });
+        let anew = self.hypotheses.restart(constants, motion, axes)?;
+        let Parameters { sigma, quantum, .. } = constants.parameters;
+        let mut variances = constants.start_variances();
+        for i in 0..2 {
+            let noise = sigma[i] * sigma[i] + quantum[i] * quantum[i] / 12.0;
+            variances[0] = variances[0].max(noise);
+            variances[1] = variances[1].max(2.0 * noise / (intervals[i] * intervals[i]));
+        }
+        self.belief = Belief::new(variances);
+        self.innovation = [left, right].map(|sample| sample.innovation.residual);
+        self.history.clear();
+        (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
+        Some(anew)
+    }
+
+    /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
+    #[cold]
+    fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
+        self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
+        self.history.clear();
+        constants.linkage.frame(&motion.theta)
+    }
+
+    /// Readings as slow motions are judged by: an interval, or an edge between two.
+    fn confined_to_intervals(
+        &self,
+        constants: &Constants,
+        motion: &LinkState,
+        readings: &[Option<Reading>; 2],
+    ) -> [Option<Reading>; 2] {
+        let Parameters { sigma, quantum, .. } = constants.parameters;
+        [0, 1].map(|i| {
+            let rate = motion.omega[MEASURED[i]];
+            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma[i], quantum[i]), rate))
+        })
+    }
+
+    /// Time update by a macro step of h seconds from a motion to another, in a scene without the unknown force.
+    pub fn predict(&mut self, constants: &Constants, scene: &impl Scene, [from, to]: [&LinkState; 2], h: f64) {
+        let Constants { linkage, parameters, .. } = constants;
+        let frame = linkage.frame(&from.theta);
+        let coasts = self.is_coasting();
+        let models = self.models(constants, from);
         if coasts && !self.coasts {
-            self.track.bank.reset_priors(model_prior);
+            self.belief.bank.reset_priors(&models);
         }
         self.coasts = coasts;
+        let step = Propagation::new(linkage, scene, (from, &frame), to, &self.belief.force, h);
+        // Inertia torques, link by link: in a fast passage next to a singularity those of two links nearly cancel on the basis, while
+        // errors of their masses do not.
+        let torques = step.mass * ((to.omega - from.omega) / h);
+        let inertia = (frame.basis.component_mul(&frame.basis).column_sum().dot(&torques.component_mul(&torques)) / 2.0).sqrt();
+        let scale = constants.torque_scale();
         if coasts && parameters.forecast == Bands::SigmaPoints {
-            self.forecast.step(&self.track, constants, scene, (h, scales));
+            self.forecast.step(constants, (from, &self.belief), scene, (h, [scale, inertia]));
         }
-        let to = linkage.frame(theta);
-        let flow = self.track.flow(linkage, &frame, scene, (h, 1));
-        let step = self.track.step((&frame, &to), (theta, omega), &flow, h);
-        let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
-        self.branches.open_after_vertex(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
-        self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        let priors = if coasts { &bank::PRIOR } else { model_prior };
-        let scales = [scales[0], if has_intervals { scales[1] } else { 0.0 }];
-        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
-        (self.track.theta, self.track.omega) = (*theta, *omega);
+        self.hypotheses.open_after_vertex(constants, (from, &self.belief), scene, &step, to);
+        self.history.step((from, &frame), &step.f, h, parameters.max_delay);
+        // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
+        let scales = [scale, if self.has_intervals(parameters) { inertia } else { 0.0 }];
+        let priors = if coasts { LIKELY_MODELS } else { models };
+        self.belief.bank.predict(&step.f, &step.noise(h), scales, (h, parameters.switch_time), &priors);
         self.held = step.held;
-        self.branches.step(constants, step.held, scene, timing);
-        let passage = match () {
-            () if coasts => Passage::Unseen,
-            () if step.held || self.branches.are_open() => Passage::Vertex,
-            () => Passage::Clear,
-        };
-        let propagation = Propagation { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
-        self.assembly.step(constants, (&self.track, passage, &propagation), known, timing);
+        self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         for encoder in &mut self.encoders {
             encoder.time_since_sample += h;
         }
         self.alarm.step(h);
+    }
+
+    /// Whether a quantisation interval says more than white noise.
+    fn has_intervals(&self, parameters: &Parameters) -> bool {
+        (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]))
+    }
+
+    /// Prior probabilities of the models while samples arrive.
+    fn models(&self, constants: &Constants, motion: &LinkState) -> [f64; MODELS] {
+        match self.has_intervals(&constants.parameters) {
+            true if motion.side()[0].abs() < NEAR_SINGULARITY => LIKELY_MODELS,
+            true => BY_INTERVALS,
+            false => BY_NOISE,
+        }
     }
 
     /// Whether both encoders are silent.
@@ -289,7 +345,7 @@ impl Estimator {
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.branches.are_open() || self.assembly.is_open() => Status::TwoBranches,
+            () if self.hypotheses.are_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -305,8 +361,13 @@ impl Estimator {
         self.encoders[i].time_since_sample.is_finite()
     }
 
+    /// Whether the last samples have reinitialised the estimate.
+    pub fn has_restarted(&self) -> bool {
+        self.restarted
+    }
+
     /// Innovation of the last sample of each encoder: measured minus expected angle, rad.
-    pub fn innovation(&self) -> Pair {
+    pub fn innovation(&self) -> [f64; 2] {
         self.innovation
     }
 
@@ -320,31 +381,35 @@ impl Estimator {
         self.alarm.is_on()
     }
 
-    /// Probability of a direct singularity within the horizon under held inputs: the fraction of 13 motions, those of the sigma points and of
-    /// their mean, that meet one.
-    pub fn singularity_probability(&self, constants: &Constants, scene: &impl Scene, step: f64) -> f64 {
-        forecast::singularity_probability(&self.track, &self.forecast, constants, scene, step)
+    /// Probability of a direct singularity within the horizon under the held inputs of `scene`, which include the unknown force: the fraction
+    /// of 13 motions, those of the sigma points and of their mean, that meet one.
+    pub fn singularity_probability(&self, constants: &Constants, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
+        self.forecast.singularity_probability(constants, (motion, &self.belief), scene, step)
     }
 
-    /// Refuses a stored estimator that is inconsistent with this mechanism and motion.
+    /// Refuses a stored estimator that is not possible for this mechanism and motion.
     #[cold]
-    pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
-        let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
-        if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
-            return Err("its estimate differs from the simulated motion");
-        }
-        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.assembly.tracks());
-        if !tracks.all(|track| track.is_sound(&constants.linkage)) {
+    pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
+        let linkage = &constants.linkage;
+        if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) {
             return Err("its estimate has a state or covariance that is not valid");
         }
-        let received = self.encoders.iter().all(Encoder::is_sound);
-        if !received || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
+        if !self.encoders.iter().all(Encoder::is_sound) || !self.history.is_sound() || !self.forecast.is_sound(linkage) {
             return Err("a sample, the history or the forecast of its estimator is not valid");
         }
-        let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);
-        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.assembly.is_sound() {
+        if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         Ok(())
     }
+}
+
+/// Measurement update by the samples of both encoders.
+struct Update {
+    /// Readings that were used.
+    readings: [Option<Reading>; 2],
+    /// Their log-likelihood.
+    likelihood: f64,
+    /// Their normalised innovation squared, summed.
+    fit: f64,
 }

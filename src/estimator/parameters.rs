@@ -1,7 +1,8 @@
-//! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast.
+//! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
-use super::REMEMBERED;
-use crate::mechanism::{SceneError, finite, not_negative, positive};
+use super::constants::UNKNOWN_FORCE;
+use super::{Linkage, REMEMBERED};
+use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
 
 /// Method of the covariance in a forecast without samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -74,5 +75,42 @@ impl Parameters {
             )));
         }
         Ok(())
+    }
+}
+
+/// Data of the estimator that stay constant between changes of parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Constants {
+    pub(super) geometry: Geometry,
+    /// Lengths of the closed loop.
+    pub linkage: Linkage,
+    /// The parameters in force.
+    pub parameters: Parameters,
+    /// Torque scale of the unknown force, N·m.
+    torque_scale: f64,
+}
+
+impl Constants {
+    /// Constant data for a geometry that includes all masses.
+    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
+        // Mean over the legs of the torque that carries their weight, (m_P a_P + m_D l_P)·9.81 m/s².
+        let weight = |p: usize, d: usize| {
+            let [proximal, distal] = [p, d].map(|i| geometry.links[i]);
+            9.81 * (proximal.mass * proximal.com.abs() + distal.mass * proximal.length)
+        };
+        let weight_torque = (weight(0, 1) + weight(3, 2)) / 2.0;
+        let torque_scale = if parameters.torque_scale > 0.0 { parameters.torque_scale } else { weight_torque };
+        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale }
+    }
+
+    /// Torque scale of the unknown force, N·m.
+    pub fn torque_scale(&self) -> f64 {
+        self.torque_scale
+    }
+
+    /// Initial variances of angles, rad², rates, rad²/s², and unknown force, (N·m)².
+    pub(super) fn start_variances(&self) -> [f64; 3] {
+        let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
+        [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale].map(|sigma| sigma * sigma)
     }
 }

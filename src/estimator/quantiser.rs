@@ -4,21 +4,10 @@
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use super::innovation::PredictedSample;
-
-/// Standard deviation of the estimate, in quantisation intervals, above which an interval is plain white noise of Δ²/12.
-const WIDEST_SIGMA: f64 = 2.0;
-/// Innovation, in quantisation intervals, above which a reading is plain white noise: no model assumed its cause.
-const LARGEST_INNOVATION: f64 = 1.5;
-/// Largest variance of the replacing noise, in Δ²/12: an estimate well inside an interval learns almost nothing.
-const LARGEST_VARIANCE: f64 = 1e4;
-/// Factor of the variance for successive intervals, which confine an error more than variances say: with bounded noise the error decreases
-/// with the number of samples, not with its root.
-const SUCCESSIVE_INTERVALS_FACTOR: f64 = 0.56;
-/// Distance of an interval, in standard deviations, beyond which its probability underflows and its near edge replaces it.
-const FARTHEST_INTERVAL: f64 = 35.0;
-/// Floors of an interval's probability and of its relative variance, below which they are round-off.
-const FLOORS: [f64; 2] = [1e-300, 1e-3];
+use super::bank::PredictedSample;
+use super::constants::{
+    FARTHEST_INTERVAL, INTERVAL_FLOORS, LARGEST_INNOVATION, LARGEST_VARIANCE, SUCCESSIVE_INTERVALS_FACTOR, WIDEST_SIGMA,
+};
 
 impl PredictedSample {
     /// Expected sample whose reading stands for an interval of width `quantum`, rad, about the encoder's value.
@@ -56,13 +45,13 @@ fn truncated_normal(a: f64, b: f64) -> (f64, f64) {
     // Mirrored to the upper tail, where no digits cancel.
     let (a, b, sign) = if a + b < 0.0 { (-b, -a, -1.0) } else { (a, b, 1.0) };
     if a > FARTHEST_INTERVAL {
-        return (sign * a, FLOORS[1]);
+        return (sign * a, INTERVAL_FLOORS[1]);
     }
     let [at_a, at_b] = [a, b].map(density);
-    let part = (tail_probability(a, at_a) - tail_probability(b, at_b)).max(FLOORS[0]);
+    let part = (tail_probability(a, at_a) - tail_probability(b, at_b)).max(INTERVAL_FLOORS[0]);
     let mean = (at_a - at_b) / part;
     let variance = 1.0 - mean * mean + (a * at_a - b * at_b) / part;
-    (sign * mean, variance.clamp(FLOORS[1], 1.0))
+    (sign * mean, variance.clamp(INTERVAL_FLOORS[1], 1.0))
 }
 
 /// Density of the standard normal distribution.

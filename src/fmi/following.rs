@@ -1,48 +1,52 @@
-//! A communication step of a machine that is followed: samples of the encoders correct the state, then the prediction is
-//! integrated.
+//! A machine that is followed, in a communication step: samples of the encoders correct the state, and their faults are told.
 
-use super::CallError;
-use super::derivatives::check_reach;
-use super::snapshot::Next;
-use super::stepping::Step;
+use super::stepping::{Machine, Step};
 use crate::estimator::{Fault, Measured};
-use crate::simulation::{Following, Signal};
+use crate::mechanism::SceneError;
+use crate::simulation::{Following, Inputs, Parameters, Signal, StepFailure};
 
-/// Corrects and advances a machine that is followed by a communication step, or leaves it unchanged. Answers with warnings.
-#[cold]
-#[inline(never)]
-pub(super) fn follow(
-    following: &mut Box<Following>,
-    next: &Next,
-    measured: &Measured,
-    step: Step,
-) -> Result<Vec<String>, CallError> {
-    let Step { point, size, plan } = step;
-    let signal = next.signal.unwrap_or(Signal::held(*following.inputs()));
-    check_reach(&signal, size)?;
-    // Clones the estimate into place instead of its box: a step allocates nothing.
-    let before = Following::clone(following);
-    let advanced = (|| {
-        if let Some(parameters) = &next.parameters {
-            following.tune(&parameters.effects, &parameters.estimator)?;
+impl Machine for Following {
+    const IS_MEASURED: bool = true;
+    /// Number of steps by the last fallback stage, and whether the estimate had been restarted by the samples before.
+    type Told = (u64, bool);
+
+    fn inputs(&self) -> &Inputs {
+        self.inputs()
+    }
+
+    fn tune(&mut self, parameters: &Parameters) -> Result<(), SceneError> {
+        self.tune(&parameters.effects, &parameters.estimator)
+    }
+
+    fn correct(&mut self, measured: &Measured, point: f64) {
+        self.correct(measured, point);
+    }
+
+    fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        self.advance_along(signal, h, steps)
+    }
+
+    fn told(&self) -> (u64, bool) {
+        (self.simulation().fallbacks(), self.estimator().has_restarted())
+    }
+
+    fn warnings(&mut self, (fallbacks, restarted): (u64, bool), step: &Step) -> Vec<String> {
+        let point = step.point;
+        let faults = self.take_reports();
+        let mut warnings: Vec<String> = faults.into_iter().map(|(encoder, fault)| fault_message(encoder, fault, point)).collect();
+        // `has_restarted` stays true until the next samples.
+        if self.estimator().has_restarted() && !restarted {
+            warnings.push(format!(
+                "at {point:?} s: measured.theta[1..2] differed from the estimate by more than 0.1 rad for most of 0.1 s: the estimate \
+                 diverged and restarts from the measured angles."
+            ));
         }
-        following.correct(measured, point);
-        following.advance_along(&signal, plan.h, plan.steps).map_err(|failure| step.discarded(&failure))
-    })();
-    if let Err(refusal) = advanced {
-        **following = before;
-        return Err(refusal);
+        let fallbacks = self.simulation().fallbacks() - fallbacks;
+        if fallbacks > 0 {
+            warnings.push(step.fallback_message(fallbacks));
+        }
+        warnings
     }
-    let mut warnings: Vec<String> =
-        following.take_reports().into_iter().map(|(encoder, fault)| fault_message(encoder, fault, point)).collect();
-    // `has_restarted` stays true until the next samples.
-    if following.estimator().has_restarted() && !before.estimator().has_restarted() {
-        warnings.push(format!(
-            "at {point:?} s: measured.theta[1..2] differed from the estimate by more than 0.1 rad for most of 0.1 s: the estimate \
-             diverged and restarts from the measured angles."
-        ));
-    }
-    Ok(warnings)
 }
 
 /// The warning about a fault of an encoder: silent, or samples rejected.

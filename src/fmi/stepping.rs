@@ -2,12 +2,13 @@
 
 use super::clock::Plan;
 use super::derivatives::check_reach;
-use super::following::follow;
 use super::messages::Status;
 use super::snapshot::{Next, Scene};
 use super::{CallError, Instance, Snapshot, Stage};
+use crate::estimator::Measured;
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Signal, Simulation, StepFailure};
+use crate::mechanism::SceneError;
+use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
 
 /// A communication step on its way.
 #[derive(Clone, Copy)]
@@ -30,6 +31,18 @@ impl Step {
             point + elapsed
         ))
     }
+
+    /// The warning about steps by the last fallback stage.
+    #[cold]
+    pub(super) fn fallback_message(&self, fallbacks: u64) -> String {
+        let many = if fallbacks == 1 { "step" } else { "steps" };
+        format!(
+            "between {:?} s and {:?} s: {fallbacks} {many} used the last fallback stage, since the equations were not solved: energy is \
+             conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork.",
+            self.point,
+            self.point + self.size
+        )
+    }
 }
 
 impl Instance {
@@ -44,8 +57,8 @@ impl Instance {
         // Counters of singularities are copied only where the log passes events on.
         let before = wants_events.then(|| simulation.singular());
         let advanced = match scene {
-            Scene::Ready(simulation) => advance(simulation, next, step),
-            Scene::Following(following) => follow(following, next, measured, step),
+            Scene::Ready(simulation) => advance(simulation, next, measured, step),
+            Scene::Following(following) => advance(following, next, measured, step),
             Scene::Draft(_) => unreachable!("a draft has no simulation"),
         };
         let warnings = match advanced {
@@ -128,38 +141,89 @@ impl Instance {
     }
 }
 
-/// Advances a simulation by a communication step, or leaves it unchanged. Answers with warnings.
+/// A simulation, by itself or following a measured machine.
+pub(super) trait Machine: Clone {
+    /// Whether samples correct the state before a step.
+    const IS_MEASURED: bool;
+    /// State before a step that warnings after it compare with.
+    type Told;
+
+    /// Inputs of the master that the last step held.
+    fn inputs(&self) -> &Inputs;
+
+    /// Sets other tunable parameters.
+    fn tune(&mut self, parameters: &Parameters) -> Result<(), SceneError>;
+
+    /// Measurement update by the samples that are new at a communication point, s.
+    fn correct(&mut self, measured: &Measured, point: f64);
+
+    /// `steps` macro steps of `h` seconds. After a failure the caller puts back the copy that it has, if it has one.
+    fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure>;
+
+    /// State before a step that warnings after it compare with.
+    fn told(&self) -> Self::Told;
+
+    /// Warnings after a step.
+    fn warnings(&mut self, before: Self::Told, step: &Step) -> Vec<String>;
+}
+
+/// Takes a communication step, or leaves the machine unchanged: parameters, samples, motion. Answers with warnings.
 #[inline(always)]
-fn advance(simulation: &mut Box<Simulation>, next: &Next, step: Step) -> Result<Vec<String>, CallError> {
-    let Step { point, size, plan: Plan { h, steps, .. } } = step;
-    let fallbacks = simulation.fallbacks();
-    let advanced = match (&next.parameters, &next.signal) {
-        (None, None) => {
-            let inputs = *simulation.inputs();
-            simulation.advance(&inputs, h, steps)
-        }
-        (None, Some(signal)) => {
-            check_reach(signal, size)?;
-            simulation.advance_along(signal, h, steps)
-        }
-        (Some(parameters), signal) => {
-            let signal = signal.unwrap_or(Signal::held(*simulation.inputs()));
-            check_reach(&signal, size)?;
-            // Clones the simulation into place instead of its box: a step allocates nothing.
-            let untuned = Simulation::clone(simulation);
-            simulation.tune(&parameters.effects)?;
-            simulation.advance_along(&signal, h, steps).inspect_err(|_| **simulation = untuned)
-        }
+fn advance<M: Machine>(machine: &mut Box<M>, next: &Next, measured: &Measured, step: Step) -> Result<Vec<String>, CallError> {
+    let held;
+    let signal = if let Some(signal) = &next.signal {
+        check_reach(signal, step.size)?;
+        signal
+    } else {
+        held = Signal::held(*machine.inputs());
+        &held
     };
-    advanced.map_err(|failure| step.discarded(&failure))?;
-    let fallbacks = simulation.fallbacks() - fallbacks;
-    if fallbacks == 0 {
-        return Ok(Vec::new());
+    let told = machine.told();
+    // Clones the machine into place instead of its box: a step allocates nothing.
+    let before = (M::IS_MEASURED || next.parameters.is_some()).then(|| M::clone(machine));
+    let taken = (|| {
+        if let Some(parameters) = &next.parameters {
+            machine.tune(parameters)?;
+        }
+        machine.correct(measured, step.point);
+        machine.advance_along(signal, step.plan.h, step.plan.steps).map_err(|failure| step.discarded(&failure))
+    })();
+    if let (Err(_), Some(before)) = (&taken, before) {
+        **machine = before;
     }
-    let many = if fallbacks == 1 { "step" } else { "steps" };
-    Ok(vec![format!(
-        "between {point:?} s and {:?} s: {fallbacks} {many} used the last fallback stage, since the equations were not solved: energy is \
-         conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork.",
-        point + size
-    )])
+    taken.map(|()| machine.warnings(told, &step))
+}
+
+impl Machine for Simulation {
+    const IS_MEASURED: bool = false;
+    /// Number of steps by the last fallback stage.
+    type Told = u64;
+
+    #[inline(always)]
+    fn inputs(&self) -> &Inputs {
+        self.inputs()
+    }
+
+    fn tune(&mut self, parameters: &Parameters) -> Result<(), SceneError> {
+        self.tune(&parameters.effects)
+    }
+
+    #[inline(always)]
+    fn correct(&mut self, _: &Measured, _: f64) {}
+
+    #[inline(always)]
+    fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        self.advance_along(signal, h, steps)
+    }
+
+    #[inline(always)]
+    fn told(&self) -> u64 {
+        self.fallbacks()
+    }
+
+    #[inline(always)]
+    fn warnings(&mut self, before: u64, step: &Step) -> Vec<String> {
+        let fallbacks = self.fallbacks() - before;
+        if fallbacks == 0 { Vec::new() } else { vec![step.fallback_message(fallbacks)] }
+    }
 }

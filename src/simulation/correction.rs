@@ -5,6 +5,7 @@ use super::angles::{LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
 use super::model::Model;
 use super::run::{Conserving, Integrator, Run};
+use crate::estimator::LinkState;
 use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
@@ -12,26 +13,28 @@ use crate::mechanism::coordinates::THETA;
 
 impl Run {
     /// Angles of links 1 to 4, rad, without the whole turns that are counted separately, and their rates, rad/s.
-    pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
-        let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
+    pub(super) fn motion(&self, model: &Model) -> LinkState {
+        let of = |q: &Coordinates, v: &Coordinates| LinkState::new(THETA.map(|i| q[i]), THETA.map(|i| v[i]));
         match &self.integrator {
             Integrator::MacroStepped(run) => of(&run.core.q, &run.core.v),
             Integrator::Conserving(run) => of(&run.state.q, &run.state.v),
             Integrator::DenseOutput(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
-                (LINK_INDICES.map(|i| q[i]), LINK_INDICES.map(|i| v[i]))
+                LinkState::new(LINK_INDICES.map(|i| q[i]), LINK_INDICES.map(|i| v[i]))
             }
-            Integrator::ModelExchange(run) => run.motion(),
+            Integrator::ModelExchange(run) => {
+                let (theta, omega) = run.motion();
+                LinkState::new(theta, omega)
+            }
         }
     }
 
-    /// Continues from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy difference counts as input
+    /// Continues from another motion, which closes the loop, with other inputs. The energy difference counts as input
     /// work; sign changes of the configuration do not count as passages.
-    pub(super) fn resume_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
-        let geometry = &model.mechanism.geometry;
-        let (before_theta, before_omega) = self.motion(model);
-        let before = closure::assemble(geometry, before_theta, before_omega);
-        let (q, v) = closure::assemble(geometry, theta, omega);
+    pub(super) fn resume_from(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs) {
+        let assembled =
+            |LinkState { theta, omega }: LinkState| closure::assemble(&model.mechanism.geometry, theta.into(), omega.into());
+        let (before, (q, v)) = (assembled(self.motion(model)), assembled(*motion));
         let turns = self.turns;
         let energy = |q: &Coordinates, v: &Coordinates| {
             let five_bar = FiveBar::<false>::new(model, inputs, &turns);
@@ -55,7 +58,7 @@ impl Run {
             Integrator::DenseOutput(run) => {
                 run.resume_from(model, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
             }
-            Integrator::ModelExchange(run) => run.move_to(theta, omega, work),
+            Integrator::ModelExchange(run) => run.move_to(motion.theta.into(), motion.omega.into(), work),
         }
     }
 }

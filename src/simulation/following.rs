@@ -3,12 +3,12 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::five_bar::FiveBar;
+use super::linearised::{FollowedScene, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
-use crate::estimator::{self, Constants, Estimator, Fault, Measured, Status};
+use crate::estimator::{self, Constants, Estimator, Fault, LinkState, Measured, Status};
 use crate::mechanism::SceneError;
 
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
@@ -29,16 +29,6 @@ pub struct Estimate {
     reported: [u8; 2],
 }
 
-/// Inputs plus the estimated unknown force: torques, N·m, and tip forces, N.
-fn with_unknown_force(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
-    let [left, right, x, y] = *force;
-    Inputs {
-        tau: [inputs.tau[0] + left, inputs.tau[1] + right],
-        tip_force: [inputs.tip_force[0] + x, inputs.tip_force[1] + y],
-        ..*inputs
-    }
-}
-
 impl Following {
     /// Simulation at its start, before the first sample.
     #[cold]
@@ -52,21 +42,18 @@ impl Following {
         }
         let simulation = Simulation::new(parameters, inputs)?;
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
-        let (theta, omega) = simulation.run.motion(&simulation.model);
-        let estimator = Estimator::new(&constants, theta, omega);
+        let estimator = Estimator::new(&constants);
         Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
     }
 
-    /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is consistent with the motion.
+    /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
         let simulation = Simulation::restored(parameters, run)?;
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
-        let (theta, omega) = simulation.run.motion(&simulation.model);
-        estimate.estimator.check(&constants, &theta, &omega).map_err(|what| SceneError(what.into()))?;
-        let held = with_unknown_force(&estimate.inputs, &estimate.estimator.track().force);
-        if !estimate.inputs.are_finite() || held != *simulation.inputs() {
-            return Err(SceneError("the inputs of its estimator are not those of its run".into()));
+        estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
+        if !estimate.inputs.are_finite() {
+            return Err(SceneError("an input of its estimator is not finite".into()));
         }
         Ok(Self { simulation, constants, estimate })
     }
@@ -74,10 +61,9 @@ impl Following {
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
         let Self { simulation, constants, estimate: Estimate { estimator, inputs, .. } } = self;
-        if estimator.correct(constants, measured, now) {
-            let track = estimator.track();
-            let motion = (track.theta, track.omega);
-            simulation.run.resume_from(&simulation.model, motion, &with_unknown_force(inputs, &track.force));
+        let Simulation { model, run, .. } = simulation;
+        if let Some(motion) = estimator.correct(constants, &run.motion(model), measured, now) {
+            run.resume_from(model, &motion, &with_unknown_force(inputs, &estimator.belief().force));
         }
     }
 
@@ -96,12 +82,10 @@ impl Following {
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
         let Self { simulation: Simulation { model, run, .. }, constants, estimate } = self;
         estimate.inputs = *inputs;
-        let held = with_unknown_force(inputs, &estimate.estimator.track().force);
-        let turns = run.turns;
-        run.advance(model, &held, one)?;
-        let (theta, omega) = run.motion(model);
-        let [scene, known] = [&held, inputs].map(|inputs| FiveBar::<false>::new(model, inputs, &turns));
-        estimate.estimator.predict(constants, [&scene, &known], (&theta, &omega), one.h);
+        let (turns, from) = (run.turns, run.motion(model));
+        run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
+        let scene = FollowedScene { model, inputs, turns: &turns };
+        estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
 
@@ -127,7 +111,7 @@ impl Following {
 
     /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.track().force))
+        self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.belief().force))
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].
@@ -136,41 +120,50 @@ impl Following {
         estimator.check(self.parameters().settings.step_size)?;
         self.simulation.tune(effects)?;
         self.simulation.tune_estimator(estimator);
-        // A payload that joins changes the masses, and the rates by an impact.
-        let Simulation { model, run, .. } = &self.simulation;
-        self.constants = Constants::new(&model.mechanism.geometry, estimator);
-        let (theta, omega) = run.motion(model);
-        self.estimate.estimator.move_to(theta, omega);
+        // A payload that joins changes the masses.
+        self.constants = Constants::new(&self.simulation.model.mechanism.geometry, estimator);
         Ok(())
+    }
+
+    /// Present estimate of angles and rates of links 1 to 4.
+    pub fn motion(&self) -> LinkState {
+        self.simulation.run.motion(&self.simulation.model)
     }
 
     /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` where no motor torques are.
     pub fn motor_torques(&self) -> Option<([f64; 2], [f64; 2])> {
-        self.estimate.estimator.motor_torques(&self.constants)
+        self.estimate.estimator.motor_torques(&self.constants, &self.motion())
     }
 
     /// Normalised estimation error squared against the true angles, rad, and rates, rad/s, of links 1 to 4: 4 on average for a consistent
     /// covariance.
     pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
-        self.estimate.estimator.nees(&self.constants, theta, omega)
+        self.estimate.estimator.nees(&self.constants, &self.motion(), &LinkState::new(*theta, *omega))
+    }
+
+    /// Data of the estimator that stay constant between changes of parameters.
+    pub fn constants(&self) -> &Constants {
+        &self.constants
     }
 
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4.
     pub fn sigmas(&self) -> [[f64; 4]; 2] {
-        self.estimate.estimator.sigmas(&self.constants)
+        self.estimate.estimator.sigmas(&self.constants, &self.motion()).map(Into::into)
     }
 
     /// Covariance of the tip position, m²: xx, xy, yy.
     pub fn tip_covariance(&self) -> [f64; 3] {
-        self.estimate.estimator.tip_covariance(&self.constants)
+        let covariance = self.estimate.estimator.tip_covariance(&self.constants, &self.motion());
+        [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
     /// Probability of a direct singularity within the horizon under held `held` inputs, the unknown force included: see
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let scene = FiveBar::<false>::new(model, held, &run.turns);
-        self.estimate.estimator.singularity_probability(&self.constants, &scene, parameters.settings.step_size)
+        let scene = FollowedScene { model, inputs: held, turns: &run.turns };
+        let step = parameters.settings.step_size;
+        self.estimate.estimator.singularity_probability(&self.constants, &self.motion(), &scene, step)
     }
 
     /// The estimator.

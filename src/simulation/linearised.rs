@@ -1,20 +1,18 @@
-//! A scene as the estimator sees it: torques of the loads on the links, with their tangents in the link angles.
+//! A scene as the estimator sees it: equations of motion in the link angles, with their derivatives, under loads, weight and an unknown force.
 
+use nalgebra::{Matrix4, Matrix4x2};
+
+use super::Inputs;
 use super::five_bar::FiveBar;
+use super::model::Model;
+use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, legs};
 use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
-use crate::estimator::{Links, Loads, Scene};
+use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::{System, Work};
 use crate::mechanism::Pose;
 
 impl FiveBar<'_> {
-    /// Pose and motion at link angles, rad, and rates, rad/s.
-    fn at_links(&self, theta: &Links, omega: &Links) -> (Pose, Motion<'_>) {
-        let (mechanism, angles) = (&self.model.mechanism, by_legs(*theta));
-        let pose = mechanism.pose_at(angles);
-        (pose, self.conditions().motion_of_links(mechanism, [angles, by_legs(*omega)], &pose))
-    }
-
     /// Torques of wrench and weight on the links, N·m, by legs, and the power of the wrench, W.
     #[inline(always)]
     pub(super) fn torques_and_power(&self, pose: &Pose, at: &Motion) -> (ByLink, Work) {
@@ -24,7 +22,7 @@ impl FiveBar<'_> {
     }
 
     /// Stiffness, N·m/rad, and damping, N·m·s/rad, of links 1 to 4 by wrench and weight, at link rates, rad/s.
-    pub(super) fn slopes_of_torques(&self, pose: &Pose, at: Motion, rates: Links) -> [[Links; 4]; 2] {
+    pub(super) fn slopes_of_torques(&self, pose: &Pose, at: Motion, rates: [f64; 4]) -> [[[f64; 4]; 4]; 2] {
         let [mut stiffness, damping] = self.slopes(at).torques_in_angles(pose, rates);
         for (i, weight) in by_links(self.model.weight_torques.stiffness(pose)).into_iter().enumerate() {
             stiffness[i][i] += weight;
@@ -33,21 +31,85 @@ impl FiveBar<'_> {
     }
 }
 
-impl Scene for FiveBar<'_> {
+/// Inputs plus an unknown force: torques, N·m, and tip forces, N.
+pub(super) fn with_unknown_force(inputs: &Inputs, force: &Links) -> Inputs {
+    let [left, right, x, y] = (*force).into();
+    Inputs {
+        tau: [inputs.tau[0] + left, inputs.tau[1] + right],
+        tip_force: [inputs.tip_force[0] + x, inputs.tip_force[1] + y],
+        ..*inputs
+    }
+}
+
+/// A model under held inputs, to which unknown forces are added.
+#[derive(Clone, Copy, Debug)]
+pub struct FollowedScene<'a> {
+    /// Model with its effects.
+    pub model: &'a Model,
+    /// Inputs without the unknown force.
+    pub inputs: &'a Inputs,
+    /// Whole turns of links 1 to 4 that the angles leave out.
+    pub turns: &'a [i64; 4],
+}
+
+impl FollowedScene<'_> {
+    /// Answer of the equations of motion at a state, with the loads that act there.
+    #[inline(always)]
+    fn at<T>(&self, at: &LinkState, force: &Links, answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T) -> T {
+        let (model, inputs) = (self.model, with_unknown_force(self.inputs, force));
+        let five_bar = FiveBar::<false>::new(model, &inputs, self.turns);
+        let (turned, rates) = (by_legs(at.theta.into()), by_legs(at.omega.into()));
+        let pose = model.mechanism.pose_at(turned);
+        let motion = five_bar.conditions().motion_of_links(&model.mechanism, [turned, rates], &pose);
+        let (closure, rates) = (Closure::new(&model.mechanism, None), angles(rates));
+        let equations = Equations::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
+        answer(&five_bar, &equations, &pose, motion)
+    }
+}
+
+/// Matrix over links 1 to 4 from its columns.
+fn columns(of: &[Angles; 4]) -> Matrix4<f64> {
+    Matrix4::from_columns(&LINK_INDICES.map(|i| links(&of[i])))
+}
+
+/// Values of links 1 to 4.
+fn links(x: &Angles) -> Links {
+    by_links(legs(x)).into()
+}
+
+impl Scene for FollowedScene<'_> {
     #[inline(never)]
-    fn loads(&self, theta: &Links, omega: &Links) -> Loads {
-        let (pose, at) = self.at_links(theta, omega);
-        let [stiffness, damping] = self.slopes_of_torques(&pose, at, *omega);
-        Loads { torque: by_links(self.torques_and_power(&pose, &at).0), stiffness, damping }
+    fn acceleration(&self, at: &LinkState, force: &Links) -> Links {
+        self.at(at, force, |five_bar, equations, pose, motion| {
+            links(&equations.solve(five_bar.torques_and_power(pose, &motion).0).0)
+        })
     }
 
     #[inline(never)]
-    fn torque(&self, theta: &Links, omega: &Links) -> Links {
-        let (pose, at) = self.at_links(theta, omega);
-        by_links(self.torques_and_power(&pose, &at).0)
+    fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised {
+        self.at(at, force, |five_bar, equations, pose, motion| {
+            let (alpha, lambda) = equations.solve(five_bar.torques_and_power(pose, &motion).0);
+            let near = equations.linearised((&alpha, &lambda), five_bar.slopes_of_torques(pose, motion, at.omega.into()));
+            let [by_angle, by_rate] = near.columns();
+            let by_torque = [0, 1].map(|k| {
+                let torque = angles(by_legs(torques.column(k).into_owned().into()));
+                links(&near.change([&Angles::ZERO; 2], &torque).0)
+            });
+            Linearised {
+                alpha: links(&alpha),
+                by_angle: columns(&by_angle),
+                by_rate: columns(&by_rate),
+                by_torque: Matrix4x2::from_columns(&by_torque),
+            }
+        })
+    }
+
+    fn mass(&self, theta: &Links) -> Matrix4<f64> {
+        let pose = self.model.mechanism.pose_at(by_legs((*theta).into()));
+        columns(&std::array::from_fn(|i| self.model.inertia.mass_times(&pose, &Angles::unit(i))))
     }
 
     fn has_stiff_forces(&self) -> bool {
-        System::has_stiff_forces(self)
+        System::has_stiff_forces(&FiveBar::<false>::new(self.model, self.inputs, self.turns))
     }
 }

@@ -34,6 +34,7 @@ use crate::mechanism::{self, SceneError, closure};
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 pub use following::{Estimate, Following};
+pub use linearised::FollowedScene;
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
 use run::{Integrator, MacroSteps};

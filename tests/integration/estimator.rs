@@ -1,11 +1,10 @@
 //! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::linkage::Linkage;
-use fivebar::estimator::{Bands, Fault, Links, Measured, Scene, Status, transition};
+use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
+use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, Measured, Scene, Status};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
-use fivebar::simulation::five_bar::FiveBar;
-use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation};
+use fivebar::simulation::{FollowedScene, Following, Method, Parameters, Signal, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -21,7 +20,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
     (-2.0 * (1.0 - uniform(random)).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
 }
 
-fn motion(simulation: &Simulation) -> (Links, Links) {
+fn motion(simulation: &Simulation) -> ([f64; 4], [f64; 4]) {
     use fivebar::mechanism::coordinates::THETA;
     let state = simulation.state();
     (state.angles(), THETA.map(|i| state.core.v[i]))
@@ -46,33 +45,41 @@ fn loaded(effect: &str) -> Parameters {
 
 const EFFECTS: [&str; 9] = ["gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo"];
 
-/// K and C of the loads in the link angles are their derivatives.
+/// The linearised equations of motion are the differences of the accelerations, by angles, rates and torques.
 #[test]
-fn tangents_of_loads_are_differences() {
+fn linearised_equations_are_differences() {
     for effect in EFFECTS {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
-        let turns = [0; 4];
-        let scene = FiveBar::<false>::new(simulation.model(), &inputs, &turns);
+        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4] };
         let (theta, omega) = motion(&simulation);
-        let loads = scene.loads(&theta, &omega);
-        let scale = loads.torque.iter().fold(1e-3, |most: f64, x| most.max(x.abs()));
+        let (state, none) = (LinkState::new(theta, omega), Links::zeros());
+        let by_inputs = Linkage::new(&parameters.geometry).posture(&state.theta).by_inputs();
+        let near = |k: usize| scene.linearised(&state, &none, &by_inputs.fixed_columns::<2>(k / 2 * 2).into());
+        let alpha = near(0).alpha;
+        assert_eq!(alpha, scene.acceleration(&state, &none), "{effect}");
         for k in 0..4 {
+            let near = near(k);
             // Central differences: their error is step² times the third derivative, which steep loads have.
             let step = 1e-6;
-            let moved = |x: &Links, by: f64| -> Links { std::array::from_fn(|i| x[i] + if i == k { by } else { 0.0 }) };
-            let by_angle = [step, -step].map(|by| scene.torque(&moved(&theta, by), &omega));
-            let by_rate = [step, -step].map(|by| scene.torque(&theta, &moved(&omega, by)));
-            for i in 0..4 {
-                let stiffness = -(by_angle[0][i] - by_angle[1][i]) / (2.0 * step);
-                let damping = -(by_rate[0][i] - by_rate[1][i]) / (2.0 * step);
-                let close = |a: f64, b: f64| (a - b).abs() < 1e-6 * (b.abs() + scale / 1e-2);
-                assert!(close(loads.stiffness[i][k], stiffness), "{effect}: K[{i}][{k}] {} {stiffness}", loads.stiffness[i][k]);
-                assert!(close(loads.damping[i][k], damping), "{effect}: C[{i}][{k}] {} {damping}", loads.damping[i][k]);
+            let unit = Links::from_fn(|i, _| if i == k { step } else { 0.0 });
+            let difference = |at: &dyn Fn(Links) -> LinkState, force: Links| {
+                (scene.acceleration(&at(unit), &force) - scene.acceleration(&at(-unit), &-force)) / (2.0 * step)
+            };
+            let by_angle = difference(&|by| LinkState { theta: state.theta + by, ..state }, none);
+            let by_rate = difference(&|by| LinkState { omega: state.omega + by, ..state }, none);
+            // Torques on the motors, and forces on the tip.
+            let input = difference(&|_| state, unit);
+            let by_input: Links = near.by_torque.column(k % 2).into();
+            for (exact, difference) in
+                [(near.by_angle.column(k).into(), by_angle), (near.by_rate.column(k).into(), by_rate), (by_input, input)]
+            {
+                let exact: Links = exact;
+                let error = (exact - difference).amax();
+                assert!(error < 1e-6 * difference.amax().max(alpha.amax()), "{effect}, {k}: {exact} {difference}");
             }
         }
-        assert_eq!(loads.torque, scene.torque(&theta, &omega), "{effect}");
     }
 }
 
@@ -83,41 +90,27 @@ fn transitions_are_differences() {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
-        let (model, turns) = (simulation.model(), [0; 4]);
-        let scene = FiveBar::<false>::new(model, &inputs, &turns);
+        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4] };
         let (theta, omega) = motion(&simulation);
-        let linkage = Linkage::new(&model.mechanism.geometry);
-        let frame = linkage.frame(&theta);
+        let state = LinkState::new(theta, omega);
+        let linkage = Linkage::new(&simulation.model().mechanism.geometry);
+        let frame = linkage.frame(&state.theta);
         let (h, least) = (2e-3, 4);
-        // The unknown force: a unit of torque on the left motor, and of tip force along x.
-        let force = [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.0, 0.0]];
-        let flow = transition::flow(&linkage, &scene, (&theta, &omega, &frame), &force, h, least);
+        let (flow, units) = (flow(&linkage, &scene, (&state, &frame), &Links::zeros(), (h, least)), unit_forces(&linkage, &frame));
         let moved = |k: usize, by: f64| {
-            let mut error = [0.0; 6];
-            error[k] = by;
-            let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
-            let add = |x: &Links, y: &Links| -> Links { std::array::from_fn(|i| x[i] + y[i]) };
-            let (theta, omega, _) = linkage.closed(add(&theta, &turned), add(&omega, &quickened)).expect("it closes");
-            let pushed = Inputs {
-                tau: [inputs.tau[0] + error[4], inputs.tau[1]],
-                tip_force: [inputs.tip_force[0] + error[5], inputs.tip_force[1]],
-                ..inputs
-            };
-            let scene = FiveBar::<false>::new(model, &pushed, &turns);
-            transition::motion(&linkage, &scene, (theta, omega), h, flow.steps)
+            let error: [f64; 6] = std::array::from_fn(|i| if i == k { by } else { 0.0 });
+            let [a, b, c, d, x, y] = error;
+            let (from, _) = linkage.closed(frame.displaced(&state, [a, b, c, d])).expect("it closes");
+            moved_on(&scene, &from, &(units.column(0) * x + units.column(1) * y), h, flow.steps)
         };
         for k in 0..6 {
             let step = 1e-5;
             let (ahead, behind) = (moved(k, step), moved(k, -step));
-            let columns = |i: usize| {
-                let (d_theta, d_omega) = flow.column(k);
-                [(d_theta[i], (ahead.0[i] - behind.0[i]) / (2.0 * step)), (d_omega[i], (ahead.1[i] - behind.1[i]) / (2.0 * step))]
-            };
-            let size = (0..4).flat_map(columns).fold(0.0, |most: f64, (_, y)| most.max(y.abs()));
-            for (i, (exact, difference)) in (0..4).flat_map(|i| columns(i).map(|pair| (i, pair))) {
-                // step² times a third derivative: contact and stop ramp up over 1e-2.
-                assert!((exact - difference).abs() < 1e-5 * size, "{effect}: {k}, link {i}: {exact} {difference}");
-            }
+            let turned = (ahead.theta - behind.theta) / (2.0 * step) - flow.d_theta.column(k);
+            let quickened = (ahead.omega - behind.omega) / (2.0 * step) - flow.d_omega.column(k);
+            let size = flow.d_theta.column(k).amax().max(flow.d_omega.column(k).amax());
+            // step² times a third derivative: contact and stop ramp up over 1e-2.
+            assert!(turned.amax().max(quickened.amax()) < 1e-5 * size, "{effect}: {k}: {turned} {quickened}");
         }
     }
 }
@@ -130,19 +123,18 @@ fn motions_are_those_of_the_unit() {
         parameters.settings.method = Method::Dop853;
         parameters.settings.error_tolerance = 1e-12;
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
-        let turns = [0; 4];
         let (theta, omega) = motion(&simulation);
-        let linkage = Linkage::new(&simulation.model().mechanism.geometry);
-        let (got, rates) = {
+        let got = {
             let inputs = default_inputs();
-            let scene = FiveBar::<false>::new(simulation.model(), &inputs, &turns);
-            transition::motion(&linkage, &scene, (theta, omega), 5e-3, 20)
+            let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4] };
+            moved_on(&scene, &LinkState::new(theta, omega), &Links::zeros(), 5e-3, 20)
         };
         simulation.advance(&default_inputs(), 5e-3, 1).expect("a step");
         let (want, want_rates) = motion(&simulation);
         for i in 0..4 {
             // 20 steps of order 4 of 0.25 ms.
-            assert!((got[i] - want[i]).abs() < 1e-9 && (rates[i] - want_rates[i]).abs() < 1e-6, "{effect}: {got:?} {want:?}");
+            let close = (got.theta[i] - want[i]).abs() < 1e-9 && (got.omega[i] - want_rates[i]).abs() < 1e-6;
+            assert!(close, "{effect}: {got:?} {want:?}");
         }
     }
 }
@@ -306,7 +298,7 @@ fn a_forecast_is_of_what_is_likely() {
     const LIKELY: [f64; 4] = [0.45, 0.45, 0.095, 0.005];
     let advance = |following: &mut Following| {
         following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
-        following.estimator().track().bank
+        following.estimator().belief().bank
     };
     for (sigma, quantum, thought, wider) in
         [(0.0, 1e-4, [0.3, 0.3, 0.1, 0.3], true), (1e-3, 0.0, [0.45, 0.45, 0.0999, 0.0001], false)]
@@ -321,12 +313,12 @@ fn a_forecast_is_of_what_is_likely() {
             advance(&mut following);
             machine.truth.advance(&default_inputs(), 1e-3, 1).expect("a step");
         }
-        let theta = following.estimator().track().theta;
+        let theta = following.motion().theta;
         assert!((theta[2] - theta[1]).sin().abs() > 0.3, "beside the line of the distal links the priors are others");
         while !following.estimator().is_coasting() {
             advance(&mut following);
         }
-        let told = following.estimator().track().bank;
+        let told = following.estimator().belief().bank;
         let mut foreseen = told;
         let over: [f64; 4] = std::array::from_fn(|i| told.members[i].weight * LIKELY[i] / thought[i]);
         let sum: f64 = over.iter().sum();
@@ -334,7 +326,7 @@ fn a_forecast_is_of_what_is_likely() {
             member.weight = over / sum;
         }
         // Variance of the rates along the first of the tangent basis.
-        let [band, by_forecast] = [told, foreseen].map(|bank| bank.moments().1[2][2]);
+        let [band, by_forecast] = [told, foreseen].map(|bank| bank.moments().1[(2, 2)]);
         assert!(if wider { band > 2.0 * by_forecast } else { band < by_forecast }, "{quantum}: {band} {by_forecast}");
         let stay = (-1e-3 / parameters.estimator.switch_time).exp();
         let mut expected = foreseen.members.map(|member| member.weight);

@@ -1,11 +1,9 @@
 //! The five-bar of the benchmark of state observers by Sanjurjo and others (mbde): gravity off by 1 m/s², starting angles off by π/16.
 
-use fivebar::estimator::linkage::Linkage;
-use fivebar::estimator::{MEASURED, Scene};
+use fivebar::estimator::{LinkState, Linkage, Links, MEASURED, Scene};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::{Assembly, Link};
-use fivebar::simulation::five_bar::FiveBar;
-use fivebar::simulation::{Method, Parameters};
+use fivebar::simulation::{FollowedScene, Method, Parameters};
 
 use crate::machine::{Encoder, Plan, Random, Scenario, follow, motion, no_inputs};
 use crate::report::{Figure, Table};
@@ -60,7 +58,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
     let turns = [0; 4];
     let (truth, twin) = (scenario.machine(), scenario.twin(encoder));
     let linkage = Linkage::new(&truth.model().mechanism.geometry);
-    let scenes = [truth.model(), twin.simulation().model()].map(|model| FiveBar::<false>::new(model, &inputs, &turns));
+    let scenes = [truth.model(), twin.simulation().model()].map(|model| FollowedScene { model, inputs: &inputs, turns: &turns });
     let (mut sums, mut count) = ([0.0; 5], 0.0);
     follow(scenario, encoder, 5e-3, random, |at| {
         if at.time < 1.0 {
@@ -77,13 +75,14 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
             sums[2] += (acceleration(at.truth, link) - acceleration(at.estimate, link)).powi(2) / 2.0;
         }
         // The motor torques equivalent to the gravity that the model lacks.
-        let frame = linkage.frame(&theta);
-        let [with, without] = scenes.each_ref().map(|scene| scene.torque(&theta, &omega));
-        let force = frame.coordinates(&std::array::from_fn(|i| with[i] - without[i]));
-        let [[a, b], [c, d]] = frame.basis.map(|direction| MEASURED.map(|link| direction[link]));
-        let determinant = a * d - b * c;
-        let torque = [(d * force[0] - b * force[1]) / determinant, (a * force[1] - c * force[0]) / determinant];
-        if let Some((tau, _)) = at.twin.motor_torques() {
+        let (state, basis) = (LinkState::new(theta, omega), linkage.frame(&theta.into()).basis);
+        let [with, without] = scenes.each_ref().map(|scene| scene.acceleration(&state, &Links::zeros()));
+        let accelerations = basis.tr_mul(&(with - without));
+        // Accelerations per torque of a motor.
+        let by_motors = [Links::x(), Links::y()].map(|torque| basis.tr_mul(&(scenes[0].acceleration(&state, &torque) - with)));
+        let by_motors = fivebar::estimator::tangent::columns(by_motors);
+        if let (Some((tau, _)), Some(inverse)) = (at.twin.motor_torques(), by_motors.try_inverse()) {
+            let torque = inverse * accelerations;
             sums[3] += ((tau[0] - torque[0]).powi(2) + (tau[1] - torque[1]).powi(2)) / 2.0;
         }
         sums[4] += at.twin.nees(&theta, &omega).min(1e4);

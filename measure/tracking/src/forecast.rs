@@ -1,8 +1,8 @@
 //! Forecasts: how often the tip is within its bands, and how good the probability of a singularity is.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::linkage::Linkage;
-use fivebar::estimator::{Bands, Constants, Links, MEASURED, Measured};
+use fivebar::estimator::flow::unit_forces;
+use fivebar::estimator::{Bands, Links, MEASURED, Measured};
 use fivebar::simulation::{Following, Signal, Simulation};
 
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
@@ -66,29 +66,22 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     if members == 0 {
         return 0.0;
     }
-    let model = twin.simulation().model();
-    let constants = Constants::new(&model.mechanism.geometry, &scenario.model.estimator);
-    let track = twin.estimator().track();
-    let linkage: &Linkage = &constants.linkage;
-    let frame = linkage.frame(&track.theta);
-    let by_inputs = constants.by_inputs(&frame);
-    let covariance = track.covariance();
-    let root = root(&covariance);
-    let start = side(&track.theta);
+    let (linkage, estimate, belief) = (&twin.constants().linkage, twin.motion(), twin.estimator().belief());
+    let frame = linkage.frame(&estimate.theta);
+    let (units, root) = (unit_forces(linkage, &frame), root(&belief.bank.covariance().transpose().into()));
+    let start = side(&estimate.theta.into());
     let met = (0..members).filter(|_| {
         let white: [f64; 6] = std::array::from_fn(|_| random.normal());
         let error: [f64; 6] = std::array::from_fn(|i| (0..=i).map(|k| root[i][k] * white[k]).sum());
-        let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
-        let add = |x: &Links, y: &Links| -> Links { std::array::from_fn(|i| x[i] + y[i]) };
-        let Some((theta, omega, _)) = linkage.closed(add(&track.theta, &turned), add(&track.omega, &quickened)) else {
-            return false;
-        };
-        let force: [f64; 4] = std::array::from_fn(|i| track.force[i] + by_inputs[i][0] * error[4] + by_inputs[i][1] * error[5]);
+        let [a, b, c, d, x, y] = error;
+        let Some((moved, _)) = linkage.closed(frame.displaced(&estimate, [a, b, c, d])) else { return false };
+        let force: Links = belief.force + units.column(0) * x + units.column(1) * y;
         let inputs = Inputs {
             tau: [held.tau[0] + force[0], held.tau[1] + force[1]],
             tip_force: [held.tip_force[0] + force[2], held.tip_force[1] + force[3]],
             ..*held
         };
+        let (theta, omega) = (moved.theta.into(), moved.omega.into());
         let Ok(mut run) = Simulation::at(&scenario.model, &inputs, theta, omega) else { return true };
         (0..100).any(|_| run.advance(&inputs, 5e-3, 1).is_err() || side(&motion(&run.state()).0) * start < 0.0)
     });

@@ -1,7 +1,7 @@
 //! A machine that is measured: a simulation with other parameters and a push that nobody tells the twin of, and its encoders.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::{Links, MEASURED, Measured};
+use fivebar::estimator::{MEASURED, Measured};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
@@ -65,6 +65,9 @@ impl Encoder {
         parameters.estimator.quantum = [self.quantum; 2];
     }
 }
+
+/// Angles or rates of links 1 to 4.
+pub type Links = [f64; 4];
 
 /// Inputs as functions of time, s.
 pub type Course = fn(f64, &Plan) -> Inputs;

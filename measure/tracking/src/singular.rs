@@ -1,14 +1,13 @@
 //! Machines that pass direct singularities and vertices while they are followed, and pushes on the tip.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::Links;
-use fivebar::estimator::linkage::Linkage;
+use fivebar::estimator::{LinkState, Linkage, Pair};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::{Method, Parameters, Simulation};
 
 use crate::machine::{
-    COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, follow, motion, no_inputs, side, start_off,
+    COARSE, Encoder, FINE, Links, Plan, Random, Scenario, desk, five_percent, follow, motion, no_inputs, side, start_off,
 };
 use crate::quality::{fall, outcome, push};
 use crate::report::{Figure, Table};
@@ -97,13 +96,13 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
         let arrow = [0.1 + 0.21 * fourth.cos() - elbow[0], 0.21 * fourth.sin() - elbow[1]];
         let second = arrow[1].atan2(arrow[0]);
         let theta = [first, second, second + std::f64::consts::PI, fourth];
-        let frame = linkage.frame(&theta);
+        let frame = linkage.frame(&theta.into());
         if frame.smallest < 0.3 {
             continue;
         }
         let angle = random.between(0.0, std::f64::consts::TAU);
-        let omega = frame.tangent([angle.cos(), angle.sin()]);
-        let tip = frame.tip().map(|row| row[0] * angle.cos() + row[1] * angle.sin());
+        let direction = Pair::new(angle.cos(), angle.sin());
+        let (omega, tip): (Links, [f64; 2]) = ((frame.basis * direction).into(), (frame.tip() * direction).into());
         let across = -tip[0] * second.sin() + tip[1] * second.cos();
         let speed = tip[0].hypot(tip[1]);
         let scale = random.between(slow, fast) / speed;
@@ -156,15 +155,15 @@ pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
             continue;
         }
         let Some((theta, omega)) = earlier(&model, [pi, 0.0, pi, pi], omega, AROUND_VERTEX[0]) else { continue };
-        let frame = linkage.frame(&theta);
+        let frame = linkage.frame(&theta.into());
         if frame.smallest < 0.1 || side(&theta).abs() < 0.1 {
             continue;
         }
-        let aside = frame.basis[1];
         let moved = if offset == 0.0 {
             Some((theta, omega))
         } else {
-            linkage.closed(std::array::from_fn(|i| theta[i] + offset * aside[i]), omega).map(|(theta, omega, _)| (theta, omega))
+            let aside = frame.displaced(&LinkState::new(theta, omega), [0.0, offset, 0.0, 0.0]);
+            linkage.closed(aside).map(|(moved, _)| (moved.theta.into(), moved.omega.into()))
         };
         let Some(start) = moved else { continue };
         let truth = model.clone();

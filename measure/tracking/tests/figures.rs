@@ -1,9 +1,15 @@
 //! A sample of the figures, on seeds of its own; `cargo xtask estimator` measures them in full.
 
-use fivebar::estimator::{Constants, Status};
+use fivebar::estimator::Status;
+use fivebar::simulation::Following;
 use tracking::machine::{COARSE, FINE, Random, follow};
 use tracking::quality::{fall, outcome, pick, push};
 use tracking::{benchmark, singular};
+
+/// Whether the estimate can be stored and read back.
+fn soundness(twin: &Following) -> Result<(), &'static str> {
+    twin.estimator().check(twin.constants(), &twin.motion())
+}
 
 /// Three runs of the published benchmark stay within 1.10 times the best row of its table.
 #[test]
@@ -51,9 +57,7 @@ fn grazed_singularities_are_found_out() {
         follow(&scenario, &encoder, 1e-3, &mut look, |at| {
             both |= at.twin.status() == Status::TwoBranches;
             wrong |= at.tip_error > 0.01;
-            let (theta, omega) = (at.twin.estimator().track().theta, at.twin.estimator().track().omega);
-            let constants = Constants::new(&scenario.model.geometry, &at.twin.parameters().estimator);
-            assert_eq!(at.twin.estimator().check(&constants, &theta, &omega), Ok(()), "seed {seed} at {} s", at.time);
+            assert_eq!(soundness(at.twin), Ok(()), "seed {seed} at {} s", at.time);
         })
         .expect("a run");
         assert!(both && wrong, "seed {seed}: no branch was in doubt");
@@ -74,13 +78,9 @@ fn vertices_are_passed() {
         let mut random = Random::new(300 + seed);
         let scenario = singular::vertex(&mut random, aside);
         assert!(!outcome(&scenario, &FINE, 1e-3, &mut random.clone()).lost, "seed {seed}");
-        let model = scenario.twin(&FINE);
-        let constants = Constants::new(&model.simulation().model().mechanism.geometry, &model.parameters().estimator);
         let mut branches = false;
         follow(&scenario, &FINE, 1e-3, &mut random, |at| {
-            let (theta, omega) = (at.twin.estimator().track().theta, at.twin.estimator().track().omega);
-            let sound = at.twin.estimator().check(&constants, &theta, &omega);
-            assert!(sound.is_ok(), "seed {seed} at {} s: {sound:?}", at.time);
+            assert_eq!(soundness(at.twin), Ok(()), "seed {seed} at {} s", at.time);
             branches |= at.twin.status() == Status::TwoBranches;
         })
         .expect("a run");
@@ -98,11 +98,9 @@ fn lost_machines_are_found_again() {
             let mut random = Random::new(400 + seed);
             let scenario = singular::silenced(&mut random);
             assert!(!outcome(&scenario, &encoder, 1e-3, &mut random.clone()).lost, "{} seed {seed}", encoder.name);
-            let constants = Constants::new(&scenario.model.geometry, &scenario.twin(&encoder).parameters().estimator);
             follow(&scenario, &encoder, 1e-3, &mut random, |at| {
                 let estimator = at.twin.estimator();
-                let (theta, omega) = (estimator.track().theta, estimator.track().omega);
-                assert_eq!(estimator.check(&constants, &theta, &omega), Ok(()), "seed {seed} at {} s", at.time);
+                assert_eq!(soundness(at.twin), Ok(()), "seed {seed} at {} s", at.time);
                 if estimator.has_restarted() {
                     assert_eq!(at.twin.status(), Status::Inconsistent);
                     assert!(at.time > 2.0, "seed {seed}: it was not lost at {} s", at.time);

@@ -5,8 +5,7 @@ use std::hint::black_box;
 
 use anyhow::{Context, Result, ensure};
 use fivebar::effects::Inputs;
-use fivebar::estimator::linkage::Linkage;
-use fivebar::estimator::{MEASURED, Measured, Status};
+use fivebar::estimator::{Linkage, MEASURED, Measured, Pair, Status};
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
@@ -79,7 +78,8 @@ fn doubtful() -> Case {
         let reach = (left + right - parameters.geometry.base_distance) / 2.0 / parameters.geometry.links[0].length;
         let pi = std::f64::consts::PI;
         let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
-        let omega = Linkage::new(&parameters.geometry).frame(&crossing).tangent([SLOW, 0.0]);
+        let frame = Linkage::new(&parameters.geometry).frame(&crossing.into());
+        let omega: [f64; 4] = (frame.basis * Pair::new(SLOW, 0.0)).into();
         // Start of the crossing, found by a run with reversed rates.
         let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
         back.advance(&inputs, H, CROSSING)?;

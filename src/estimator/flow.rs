@@ -1,0 +1,155 @@
+//! Flow of the motion and of its errors: Runge–Kutta of order 4 on the equations of motion in the link angles and on their variational
+//! equations, whose coefficients a scene gives.
+//!
+//! The six variations are N in the angles, N in the rates, and the unknown force on N.
+
+use nalgebra::{Matrix4, Matrix4x2, Matrix4x6};
+
+use super::constants::{
+    EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
+};
+use super::tangent::{Frame, LinkState, Linkage, Links};
+
+/// Equations of motion linearised at a state.
+#[derive(Clone, Copy, Debug)]
+pub struct Linearised {
+    /// Accelerations α of the links, rad/s².
+    pub alpha: Links,
+    /// ∂α/∂θ, 1/s².
+    pub by_angle: Matrix4<f64>,
+    /// ∂α/∂ω, 1/s.
+    pub by_rate: Matrix4<f64>,
+    /// Accelerations by two torques on the links, rad/s².
+    pub by_torque: Matrix4x2<f64>,
+}
+
+/// Equations of motion of a scene under held inputs. Unknown forces are inputs in addition (τ₁, τ₂, N·m, F_x, F_y, N).
+pub trait Scene {
+    /// Accelerations of the links, rad/s².
+    fn acceleration(&self, at: &LinkState, force: &Links) -> Links;
+
+    /// Accelerations of the links with their derivatives, and by two torques on the links, N·m.
+    fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised;
+
+    /// Mass matrix M in the link angles, kg·m².
+    fn mass(&self, theta: &Links) -> Matrix4<f64>;
+
+    /// Whether some load changes steeply.
+    fn has_stiff_forces(&self) -> bool;
+}
+
+/// End of a propagated motion.
+#[derive(Clone, Copy, Debug)]
+pub struct Flow {
+    /// State at the end.
+    pub end: LinkState,
+    /// Number of Runge–Kutta steps.
+    pub steps: u32,
+    /// Derivatives of the angles with respect to the initial errors.
+    pub d_theta: Matrix4x6<f64>,
+    /// Derivatives of the rates with respect to the initial errors.
+    pub d_omega: Matrix4x6<f64>,
+}
+
+/// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
+#[inline(never)]
+pub fn unit_forces(linkage: &Linkage, at: &Frame) -> Matrix4x2<f64> {
+    let per_length = 1.0 / (linkage.length * linkage.length);
+    let weights = Matrix4::from_diagonal(&Links::new(1.0, 1.0, per_length, per_length));
+    let weighed = weights * at.by_inputs().tr_mul(&at.basis);
+    let mut squared = at.basis.tr_mul(&(at.by_inputs() * weighed));
+    (squared[(0, 0)], squared[(1, 1)]) = (squared[(0, 0)] + EFFECT_REGULARIZATION, squared[(1, 1)] + EFFECT_REGULARIZATION);
+    // Regularised, the matrix is positive definite.
+    weighed * squared.try_inverse().unwrap_or_default()
+}
+
+/// Number of Runge–Kutta steps that h seconds from a state need.
+pub(super) fn steps(at: &Frame, near: &Linearised, scene: &impl Scene, (from, h): (&LinkState, f64)) -> u32 {
+    let mut rate = LEAST_STEP_RATES[usize::from(scene.has_stiff_forces())];
+    for i in 0..4 {
+        rate = rate.max(STEPS_PER_DAMPER_TIME * near.by_rate[(i, i)].abs()).max(near.by_angle[(i, i)].abs().sqrt());
+    }
+    rate = rate.max(STEPS_PER_RADIAN * from.fastest() / at.smallest.clamp(VERTEX_STEP_FLOOR, 1.0).sqrt());
+    (h * rate).ceil().clamp(1.0, MOST_STEPS).max(1.0) as u32
+}
+
+/// Motion without variations: h seconds in equal steps.
+#[inline(never)]
+pub fn motion(scene: &impl Scene, from: &LinkState, force: &Links, h: f64, steps: u32) -> LinkState {
+    let h = h / f64::from(steps);
+    let mut at = *from;
+    for _ in 0..steps {
+        let rate = |at: LinkState| LinkState { theta: at.omega, omega: scene.acceleration(&at, force) };
+        let plus = |h: f64, by: &LinkState| LinkState { theta: at.theta + by.theta * h, omega: at.omega + by.omega * h };
+        let k1 = rate(at);
+        let k2 = rate(plus(h / 2.0, &k1));
+        let k3 = rate(plus(h / 2.0, &k2));
+        let k4 = rate(plus(h, &k3));
+        let mean = |of: fn(&LinkState) -> Links| of(&k1) + (of(&k2) + of(&k3)) * 2.0 + of(&k4);
+        at = plus(h / 6.0, &LinkState { theta: mean(|k| k.theta), omega: mean(|k| k.omega) });
+    }
+    at
+}
+
+/// Integrated state, or its time derivative.
+#[derive(Clone, Copy)]
+struct Point {
+    state: LinkState,
+    d_theta: Matrix4x6<f64>,
+    d_omega: Matrix4x6<f64>,
+}
+
+impl Point {
+    fn plus(&self, h: f64, rate: &Self) -> Self {
+        Self {
+            state: LinkState { theta: self.state.theta + rate.state.theta * h, omega: self.state.omega + rate.state.omega * h },
+            d_theta: self.d_theta + rate.d_theta * h,
+            d_omega: self.d_omega + rate.d_omega * h,
+        }
+    }
+
+    /// Time derivative.
+    fn rate(&self, near: &Linearised) -> Self {
+        let Self { state, d_theta, d_omega } = self;
+        let mut d_alpha = near.by_angle * d_theta + near.by_rate * d_omega;
+        let mut pushed = d_alpha.fixed_columns_mut::<2>(4);
+        pushed += near.by_torque;
+        Self { state: LinkState { theta: state.omega, omega: near.alpha }, d_theta: *d_omega, d_omega: d_alpha }
+    }
+}
+
+/// Motion with variations from a state with its frame, under an unknown force, in the steps that it needs but at least `least`.
+#[inline(never)]
+pub fn flow(
+    linkage: &Linkage,
+    scene: &impl Scene,
+    (from, frame): (&LinkState, &Frame),
+    force: &Links,
+    (h, least): (f64, u32),
+) -> Flow {
+    let units = unit_forces(linkage, frame);
+    let near = scene.linearised(from, force, &(frame.by_inputs() * units));
+    let steps = steps(frame, &near, scene, (from, h)).max(least);
+    let mut point = Point { state: *from, d_theta: Matrix4x6::zeros(), d_omega: Matrix4x6::zeros() };
+    point.d_theta.fixed_columns_mut::<2>(0).copy_from(&frame.basis);
+    point.d_omega.fixed_columns_mut::<2>(2).copy_from(&frame.basis);
+    for k in 0..2 {
+        // J δω = −δJ ω: rates that keep the turned links closed.
+        let turned = frame.least_squares(frame.inward(&from.omega, &frame.basis.column(k).into()));
+        point.d_omega.set_column(k, &turned);
+    }
+    let h = h / f64::from(steps);
+    let rate_at = |point: &Point| {
+        let torques = linkage.posture(&point.state.theta).by_inputs() * units;
+        point.rate(&scene.linearised(&point.state, force, &torques))
+    };
+    for step in 0..steps {
+        let k1 = if step == 0 { point.rate(&near) } else { rate_at(&point) };
+        let k2 = rate_at(&point.plus(h / 2.0, &k1));
+        let k3 = rate_at(&point.plus(h / 2.0, &k2));
+        let k4 = rate_at(&point.plus(h, &k3));
+        point = point.plus(h / 6.0, &k1.plus(2.0, &k2).plus(2.0, &k3).plus(1.0, &k4));
+    }
+    let Point { state: end, d_theta, d_omega } = point;
+    Flow { end, steps, d_theta, d_omega }
+}

@@ -1,0 +1,127 @@
+//! Time update of errors over a macro step: transition F by the variational equations between two tangent spaces, and process noise.
+
+use nalgebra::{Matrix2, Matrix4};
+
+use super::bank::{FORCE, Matrix, turned};
+use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
+use super::flow::{Flow, Scene, flow};
+use super::tangent::{Frame, LinkState, Linkage, Links, wrapped};
+
+/// Transition of errors along a motion from one tangent space to another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Propagation {
+    pub(super) from: Frame,
+    pub(super) to: Frame,
+    /// Transition matrix F of the errors.
+    pub(super) f: Matrix,
+    /// Mass matrix at the begin, kg·m².
+    pub(super) mass: Matrix4<f64>,
+    /// Number of Runge–Kutta steps.
+    pub(super) steps: u32,
+    /// Whether the motion passed too close to a vertex to know its branch.
+    pub(super) held: bool,
+}
+
+impl Propagation {
+    /// Transition over h seconds of a motion between two states, the first with its frame, under an unknown force.
+    pub(super) fn new(
+        linkage: &Linkage,
+        scene: &impl Scene,
+        (begin, from): (&LinkState, &Frame),
+        end: &LinkState,
+        force: &Links,
+        h: f64,
+    ) -> Self {
+        let flow = flow(linkage, scene, (begin, from), force, (h, 1));
+        Self::along(&flow, scene.mass(&begin.theta), from, (end, &linkage.frame(&end.theta)), h)
+    }
+
+    /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
+    #[inline(never)]
+    pub(super) fn along(flow: &Flow, mass: Matrix4<f64>, from: &Frame, (end, to): (&LinkState, &Frame), h: f64) -> Self {
+        let smallest = from.smallest.min(to.smallest);
+        let agrees = || {
+            (0..4).all(|i| {
+                let rate = end.omega[i];
+                wrapped(flow.end.theta[i] - end.theta[i]).abs() < AGREEMENT[0]
+                    && (flow.end.omega[i] - rate).abs() < AGREEMENT[1] + AGREEMENT[0] * rate.abs()
+            })
+        };
+        // NaN counts as near a vertex.
+        let held = !(smallest > NEAR_VERTEX && (smallest > COMPARED_BELOW || agrees()));
+        let f = if held { straight(from, to, h) } else { transition(from, to, flow) };
+        let (f, held) = if f.iter().all(|x| x.is_finite()) { (f, held) } else { (straight(from, to, h), true) };
+        Self { from: *from, to: *to, f, mass, steps: flow.steps, held }
+    }
+
+    /// Transition of a motion close to this one between its own tangent spaces.
+    pub(super) fn transferred(&self, from: &Frame, to: &Frame) -> Self {
+        let (onto, back) = (from.basis_map_to(&self.from), self.to.basis_map_to(to));
+        Self { from: *from, to: *to, f: turned(&back, &turned(&onto.transpose(), &self.f.transpose()).transpose()), ..*self }
+    }
+
+    /// Process noise of h seconds.
+    pub(super) fn noise(&self, h: f64) -> ProcessNoise {
+        let turn = self.from.basis_map_to(&self.to);
+        let mobility = (self.from.basis.tr_mul(&self.mass) * self.from.basis).try_inverse().unwrap_or_default();
+        ProcessNoise::new(&(turn * mobility * turn.transpose()), h)
+    }
+}
+
+/// Covariances of the error state added in h seconds: `white` by a white torque of intensity 1 (N·m)²·s, `walk` by a random walk of the
+/// unknown force of intensity 1 (N·m)²/s.
+pub struct ProcessNoise {
+    pub(super) white: Matrix,
+    pub(super) walk: Matrix,
+}
+
+impl ProcessNoise {
+    /// Process noise of h seconds, with the mobility (NᵀMN)⁻¹, 1/(kg·m²): integrals of a white acceleration, and of an acceleration that is
+    /// a random walk.
+    fn new(mobility: &Matrix2<f64>, h: f64) -> Self {
+        let (squared, [h2, h3, h4, h5]) = (mobility * mobility, [h * h, h.powi(3), h.powi(4), h.powi(5)]);
+        let (mut white, mut walk) = (Matrix::zeros(), Matrix::zeros());
+        let set = |of: &mut Matrix, (i, k): (usize, usize), block: Matrix2<f64>| {
+            of.fixed_view_mut::<2, 2>(i, k).copy_from(&block);
+            of.fixed_view_mut::<2, 2>(k, i).copy_from(&block);
+        };
+        set(&mut white, (0, 0), squared * (h3 / 3.0));
+        set(&mut white, (0, 2), squared * (h2 / 2.0));
+        set(&mut white, (2, 2), squared * h);
+        set(&mut walk, (0, 0), squared * (h5 / 20.0));
+        set(&mut walk, (0, 2), squared * (h4 / 8.0));
+        set(&mut walk, (0, FORCE), mobility * (h3 / 6.0));
+        set(&mut walk, (2, 2), squared * (h3 / 3.0));
+        set(&mut walk, (2, FORCE), mobility * (h2 / 2.0));
+        set(&mut walk, (FORCE, FORCE), Matrix2::identity() * h);
+        for of in [&mut white, &mut walk] {
+            of.fill_upper_triangle_with_lower_triangle();
+        }
+        Self { white, walk }
+    }
+}
+
+/// F P Fᵀ, symmetric to the bit.
+pub(super) fn transformed(f: &Matrix, p: &Matrix) -> Matrix {
+    let mut product = f * p * f.transpose();
+    product.fill_upper_triangle_with_lower_triangle();
+    product
+}
+
+/// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.
+fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
+    let mut f = turned(&from.basis_map_to(to), &Matrix::identity());
+    f.fixed_rows_mut::<2>(0).copy_from(&to.basis.tr_mul(&flow.d_theta));
+    f.fixed_rows_mut::<2>(2).copy_from(&to.basis.tr_mul(&flow.d_omega));
+    f
+}
+
+/// Transition matrix without knowledge of the forces: angles follow the rates.
+#[cold]
+#[inline(never)]
+fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
+    let turn = from.basis_map_to(to);
+    let mut f = turned(&turn, &Matrix::identity());
+    f.fixed_view_mut::<2, 2>(0, 2).copy_from(&(turn * h));
+    f
+}

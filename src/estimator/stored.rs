@@ -1,0 +1,15 @@
+//! Matrices of nalgebra in stored states: their numbers, column by column.
+
+use borsh::io::{self, Read, Write};
+use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::{ArrayStorage, SMatrix};
+
+/// Writes the numbers of a matrix.
+pub(super) fn write<W: Write, const R: usize, const C: usize>(matrix: &SMatrix<f64, R, C>, writer: &mut W) -> io::Result<()> {
+    matrix.data.0.serialize(writer)
+}
+
+/// Reads the numbers of a matrix.
+pub(super) fn read<S: Read, const R: usize, const C: usize>(reader: &mut S) -> io::Result<SMatrix<f64, R, C>> {
+    <[[f64; R]; C]>::deserialize_reader(reader).map(|columns| SMatrix::from_array_storage(ArrayStorage(columns)))
+}
