@@ -2,7 +2,7 @@
 
 python look_ahead.py --fmu target/fmu/FiveBar.fmu --out target/bench/look-ahead.csv
 
-Part of `cargo xtask bench`; docs/twin.md has the figures. Seconds are processor time: other load on the machine hardly counts.
+Part of `cargo xtask bench`; docs/notes/growth.md has the figures. Seconds are processor time: other load on the machine hardly counts.
 """
 
 import argparse
