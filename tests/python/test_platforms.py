@@ -1,7 +1,8 @@
 """The libraries for all machines against the one for this machine, which the other tests judge: same scenes, same bits.
 
 Needs a .fmu from `cargo xtask package --all-platforms` and, as FIVEBAR_FMU_HERE, one from `cargo xtask package`;
-`cargo xtask test --platforms` makes both and runs this. Windows is wine here, and ARM is qemu.
+`cargo xtask test --platforms` makes both and runs this. Windows is wine here, and ARM is qemu; nothing here runs
+the library for macOS.
 """
 
 import os

@@ -9,6 +9,7 @@ mod icon;
 mod library;
 mod licenses;
 mod linked;
+mod macos;
 mod platform;
 mod verify;
 
@@ -37,7 +38,12 @@ pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
     let mut built = HashSet::new();
     for platform in &platforms {
         let library = library::build(platform, &linked).with_context(|| format!("the library for {}", platform.folder))?;
-        files.insert(format!("binaries/{}/{name}.{}", platform.folder, platform.extension), library.bytes);
+        let file = format!("binaries/{}/{name}.{}", platform.folder, platform.extension);
+        let bytes = match files.remove(&file) {
+            None => library.bytes,
+            Some(other) => macos::universal(other, library.bytes)?,
+        };
+        files.insert(file, bytes);
         built.extend(library.built);
     }
     linked.crates.retain(|crate_| built.contains(&crate_.id));

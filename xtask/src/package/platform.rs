@@ -5,17 +5,21 @@ use crate::{paths, process};
 use anyhow::{Context, Result};
 use std::env;
 use std::env::consts::{ARCH, DLL_EXTENSION, OS};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The newest glibc that a library for other machines may ask for: that of 2012, older than any Linux in support.
 const GLIBC_FLOOR: [u32; 2] = [2, 17];
 
-/// Platforms of `--all-platforms`: folder under `binaries/`, Rust's target triple, ending, flags for rustc.
-const SHIPPED: [(&str, &str, &str, &[&str]); 3] = [
+/// Platforms of `--all-platforms`: folder under `binaries/`, Rust's target triple, ending, flags for rustc. Both libraries for macOS
+/// lie in one file.
+const SHIPPED: [(&str, &str, &str, &[&str]); 5] = [
     ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
     ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME]),
     ("aarch64-linux", "aarch64-unknown-linux-gnu", "so", &[]),
+    ("darwin64", "x86_64-apple-darwin", "dylib", MAC_FLAGS),
+    ("darwin64", "aarch64-apple-darwin", "dylib", MAC_FLAGS),
 ];
 
 /// Thread locals by the loader of Windows, which frees them with the library. Those that this target has otherwise take one of
@@ -44,6 +48,31 @@ const WEB_FLAGS: &[&str] = &[
     "-Clink-arg=--export-table",
     "-Clink-arg=--growable-table",
 ];
+
+/// The linker for macOS. The one in zig exports names beyond the list that Rust gives it; lld 14 loses the tables by which a panic is
+/// caught.
+const MAC_LINKER: &str = "ld64.lld-19";
+
+/// Name of the library for hosts that link it; a signature without a signer, which processors of Apple ask for; no library that
+/// nothing comes from; no symbols for debuggers, and no local ones.
+const MAC_FLAGS: &[&str] = &[
+    "-Clinker-flavor=ld64.lld",
+    "-Clink-arg=-install_name",
+    "-Clink-arg=@rpath/FiveBar.dylib",
+    "-Clink-arg=-adhoc_codesign",
+    "-Clink-arg=-dead_strip_dylibs",
+    "-Clink-arg=-S",
+    "-Clink-arg=-x",
+];
+
+/// Name of a library that is built on a Mac, whose linker would write its path there.
+const MAC_NAME: &[&str] = &["-Clink-arg=-Wl,-install_name,@rpath/FiveBar.dylib"];
+
+/// The oldest macOS that a library is for: the first one for processors of Apple.
+pub(super) const MAC_FLOOR: &str = "11.0";
+
+/// Names under which Rust asks for parts of macOS's one system library. None of ours takes a function from the last two.
+const MAC_SYSTEM: [&str; 5] = ["System", "c", "m", "iconv", "charset"];
 
 /// The linker for Windows.
 const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
@@ -134,11 +163,12 @@ impl Platform {
             ("linux", "x86") => "linux32".into(),
             ("windows", "x86_64") => "win64".into(),
             ("windows", "x86") => "win32".into(),
-            ("macos", "x86_64") => "darwin64".into(),
-            ("macos", arch) => format!("{arch}-darwin"),
+            // One file has the libraries for both processors.
+            ("macos", _) => "darwin64".into(),
             (os, arch) => format!("{arch}-{os}"),
         };
-        Self { folder, extension: DLL_EXTENSION, cross: None, flags: &[] }
+        let flags = if OS == "macos" { MAC_NAME } else { &[] };
+        Self { folder, extension: DLL_EXTENSION, cross: None, flags }
     }
 
     /// Every machine that `--all-platforms` packs a library for.
@@ -182,10 +212,12 @@ pub(super) fn standard_library_license() -> (&'static str, PathBuf) {
 }
 
 /// A command of cargo, optimised, for `triple`. Debian's Rust brings the sources of its standard library, from which that
-/// of any machine is built; zig brings linker and C library of any Linux, with the glibc that is asked for; the linker for
-/// Windows is Debian's, because Debian's Rust links a library there that zig does not have.
+/// of any machine is built; zig brings linker and C library of any Linux, with the glibc that is asked for, and the list of
+/// what macOS's system library has; the linker for Windows is Debian's, because Debian's Rust links a library there that zig does not
+/// have.
 fn cross(command: &str, triple: &str) -> Result<Command> {
-    need_debian("cargo xtask package --all-platforms", ".ci/setup-platforms", (WINDOWS_LINKER, "gcc-mingw-w64-x86-64"))?;
+    let linkers = [(WINDOWS_LINKER, "gcc-mingw-w64-x86-64"), (MAC_LINKER, "lld-19")];
+    need_debian("cargo xtask package --all-platforms", ".ci/setup-platforms", &linkers)?;
     let python = venv::python(Packages::Platforms)?;
     let programs = Path::new(python.get_program()).parent().context("Python lies in a folder")?;
     let (program, target) = if triple.ends_with("linux-gnu") {
@@ -200,15 +232,37 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
     cargo
         .env("PATH", env::join_paths([programs, Path::new(DEBIAN), Path::new("/bin")]).context("the path of programs")?)
         .env("CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER", WINDOWS_LINKER)
+        .env("CARGO_TARGET_X86_64_APPLE_DARWIN_LINKER", MAC_LINKER)
+        .env("CARGO_TARGET_AARCH64_APPLE_DARWIN_LINKER", MAC_LINKER)
         // Files that zig and its helper keep beside the output stay in this folder as well.
         .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
         .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
+    if triple.ends_with("apple-darwin") {
+        // The linker leaves out what there is to strip, before it signs; Debian lacks the program that rustc strips with.
+        cargo
+            .env("SDKROOT", mac_libraries(&folder)?)
+            .env("MACOSX_DEPLOYMENT_TARGET", MAC_FLOOR)
+            .env("CARGO_PROFILE_RELEASE_STRIP", "none");
+    }
     Ok(cargo)
+}
+
+/// A folder as the linker for macOS expects it, with zig's list of the names that the system library has.
+fn mac_libraries(folder: &Path) -> Result<PathBuf> {
+    let names = venv::site_packages(Packages::Platforms)?.join("ziglang/lib/libc/darwin/libSystem.tbd");
+    let root = folder.join("macos");
+    let libraries = root.join("usr/lib");
+    fs::create_dir_all(&libraries)?;
+    for name in MAC_SYSTEM {
+        let copy = libraries.join(format!("lib{name}.tbd"));
+        fs::copy(&names, &copy).with_context(|| format!("{} cannot be copied to {}", names.display(), paths::short(&copy)))?;
+    }
+    Ok(root)
 }
 
 /// A command of cargo, optimised, for the browser, where a panic is a trap.
 fn web(command: &str) -> Result<Command> {
-    need_debian("cargo xtask page", ".ci/setup-page", (WEB_LINKER, "lld"))?;
+    need_debian("cargo xtask page", ".ci/setup-page", &[(WEB_LINKER, "lld")])?;
     let mut cargo = process::program(Path::new(DEBIAN).join("cargo"));
     cargo.args([command, "--release", "--target", WEB]);
     build_standard_library(&mut cargo, "panic_abort", "optimize_for_size");
@@ -219,9 +273,9 @@ fn web(command: &str) -> Result<Command> {
 }
 
 /// Fails where Debian's Rust, the sources of its standard library or the linker are missing.
-fn need_debian(command: &str, script: &str, linker: (&str, &str)) -> Result<()> {
-    let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src"), linker];
-    process::need(command, script, &rust)
+fn need_debian(command: &str, script: &str, linkers: &[(&str, &str)]) -> Result<()> {
+    let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src")];
+    process::need(command, script, &[&rust, linkers].concat())
 }
 
 /// Lets a command of cargo build the standard library as well, and gives back its target folder.

@@ -1,6 +1,7 @@
 //! Looks into the finished archive with other eyes than those that packed it.
 
 use super::library::contains;
+use super::macos;
 use super::platform::Scope;
 use anyhow::{Context, Result, bail, ensure};
 use object::elf::FileHeader64;
@@ -15,7 +16,9 @@ use zip::{CompressionMethod, ZipArchive};
 
 /// Largest libraries for all platforms, bytes, by their folders: five methods, two of them in forms for the bare mechanism and for any
 /// scene; friction that sticks, the corrector and model exchange have some 100 kB each, the reader of a unit's own start values 40 kB.
-const LARGEST_SHIPPED: [(&str, usize); 3] = [("linux64", 1_350_000), ("win64", 1_420_000), ("aarch64-linux", 1_050_000)];
+/// The one for macOS is for two processors, and has the names of its functions.
+const LARGEST_SHIPPED: [(&str, usize); 4] =
+    [("linux64", 1_350_000), ("win64", 1_420_000), ("aarch64-linux", 1_050_000), ("darwin64", 2_500_000)];
 
 /// Largest library of the Rust in use: its standard library is made for speed and prints backtraces, in some 240 kB.
 const LARGEST_HERE: usize = 1_595_000;
@@ -38,11 +41,12 @@ const EXPORTS: [&str; 44] = [
     "fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus",
 ];
 
-/// The libraries of the system that one which is shipped may need: glibc's, and those that every Windows since 8 brings.
+/// The libraries of the system that one which is shipped may need: glibc's, those that every Windows since 8 brings, and macOS's one.
 #[rustfmt::skip]
-const SYSTEM: [&str; 8] = [
+const SYSTEM: [&str; 9] = [
     "ld-linux-x86-64.so.2", "libc.so.6", "libdl.so.2", "libpthread.so.0",
     "api-ms-win-core-synch-l1-2-0.dll", "kernel32.dll", "msvcrt.dll", "ntdll.dll",
+    "/usr/lib/libsystem.b.dylib",
 ];
 
 /// Files that every .fmu of this project has.
@@ -144,10 +148,28 @@ fn identity(xml: &str) -> Result<(String, String)> {
 fn library(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Library> {
     let limit = limit(name.split('/').nth(1).unwrap_or_default(), scope);
     ensure!(bytes.len() < limit, "{} bytes are too many: the limit is {limit}", bytes.len());
+    let mut needs = Needs::default();
+    match object::FileKind::parse(bytes)? {
+        object::FileKind::MachOFat32 => {
+            for part in macos::parts(bytes)? {
+                needs.libraries.extend(check_part(name, part, guid, scope)?.libraries);
+            }
+        }
+        _ => needs = check_part(name, bytes, guid, scope)?,
+    }
+    Ok(Library { name: name.to_owned(), size: bytes.len(), needs })
+}
+
+/// Checks a library for one processor, and gives back what it needs.
+fn check_part(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Needs> {
     ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
     let needs = match object::FileKind::parse(bytes)? {
         object::FileKind::Elf64 => elf_needs(bytes)?,
+        object::FileKind::MachO64 => {
+            macos::check(name, bytes, scope)?;
+            imports(bytes)?
+        }
         _ => imports(bytes)?,
     };
     if let Some(library) = needs.libraries.iter().find(|library| library.starts_with("libm.")) {
@@ -158,7 +180,7 @@ fn library(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Library
     if let Some(floor) = scope.glibc_floor() {
         check_needs(&needs, floor)?;
     }
-    Ok(Library { name: name.to_owned(), size: bytes.len(), needs })
+    Ok(needs)
 }
 
 /// A library that the system does not bring is one that the .fmu would have to bring.
