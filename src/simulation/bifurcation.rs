@@ -17,6 +17,10 @@ const NEAR_BIFURCATION: f64 = 1e-2;
 /// Largest number of evaluations of a step past a bifurcation.
 const MOST_WORK: u32 = 20_000;
 
+/// Least error tolerance of that step, rad: at its start the closure determines rates to round-off divided by the distance from the
+/// bifurcation only, and in a smaller tolerance dense output contradicts such a start.
+const LEAST_TOLERANCE: f64 = 1e-10;
+
 /// Whether a step of h seconds from angles and rates begins or ends close to a bifurcation.
 pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
     model.mechanism.geometry.base_distance == 0.0
@@ -34,7 +38,7 @@ pub(super) fn crossing<const BARE: bool>(system: &FiveBar<'_, BARE>, from: &Core
     let (system, model) = (AngleSystem::new(system.general()), system.model);
     let settings = Settings {
         schemes: Schemes::Automatic,
-        error_tolerance: model.settings.error_tolerance,
+        error_tolerance: model.settings.error_tolerance.max(LEAST_TOLERANCE),
         energy_scale: f64::INFINITY,
         first_step: h,
         max_iterations: model.settings.max_iterations,
