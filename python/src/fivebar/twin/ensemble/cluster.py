@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import pyarrow as pa
+import dask
 from distributed import Client, LocalCluster, WorkerPlugin, as_completed, get_worker
 
 from fivebar.twin.config import is_loopback
@@ -69,9 +70,11 @@ def client(scheduler: str | None, workers: int) -> tuple[Client, LocalCluster | 
     if scheduler is None:
         # Nothing of it is reachable from outside; a worker that dies is replaced.
         scratch = tempfile.mkdtemp(prefix="fivebar-")
-        cluster = LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0, local_directory=scratch
-        )
+        # Its scheduler, which takes no folder of its own, finds it in the configuration.
+        with dask.config.set({"temporary-directory": scratch}):
+            cluster = LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0, local_directory=scratch
+            )
         weakref.finalize(cluster, shutil.rmtree, scratch, ignore_errors=True)
         return Client(cluster, direct_to_workers=True), cluster
     kind, _, rest = scheduler.rpartition("://")
