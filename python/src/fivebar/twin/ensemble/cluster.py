@@ -11,8 +11,8 @@ import weakref
 from collections.abc import Iterator
 from typing import Any, Final
 
-import pyarrow as pa
 import dask
+import pyarrow as pa
 from distributed import Client, LocalCluster, WorkerPlugin, as_completed, get_worker
 
 from fivebar.twin.config import is_loopback
