@@ -15,6 +15,16 @@ from instance import Instance
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
+@pytest.fixture(autouse=True)
+def working_directory() -> Iterator[None]:
+    """Each test leaves the process in the working directory that it found."""
+    before = os.getcwd()
+    yield
+    after = os.readlink("/proc/self/cwd")
+    os.chdir(before)
+    assert after == before, f"the test left the process in {after}"
+
+
 @pytest.fixture(scope="session")
 def fmu() -> Path:
     """The packed .fmu."""

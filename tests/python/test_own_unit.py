@@ -138,24 +138,33 @@ def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_
     """Five machines by turns, and each in a thread, are what they are alone."""
     angles = [1.7 + 0.1 * i for i in range(5)]
     units = [write_unit(tmp_path, scene({"init.theta[2]": angle}), f"Unit{i}", plain=fmu).file for i, angle in enumerate(angles)]
-
-    def run(file: Path) -> list[tuple[float, float]]:
-        return [*map(tuple, simulate_fmu(str(file), stop_time=0.5, output=["tip.x", "tip.y"]).tolist())]
-
-    alone = [run(file) for file in units]
-    assert len({values[0] for values in alone}) == 5
-    with ThreadPoolExecutor() as pool:
-        assert list(pool.map(run, units)) == alone
-
     directories = [fmpy.extract(str(file), unzipdir=str(tmp_path / file.stem)) for file in units]
-    instances = [Instance(read_model_description(folder), folder).initialise() for folder in directories]
+    models = [read_model_description(folder) for folder in directories]
+
+    def loaded() -> list[Instance]:
+        return [Instance(model, folder) for model, folder in zip(models, directories, strict=True)]
+
+    def run(instance: Instance) -> dict[str, bytes]:
+        instance.initialise()
+        instance.steps(50, 0.01)
+        return instance.bits()
+
+    first = loaded()
+    alone = [run(instance) for instance in first]
+    assert len({values["tip.x"] for values in alone}) == 5
+    second = loaded()
+    with ThreadPoolExecutor() as pool:
+        assert list(pool.map(run, second)) == alone
+
+    third = [instance.initialise() for instance in loaded()]
     for step in range(20):
-        for instance in instances:
+        for instance in third:
             instance.slave.doStep(step * 0.01, 0.01)
-    for angle, instance in zip(angles, instances, strict=True):
+    for angle, instance in zip(angles, third, strict=True):
         plain = new().initialise({"init.theta[2]": angle})
         plain.steps(20, 0.01)
         assert instance.bits() == plain.bits()
+    for instance in first + second + third:
         instance.slave.freeInstance()
 
 

@@ -16,7 +16,7 @@ from fivebar import shipped
 from fivebar.drive import StartRefused
 from fivebar.errors import FiveBarError
 from fivebar.scene import Scene
-from fivebar.slave import Log, set_values
+from fivebar.slave import Log, load, set_values
 
 Floats = NDArray[np.float64]
 
@@ -43,12 +43,7 @@ class Demand:
         try:
             model = fmpy.read_model_description(self._folder, validate=False)
             self._tau = [v.valueReference for name in ("tau[1]", "tau[2]") for v in model.modelVariables if v.name == name]
-            self._unit = fmi2.FMU2Model(
-                guid=model.guid,
-                unzipDirectory=self._folder,
-                modelIdentifier=model.modelExchange.modelIdentifier,
-                instanceName="demand",
-            )
+            self._unit = load(fmi2.FMU2Model, model, self._folder, "demand")
             self._unit.instantiate(callbacks=self._log.callbacks())
             set_values(self._unit, model, dict(scene.values) | dict.fromkeys(OFF, False) | smooth | start | still)
             self._unit.setupExperiment(startTime=0.0)

@@ -1,6 +1,8 @@
 """An instance of the FMU through FMPy, with its log kept in a list."""
 
+import threading
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription, ScalarVariable
@@ -52,17 +54,32 @@ class Log:
         return [m.text for m in self.messages if m.status == fmi2.fmi2Warning]
 
 
+Kind = TypeVar("Kind", fmi2.FMU2Slave, fmi2.FMU2Model)
+
+_LOADING = threading.Lock()
+
+
+def load(kind: type[Kind], model: ModelDescription, directory: str, name: str, guid: str | None = None) -> Kind:
+    """An FMU extracted to `directory` with its library loaded, not yet instantiated; `guid` stands for the model's own.
+
+    FMPy changes the working directory of the process while it loads a library, so one thread at a time does.
+    """
+    identifier = model.coSimulation.modelIdentifier
+    with _LOADING:
+        return kind(
+            guid=model.guid if guid is None else guid,
+            unzipDirectory=directory,
+            modelIdentifier=identifier,
+            instanceName=name,
+            libraryPath=library(directory, identifier),
+        )
+
+
 def instantiate(
     model: ModelDescription, directory: str, log: Log, name: str = "fivebar", logging_on: bool = False, guid: str | None = None
 ) -> fmi2.FMU2Slave:
     """A fresh instance of the FMU extracted to `directory`; its logger fills `log`."""
-    slave = fmi2.FMU2Slave(
-        guid=model.guid if guid is None else guid,
-        unzipDirectory=directory,
-        modelIdentifier=model.coSimulation.modelIdentifier,
-        instanceName=name,
-        libraryPath=library(directory, model.coSimulation.modelIdentifier),
-    )
+    slave = load(fmi2.FMU2Slave, model, directory, name, guid)
     slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
     return slave
 

@@ -12,7 +12,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fivebar import shipped
+from fivebar.slave import load
 from fivebar.twin.errors import TwinError
 from fivebar.variables import Variables
 
@@ -86,13 +86,7 @@ class Unit:
         self.library, self.time = library, 0.0
         self.log: list[str] = []
         """Sentences of warnings and errors, the last 100."""
-        self.slave = fmi2.FMU2Slave(
-            guid=library.guid,
-            unzipDirectory=library.directory,
-            modelIdentifier=library.model.coSimulation.modelIdentifier,
-            instanceName=name,
-            libraryPath=shipped.library(library.directory, library.model.coSimulation.modelIdentifier),
-        )
+        self.slave = load(fmi2.FMU2Slave, library.model, library.directory, name)
         self.slave.instantiate(callbacks=self._callbacks())
 
     def _callbacks(self) -> fmi2.fmi2CallbackFunctions:
