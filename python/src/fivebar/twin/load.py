@@ -1,4 +1,4 @@
-"""`fivebar load`: how many machines of 200 samples a second a broker carries, from sending to the subscriber; docs/growth.md."""
+"""`fivebar load`: how many machines of 200 samples a second a broker carries, from sending to the subscriber; docs/notes/growth.md."""
 
 import json
 import math
