@@ -1,4 +1,4 @@
-//! Cost of precision on the published problems: the table of `docs/problems.md`.
+//! Cost of precision on the published problems: the first table of `docs/notes/problems.md`.
 //!
 //! `cargo run --release -p problems --example cost`
 

@@ -48,6 +48,6 @@ fn fixed_steps_are_second_order() {
 fn dop853_is_as_exact_as_the_values() {
     let problem = squeezer::problem();
     let outcome = problem.run(problem.dop853(1e-12), 1e-4).expect("steps");
-    // The published values have errors of 2.7e-10 (docs/problems.md); the energy error is the method's.
+    // The published values have errors of 2.7e-10 (docs/notes/problems.md); the energy error is the method's.
     assert!(outcome.error < 3e-10 && outcome.energy_drift < 3e-12 && outcome.substeps < 300, "{outcome:?}");
 }
