@@ -1,4 +1,4 @@
-//! Planar five-bar mechanism as an FMI 2.0 co-simulation unit.
+//! Planar five-bar mechanism as a unit for FMI 2.0 co-simulation and model exchange.
 //!
 //! The modules and the arrows between them are described in `ARCHITECTURE.md`.
 

@@ -1,4 +1,5 @@
-//! Settings of each method, made from those of the solver and the scales of the machine.
+//! The method of a scene: its settings, made from those of the solver and the scales of the machine, and one macro step by it, where steps end
+//! with macro steps.
 
 use super::bifurcation;
 use super::five_bar::FiveBar;

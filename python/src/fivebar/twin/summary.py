@@ -17,6 +17,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.ticker import LogLocator, NullFormatter  # noqa: E402
 
 from fivebar.twin import figures, scene  # noqa: E402
 from fivebar.twin.config import Config  # noqa: E402
@@ -184,7 +185,7 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     hits = [judged.inside[w] for w in where]
     share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
     share.axhline(95, color=MACHINE, linewidth=0.6)
-    share.set(ylim=(0, 105), ylabel="inside the 95 % ellipse (%, dotted)")
+    share.set(ylim=(0, 105), ylabel="inside the 95 % ellipse (%, dotted; line: 95)")
     share.grid(visible=False)
     return figure
 
@@ -199,6 +200,9 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
         edges = [1e3 * Histogram.LOWEST * Histogram.RATIO ** (place - 1) for place in total]
         axes.bar(edges, list(total.values()), width=[(Histogram.RATIO - 1) * edge for edge in edges], align="edge", color=TWIN, linewidth=0)
     axes.set(xscale="log", xlabel="ms from sample to estimate", ylabel="estimates")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     return figure
 
 
@@ -217,10 +221,10 @@ def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
         return
     axes.set_ylim(0, top)
     beyond = np.flatnonzero(np.isfinite(values) & (values > top))
-    axes.plot(at[beyond], np.full(len(beyond), 0.98 * top), "^", color=BAD, markersize=5, clip_on=False)
+    axes.plot(at[beyond], np.full(len(beyond), 0.98 * top), "^", color=MACHINE, markersize=5, clip_on=False)
     most = beyond[np.argmax(values[beyond])]
     left = at[most] < np.mean(axes.get_xlim())
-    axes.annotate(f"{len(beyond)} beyond, up to {values[most]:.3g} mm", (at[most], 0.98 * top), xytext=(8 if left else -8, -3), textcoords="offset points", color=BAD, ha="left" if left else "right", va="center")
+    axes.annotate(f"{len(beyond)} beyond, up to {values[most]:.3g} mm", (at[most], 0.98 * top), xytext=(8 if left else -8, -3), textcoords="offset points", color=MACHINE, ha="left" if left else "right", va="center")
 
 
 def _mark_alarms(axes: Axes, story: Story) -> None:
