@@ -14,7 +14,7 @@
 //! | `location.rs` | where a master says that resources are |
 //! | `instance.rs` | an instance: all of these together |
 //! | `stepping.rs` | a communication step |
-//! | `following.rs` | a communication step of a machine that is followed |
+//! | `following.rs` | warnings of a communication step of a machine that is followed |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;

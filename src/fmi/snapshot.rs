@@ -62,6 +62,20 @@ impl Scene {
             Self::Following(following) => Some(following.simulation()),
         }
     }
+
+    /// Parameters of the draft, or those in force.
+    pub(super) fn parameters(&self) -> &Parameters {
+        match self {
+            Self::Draft(parameters) => parameters,
+            Self::Ready(simulation) => simulation.parameters(),
+            Self::Following(following) => following.parameters(),
+        }
+    }
+
+    /// The scene with its estimator, where a machine is followed.
+    pub(super) fn following(&self) -> Option<&Following> {
+        if let Self::Following(following) = self { Some(following) } else { None }
+    }
 }
 
 /// Inputs and parameters that the master has set and that act from the present communication point on.
@@ -144,19 +158,14 @@ impl Snapshot {
 
     /// Parameters as the master has set them.
     fn parameters(&self) -> &Parameters {
-        match (&self.next.parameters, &self.scene) {
-            (Some(parameters), _) | (None, Scene::Draft(parameters)) => parameters,
-            (None, Scene::Ready(simulation)) => simulation.parameters(),
-            (None, Scene::Following(following)) => following.parameters(),
-        }
+        self.next.parameters.as_ref().unwrap_or_else(|| self.scene.parameters())
     }
 
     /// Parameters for the master to set: the draft's, or those that act from the next step on.
     fn parameters_mut(&mut self) -> &mut Parameters {
         match &mut self.scene {
             Scene::Draft(parameters) => parameters,
-            Scene::Ready(simulation) => self.next.parameters.get_or_insert_with(|| simulation.parameters().clone()),
-            Scene::Following(following) => self.next.parameters.get_or_insert_with(|| following.parameters().clone()),
+            ready => self.next.parameters.get_or_insert_with(|| ready.parameters().clone()),
         }
     }
 

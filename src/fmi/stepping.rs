@@ -1,83 +1,67 @@
 //! A communication step and its log lines.
 
-use super::clock::Plan;
 use super::derivatives::check_reach;
+use super::following;
 use super::messages::Status;
-use super::snapshot::{Next, Scene};
+use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
-use crate::estimator::Measured;
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::mechanism::SceneError;
-use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
-
-/// A communication step on its way.
-#[derive(Clone, Copy)]
-pub(super) struct Step {
-    /// Beginning, s.
-    pub(super) point: f64,
-    /// Length, s.
-    pub(super) size: f64,
-    /// Its macro steps.
-    pub(super) plan: Plan,
-}
-
-impl Step {
-    /// The refusal of a step that the integrator could not take.
-    #[cold]
-    pub(super) fn discarded(&self, StepFailure { elapsed, cause }: &StepFailure) -> CallError {
-        let Self { point, size, .. } = self;
-        CallError::discard(format!(
-            "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
-            point + elapsed
-        ))
-    }
-
-    /// The warning about steps by the last fallback stage.
-    #[cold]
-    pub(super) fn fallback_message(&self, fallbacks: u64) -> String {
-        let many = if fallbacks == 1 { "step" } else { "steps" };
-        format!(
-            "between {:?} s and {:?} s: {fallbacks} {many} used the last fallback stage, since the equations were not solved: energy is \
-             conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork.",
-            self.point,
-            self.point + self.size
-        )
-    }
-}
+use crate::simulation::{Simulation, StepFailure};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
-        let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = self.change() else {
+        let now = self.change();
+        let signal = now.signal();
+        let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = now else {
             unreachable!("initialisation has made the clock")
         };
         let Some(simulation) = scene.simulation() else { unreachable!("initialisation has made it ready") };
-        let step = Step { point, size, plan: clock.plan(point, size, simulation.parameters().settings.step_size)? };
+        let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
+        check_reach(&signal, size)?;
         // Counters of singularities are copied only where the log passes events on.
-        let before = wants_events.then(|| simulation.singular());
-        let advanced = match scene {
-            Scene::Ready(simulation) => advance(simulation, next, measured, step),
-            Scene::Following(following) => advance(following, next, measured, step),
+        let singular_before = wants_events.then(|| simulation.singular());
+        let fallbacks_before = simulation.fallbacks();
+        let restarted_before = scene.following().is_some_and(|following| following.estimator().has_restarted());
+        let discarded = |failure| discarded(failure, point, size);
+        let tuned = next.parameters.as_ref();
+        let taken = match scene {
+            Scene::Ready(simulation) => or_unchanged(&mut **simulation, tuned.is_some(), |simulation| {
+                if let Some(parameters) = tuned {
+                    simulation.tune(&parameters.effects)?;
+                }
+                simulation.advance_along(&signal, plan.h, plan.steps).map_err(discarded)
+            }),
+            Scene::Following(following) => or_unchanged(&mut **following, true, |following| {
+                if let Some(parameters) = tuned {
+                    following.tune(&parameters.effects, &parameters.estimator)?;
+                }
+                following.correct(measured, point);
+                following.advance_along(&signal, plan.h, plan.steps).map_err(discarded)
+            }),
             Scene::Draft(_) => unreachable!("a draft has no simulation"),
         };
-        let warnings = match advanced {
-            Ok(warnings) => warnings,
-            Err(refusal) => {
-                if refusal.status == Status::Discard {
-                    *stage = Stage::StepFailed;
-                }
-                return Err(refusal);
+        if let Err(refusal) = taken {
+            if refusal.status == Status::Discard {
+                *stage = Stage::StepFailed;
             }
-        };
-        clock.advance(step.plan);
+            return Err(refusal);
+        }
+        clock.advance(plan);
         next.after_step(size);
         *stage = Stage::StepComplete;
-        for text in warnings {
-            self.log.push(Status::Warning, || text);
+        let fallbacks = scene.simulation().map_or(0, Simulation::fallbacks) - fallbacks_before;
+        if let Scene::Following(following) = scene {
+            for text in following::warnings(following, restarted_before, point) {
+                self.log.push(Status::Warning, || text);
+            }
+        }
+        if fallbacks > 0 {
+            self.log.push(Status::Warning, || fallback_message(fallbacks, point, point + size));
         }
         self.warn(point + size);
-        if let Some(before) = before {
+        if let Some(before) = singular_before {
             self.log_singularities(before, point, point + size)?;
         }
         Ok(())
@@ -141,89 +125,33 @@ impl Instance {
     }
 }
 
-/// A simulation, by itself or following a measured machine.
-pub(super) trait Machine: Clone {
-    /// Whether samples correct the state before a step.
-    const IS_MEASURED: bool;
-    /// State before a step that warnings after it compare with.
-    type Told;
-
-    /// Inputs of the master that the last step held.
-    fn inputs(&self) -> &Inputs;
-
-    /// Sets other tunable parameters.
-    fn tune(&mut self, parameters: &Parameters) -> Result<(), SceneError>;
-
-    /// Measurement update by the samples that are new at a communication point, s.
-    fn correct(&mut self, measured: &Measured, point: f64);
-
-    /// `steps` macro steps of `h` seconds. After a failure the caller puts back the copy that it has, if it has one.
-    fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure>;
-
-    /// State before a step that warnings after it compare with.
-    fn told(&self) -> Self::Told;
-
-    /// Warnings after a step.
-    fn warnings(&mut self, before: Self::Told, step: &Step) -> Vec<String>;
+/// Changes a machine, or leaves it as it was where the change fails; only a change that `may_fail_midway` needs a copy to go back to.
+fn or_unchanged<M: Clone>(
+    machine: &mut M,
+    may_fail_midway: bool,
+    change: impl FnOnce(&mut M) -> Result<(), CallError>,
+) -> Result<(), CallError> {
+    let before = may_fail_midway.then(|| machine.clone());
+    let changed = change(machine);
+    if let (Err(_), Some(before)) = (&changed, before) {
+        *machine = before;
+    }
+    changed
 }
 
-/// Takes a communication step, or leaves the machine unchanged: parameters, samples, motion. Answers with warnings.
-#[inline(always)]
-fn advance<M: Machine>(machine: &mut Box<M>, next: &Next, measured: &Measured, step: Step) -> Result<Vec<String>, CallError> {
-    let held;
-    let signal = if let Some(signal) = &next.signal {
-        check_reach(signal, step.size)?;
-        signal
-    } else {
-        held = Signal::held(*machine.inputs());
-        &held
-    };
-    let told = machine.told();
-    // Clones the machine into place instead of its box: a step allocates nothing.
-    let before = (M::IS_MEASURED || next.parameters.is_some()).then(|| M::clone(machine));
-    let taken = (|| {
-        if let Some(parameters) = &next.parameters {
-            machine.tune(parameters)?;
-        }
-        machine.correct(measured, step.point);
-        machine.advance_along(signal, step.plan.h, step.plan.steps).map_err(|failure| step.discarded(&failure))
-    })();
-    if let (Err(_), Some(before)) = (&taken, before) {
-        **machine = before;
-    }
-    taken.map(|()| machine.warnings(told, &step))
+/// The refusal of a step from `point`, s, by `size`, s, that the integrator could not take.
+fn discarded(StepFailure { elapsed, cause }: StepFailure, point: f64, size: f64) -> CallError {
+    CallError::discard(format!(
+        "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
+        point + elapsed
+    ))
 }
 
-impl Machine for Simulation {
-    const IS_MEASURED: bool = false;
-    /// Number of steps by the last fallback stage.
-    type Told = u64;
-
-    #[inline(always)]
-    fn inputs(&self) -> &Inputs {
-        self.inputs()
-    }
-
-    fn tune(&mut self, parameters: &Parameters) -> Result<(), SceneError> {
-        self.tune(&parameters.effects)
-    }
-
-    #[inline(always)]
-    fn correct(&mut self, _: &Measured, _: f64) {}
-
-    #[inline(always)]
-    fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
-        self.advance_along(signal, h, steps)
-    }
-
-    #[inline(always)]
-    fn told(&self) -> u64 {
-        self.fallbacks()
-    }
-
-    #[inline(always)]
-    fn warnings(&mut self, before: u64, step: &Step) -> Vec<String> {
-        let fallbacks = self.fallbacks() - before;
-        if fallbacks == 0 { Vec::new() } else { vec![step.fallback_message(fallbacks)] }
-    }
+/// The warning about steps between two times, s, by the last fallback stage.
+fn fallback_message(fallbacks: u64, from: f64, to: f64) -> String {
+    let many = if fallbacks == 1 { "step" } else { "steps" };
+    format!(
+        "between {from:?} s and {to:?} s: {fallbacks} {many} used the last fallback stage, since the equations were not solved: energy is \
+         conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork."
+    )
 }

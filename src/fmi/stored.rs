@@ -98,22 +98,14 @@ type Values = Vec<(u32, Value)>;
 impl Snapshot {
     /// Serialises the state.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
-        let (parameters, run) = match (&self.scene, self.scene.simulation()) {
-            (Scene::Draft(parameters), _) => (parameters, None),
-            (_, Some(simulation)) => (simulation.parameters(), Some(simulation.run().clone())),
-            (_, None) => unreachable!("what is no draft has a simulation"),
-        };
         // Order of the fields of `Followed`.
-        let estimate = match &self.scene {
-            Scene::Following(following) => Some(following.estimate()),
-            Scene::Draft(_) | Scene::Ready(_) => None,
-        };
+        let estimate = self.scene.following().map(Following::estimate);
         let content = Content {
             stage: self.stage,
             kind: self.kind,
             clock: self.clock.clone(),
-            values: values(parameters),
-            run,
+            values: values(self.scene.parameters()),
+            run: self.scene.simulation().map(|simulation| simulation.run().clone()),
             signal: self.next.signal.map(|signal| (signal.value, signal.derivatives())),
             tuned: self.next.parameters.as_ref().map(values),
             warned_of_references: self.warned_of_references,

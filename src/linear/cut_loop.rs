@@ -285,6 +285,10 @@ impl<'a> OpenStep<'a> {
     /// and columns of Δθ, where ω̂ changes as they do.
     #[inline(always)]
     fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
+        if !slopes.couple_links() {
+            let ([p, d], none) = (slopes.diagonal(arm, weights), both(0.0));
+            return [[p, none], [none, d]];
+        }
         let left = |[p, d]: [Legs2; 2]| [p, d].map(|lever| [lever.x.to_array()[0], lever.y.to_array()[0]]);
         let OpenMotion { secant, half, ends, .. } = motion;
         let rows = scaled(scaled(normals(secant.middle.along()), secant.sinc), self.legs.sigma_length);
