@@ -102,7 +102,6 @@ impl<const N: usize> BorshSerialize for Vector<N> {
 }
 
 impl<const N: usize> BorshDeserialize for Vector<N> {
-    #[inline(never)]
     fn deserialize_reader<R: Read>(reader: &mut R) -> io::Result<Self> {
         let mut vector = Self::ZERO;
         read(&mut vector.0, reader)?;
@@ -113,8 +112,7 @@ impl<const N: usize> BorshDeserialize for Vector<N> {
 /// Number of elements in one call of a writer or reader: all coordinates of a state.
 const CHUNK: usize = 12;
 
-/// Writes elements; one compiled copy for vectors of every length.
-#[inline(never)]
+/// Writes the elements of a vector of any length.
 fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     for elements in elements.chunks(CHUNK) {
         let mut bytes = [0; CHUNK * size_of::<f64>()];
@@ -127,8 +125,7 @@ fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads elements; one compiled copy for vectors of every length.
-#[inline(never)]
+/// Reads the elements of a vector of any length.
 fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
     for elements in elements.chunks_mut(CHUNK) {
         let mut bytes = [0; CHUNK * size_of::<f64>()];
