@@ -6,20 +6,25 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Simulation, StepFailure};
+use crate::simulation::{Signal, Simulation, StepFailure};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
-        let now = self.change();
-        let signal = now.signal();
-        let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = now else {
+        let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = self.change() else {
             unreachable!("initialisation has made the clock")
         };
         let Some(simulation) = scene.simulation() else { unreachable!("initialisation has made it ready") };
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
-        check_reach(&signal, size)?;
+        let held;
+        let signal = if let Some(signal) = &next.signal {
+            check_reach(signal, size)?;
+            signal
+        } else {
+            held = Signal::held(*scene.following().map_or_else(|| simulation.inputs(), |following| following.inputs()));
+            &held
+        };
         // Counters of singularities are copied only where the log passes events on.
         let singular_before = wants_events.then(|| simulation.singular());
         let fallbacks_before = simulation.fallbacks();
@@ -31,14 +36,14 @@ impl Instance {
                 if let Some(parameters) = tuned {
                     simulation.tune(&parameters.effects)?;
                 }
-                simulation.advance_along(&signal, plan.h, plan.steps).map_err(discarded)
+                simulation.advance_along(signal, plan.h, plan.steps).map_err(discarded)
             }),
             Scene::Following(following) => or_unchanged(&mut **following, true, |following| {
                 if let Some(parameters) = tuned {
                     following.tune(&parameters.effects, &parameters.estimator)?;
                 }
                 following.correct(measured, point);
-                following.advance_along(&signal, plan.h, plan.steps).map_err(discarded)
+                following.advance_along(signal, plan.h, plan.steps).map_err(discarded)
             }),
             Scene::Draft(_) => unreachable!("a draft has no simulation"),
         };
