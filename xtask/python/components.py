@@ -47,6 +47,9 @@ def component(name: str, distribution: metadata.Distribution, optional: bool) ->
         made["licenses"] = [{"license": {"name": classifier}} for classifier in classifiers]
     elif text := distribution.metadata.get("License"):
         made["licenses"] = [{"license": {"name": text.splitlines()[0]}}]
+    elif files := distribution.metadata.get_all("License-File"):
+        # A package that names no licence brings the text of one.
+        made["licenses"] = [{"license": {"name": file, "text": {"content": distribution.read_text(f"licenses/{file}")}}} for file in files]
     return made
 
 

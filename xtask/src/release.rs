@@ -33,7 +33,9 @@ pub(crate) fn release(scope: Scope) -> Result<()> {
     let changes = fs::read_to_string(paths::in_root("CHANGELOG.md"))?;
     fs::write(folder.join(NOTES), notes(&changes, env!("CARGO_PKG_VERSION"))?)?;
     let bill = bill(&crates(&licenses)?, &python_packages()?, &fs::read_to_string(paths::in_root("Cargo.lock"))?)?;
-    fs::write(folder.join("fivebar.cdx.json"), serde_json::to_string_pretty(&bill)?)?;
+    let bill_file = folder.join("fivebar.cdx.json");
+    fs::write(&bill_file, serde_json::to_string_pretty(&bill)?)?;
+    process::run(venv::python(Packages::Release)?.arg("xtask/python/check_bill.py").arg(bill_file))?;
     let sums = checksums(&folder)?;
     fs::write(folder.join("SHA256SUMS"), &sums)?;
     print!("{}:\n{sums}", paths::short(&folder));

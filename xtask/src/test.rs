@@ -115,6 +115,7 @@ pub(crate) fn fmi_sim() -> Result<()> {
         process::run(process::cargo().args(install).arg(paths::fmi_sim()))
     })?;
     let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("package, own machine", || own(&fmu))?;
     steps.run("Python tests", || pytest(&fmu, &paths::fmu(OWN.1), &Tests::FmiSim))?;
     steps.summary();
     Ok(())

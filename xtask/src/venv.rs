@@ -25,6 +25,8 @@ pub(crate) enum Packages {
     Full,
     /// Also packages that build libraries for other machines.
     Platforms,
+    /// Also the package that judges a bill of materials.
+    Release,
     /// Also the filters that the estimator is compared with.
     Filters,
     /// Also MuJoCo, which simulates a machine that is followed.
@@ -41,6 +43,7 @@ impl Packages {
             Self::Usual => &[USUAL, TWIN, OWN],
             Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
             Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
+            Self::Release => &[USUAL, TWIN, OWN, "xtask/python/requirements-release.txt"],
             Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
             Self::Mujoco => &[USUAL, TWIN, OWN, "xtask/python/requirements-mujoco.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt", OWN],
@@ -49,7 +52,9 @@ impl Packages {
 
     fn folder(self) -> PathBuf {
         match self {
-            Self::Usual | Self::Full | Self::Platforms | Self::Filters | Self::Mujoco => paths::in_root("target/venv"),
+            Self::Usual | Self::Full | Self::Platforms | Self::Release | Self::Filters | Self::Mujoco => {
+                paths::in_root("target/venv")
+            }
             Self::Peers => paths::in_root("target/venv-peers"),
         }
     }
