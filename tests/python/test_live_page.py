@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -22,6 +23,7 @@ from fmpy.model_description import ModelDescription
 from conftest import REPOSITORY
 from instance import Instance
 from test_page import open_browser
+from test_wheel import build
 
 pytestmark = pytest.mark.page
 
@@ -441,3 +443,9 @@ def test_the_site_runs_from_a_web_server(browser: Any) -> None:
 def test_in_node(what: str) -> None:
     """Loci are where the unit passes them; the hand has the tip at the pointer soon, and holds it there."""
     subprocess.run(["node", REPOSITORY / "tests" / "page" / f"{what}.mjs", PAGE / "site"], check=True)
+
+
+def test_a_wheel_carries_the_page(fmu: Path, tmp_path: Path) -> None:
+    """One that is made after the page, for `fivebar page` to open."""
+    with zipfile.ZipFile(build(fmu, tmp_path)) as wheel:
+        assert wheel.read("fivebar/shipped/fivebar.html") == FILE.read_bytes()

@@ -17,7 +17,12 @@ use zip::ZipArchive;
 const NOTES: &str = "release-notes.txt";
 
 /// Makes wheel, sdist, the .fmu, licences, notes, a bill of materials, and the checksums of all of them.
+///
+/// With libraries for all platforms the wheel carries the live page, made anew: the file of an earlier build would hold another library.
 pub(crate) fn release(scope: Scope) -> Result<()> {
+    if matches!(scope, Scope::All) {
+        page::page()?;
+    }
     let fmu = package::package(scope)?;
     let folder = paths::in_root("target/release-files");
     if folder.exists() {
