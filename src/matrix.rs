@@ -36,17 +36,20 @@ impl<const N: usize> Inverse<N> {
     }
 
     /// Columns of A⁻¹.
+    #[inline(always)]
     pub fn columns(&self) -> &[Vector<N>; N] {
         &self.0
     }
 
     /// The product A⁻¹ b.
+    #[inline(always)]
     pub fn times(&self, b: &Vector<N>) -> Vector<N> {
         combination(&self.0, b)
     }
 }
 
 /// Linear combination Σ bᵢ columnᵢ.
+#[inline(always)]
 pub fn combination<const N: usize, const K: usize>(columns: &[Vector<N>; K], b: &Vector<K>) -> Vector<N> {
     let mut sum = Vector::ZERO;
     for (column, b) in columns.iter().zip(b) {

@@ -102,6 +102,7 @@ impl<const N: usize> BorshSerialize for Vector<N> {
 }
 
 impl<const N: usize> BorshDeserialize for Vector<N> {
+    #[inline(never)]
     fn deserialize_reader<R: Read>(reader: &mut R) -> io::Result<Self> {
         let mut vector = Self::ZERO;
         read(&mut vector.0, reader)?;
@@ -112,7 +113,8 @@ impl<const N: usize> BorshDeserialize for Vector<N> {
 /// Number of elements in one call of a writer or reader: all coordinates of a state.
 const CHUNK: usize = 12;
 
-/// Writes the elements of a vector of any length.
+/// Writes elements; one compiled copy for vectors of every length.
+#[inline(never)]
 fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     for elements in elements.chunks(CHUNK) {
         let mut bytes = [0; CHUNK * size_of::<f64>()];
@@ -125,7 +127,8 @@ fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads the elements of a vector of any length.
+/// Reads elements; one compiled copy for vectors of every length.
+#[inline(never)]
 fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
     for elements in elements.chunks_mut(CHUNK) {
         let mut bytes = [0; CHUNK * size_of::<f64>()];

@@ -116,6 +116,7 @@ impl Bank {
     }
 
     /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
+    #[inline(never)]
     pub fn transform(&mut self, f: &Matrix) {
         for member in self.active_members() {
             member.error = f * member.error;
@@ -124,6 +125,7 @@ impl Bank {
     }
 
     /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
+    #[inline(never)]
     pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
         for member in self.active_members() {
             member.error = turned(turn, &member.error);
@@ -134,6 +136,7 @@ impl Bank {
 
     /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
     /// N·m. A model persists for `switch_time`, s, before one drawn from `priors` replaces it.
+    #[inline(never)]
     pub fn predict(
         &mut self,
         f: &Matrix,
@@ -163,6 +166,7 @@ impl Bank {
     }
 
     /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`LIKELY_MODELS`]; evidence of samples stays.
+    #[cold]
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
         for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
             member.weight *= prior / model_prior;
@@ -188,12 +192,14 @@ impl Bank {
     }
 
     /// Bank with the moments of this one in all models, and these probabilities.
+    #[cold]
     pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
         let (error, covariance) = self.moments();
         Self { members: priors.map(|weight| Member { weight, error, covariance }) }
     }
 
     /// Bank with zero mean of the force, of this variance, (N·m)², and uncorrelated with the motion.
+    #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
         for Member { error, covariance, .. } in &mut bank.members {
@@ -216,6 +222,7 @@ impl Bank {
     }
 
     /// Mean and covariance of the mixture.
+    #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
         let covariance = self
@@ -248,6 +255,7 @@ impl Bank {
     }
 
     /// Expectation of a sample.
+    #[inline(never)]
     pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
         let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
             if *weight == 0.0 {
@@ -260,6 +268,7 @@ impl Bank {
     }
 
     /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
+    #[inline(never)]
     pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
@@ -292,6 +301,7 @@ impl Bank {
     }
 
     /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
+    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9

@@ -32,6 +32,7 @@ impl Belief {
 
     /// Injects the mean error into a motion and the force. Returns the error, the map between the tangent bases and the new frame; `None`,
     /// with nothing changed, where the loop cannot be closed.
+    #[inline(never)]
     pub(super) fn inject_error(
         &mut self,
         linkage: &Linkage,
@@ -53,6 +54,7 @@ impl Belief {
     }
 
     /// Whether a stored belief about a motion is possible: closed loop, finite force, sound bank.
+    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage, motion: &LinkState) -> bool {
         linkage.is_closed(motion) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
     }

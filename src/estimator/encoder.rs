@@ -158,6 +158,7 @@ impl Encoder {
     }
 
     /// Whether stored values are possible.
+    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let numbers = [self.time, self.angle, self.valid_time, self.change, self.interval];
         numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.time_since_sample >= 0.0

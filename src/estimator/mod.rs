@@ -104,6 +104,7 @@ struct Sample {
 
 impl Estimator {
     /// Initial estimate of a scene.
+    #[cold]
     pub fn new(constants: &Constants) -> Self {
         Self {
             belief: Belief::new(constants.start_variances()),
@@ -262,6 +263,7 @@ impl Estimator {
     }
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
+    #[cold]
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
         self.history.clear();
@@ -386,6 +388,7 @@ impl Estimator {
     }
 
     /// Refuses a stored estimator that is not possible for this mechanism and motion.
+    #[cold]
     pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
         let linkage = &constants.linkage;
         if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) {

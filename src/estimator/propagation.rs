@@ -37,6 +37,7 @@ impl Propagation {
     }
 
     /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
+    #[inline(never)]
     pub(super) fn along(flow: &Flow, mass: Matrix4<f64>, from: &Frame, (end, to): (&LinkState, &Frame), h: f64) -> Self {
         let smallest = from.smallest.min(to.smallest);
         let agrees = || {
@@ -116,6 +117,8 @@ fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
 }
 
 /// Transition matrix without knowledge of the forces: angles follow the rates.
+#[cold]
+#[inline(never)]
 fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     let turn = from.basis_map_to(to);
     let mut f = turned(&turn, &Matrix::identity());

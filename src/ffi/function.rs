@@ -103,6 +103,7 @@ pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), CallError
     if pointer.is_null() { Err(null(name)) } else { Ok(()) }
 }
 
+#[cold]
 fn null(name: &str) -> CallError {
     CallError::error(format!("{name} is null."))
 }

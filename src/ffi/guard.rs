@@ -48,12 +48,16 @@ impl Component {
     }
 
     /// Logs the refusal of a call and returns its status.
+    #[cold]
+    #[inline(never)]
     fn refuse(&mut self, call: Call, rejection: &CallError) -> Status {
         self.instance.log.push(rejection.status, || format!("{call:?}: {}", rejection.message));
         rejection.status
     }
 
     /// Logs a panic, after which the instance may be half-changed.
+    #[cold]
+    #[inline(never)]
     fn poison(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
         self.poisoned = true;
         self.instance.log.push(Status::Fatal, || {
@@ -62,6 +66,8 @@ impl Component {
         Status::Fatal
     }
 
+    #[cold]
+    #[inline(never)]
     fn send_queue(&mut self) {
         for message in self.instance.log.drain() {
             Self::send(&self.name, &self.callbacks, &message);

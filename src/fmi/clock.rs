@@ -111,6 +111,7 @@ impl Clock {
     }
 
     /// The refusal of a communication step: wrong point, size that is not positive, or end passed.
+    #[cold]
     fn refusal(&self, point: f64, size: f64, expected: bool) -> CallError {
         CallError::error(if !(size > 0.0 && size.is_finite()) {
             format!("communicationStepSize is {size:?} s, must be positive and finite.")
@@ -129,6 +130,7 @@ impl Clock {
 
 /// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too
 /// many where the sum is too small by rounding; the message names the difference.
+#[cold]
 fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let left = stop - point;
     let start = if left <= 0.0 {

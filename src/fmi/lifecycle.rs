@@ -184,10 +184,14 @@ impl Call {
     }
 }
 
+#[cold]
+#[inline(never)]
 fn wrong_kind(kind: Kind) -> CallError {
     CallError::error(format!("the instance is for {kind}, which does not have this function."))
 }
 
+#[cold]
+#[inline(never)]
 fn illegal(stage: Stage, kind: Kind, allowed: &[Stage]) -> CallError {
     let names: Vec<String> = allowed.iter().filter(|stage| stage.belongs_to(kind)).map(Stage::to_string).collect();
     CallError::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", ")))

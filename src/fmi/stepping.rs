@@ -81,6 +81,7 @@ impl Instance {
     }
 
     /// Warns once that servo references are not read, and once that the loads are stiff.
+    #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
         let Some(simulation) = self.now.scene.simulation() else { return };
         if !self.now.warned_of_references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
@@ -101,6 +102,7 @@ impl Instance {
     }
 
     /// Logs the passages through each kind of singularity during a step, and a start from rest in a vertex.
+    #[cold]
     fn log_singularities(&mut self, before: [u64; CONFIGURATION_SIGNS + 2], from: f64, to: f64) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
         let counts = core.counters.singular();

@@ -14,7 +14,7 @@
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
 //! Parameters are stored as values of variables, so that restored values pass the same checks as values set by a master.
 
-use std::io;
+use std::io::{self, Read, Write};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -34,6 +34,38 @@ const MAGIC: [u8; 8] = *b"FiveBar\0";
 const FORMAT: u32 = 13;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + size_of::<Guid>() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
+
+/// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
+struct ByteReader<'a>(&'a [u8]);
+
+impl Read for ByteReader<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into)
+    }
+
+    #[inline(never)]
+    fn read_exact(&mut self, into: &mut [u8]) -> io::Result<()> {
+        self.0.read_exact(into)
+    }
+}
+
+/// Bytes written so far. A type of its own keeps the growth of a vector from being inlined into every field.
+struct ByteWriter(Vec<u8>);
+
+impl Write for ByteWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    #[inline(never)]
+    fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// Stored state of an instance, without samples and estimate.
 #[derive(BorshSerialize, BorshDeserialize)]
@@ -79,20 +111,22 @@ impl Snapshot {
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
         };
-        let mut written = Vec::new();
+        let mut written = ByteWriter(Vec::new());
         let all = content.serialize(&mut written).and_then(|()| match is_default(&self.measured, estimate.is_some()) {
             true => Ok(()),
             false => (self.measured, estimate).serialize(&mut written),
         });
         all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
-        let length = written.len() as u64;
-        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), &self.guid, &length.to_le_bytes(), &written].concat();
+        let ByteWriter(content) = written;
+        let length = content.len() as u64;
+        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), &self.guid, &length.to_le_bytes(), &content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
     /// Restores a state of the unit with this GUID, or refuses it in one sentence. A forged state is refused, or is some motion that closes
     /// the loop and can be continued.
+    #[cold]
     pub fn from_bytes(guid: &Guid, bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) = parse_content(content(guid, bytes)?)
             .map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
@@ -137,13 +171,14 @@ fn is_default(measured: &Measured, estimates: bool) -> bool {
 }
 
 /// Parses the content and, where there is one, `Followed`.
-fn parse_content(mut rest: &[u8]) -> io::Result<(Content, Followed)> {
+fn parse_content(bytes: &[u8]) -> io::Result<(Content, Followed)> {
+    let mut rest = ByteReader(bytes);
     let content = Content::deserialize_reader(&mut rest)?;
-    if rest.is_empty() {
+    if rest.0.is_empty() {
         return Ok((content, Followed { measured: Measured::default(), estimate: None }));
     }
     let followed = Followed::deserialize_reader(&mut rest)?;
-    if !rest.is_empty() {
+    if !rest.0.is_empty() {
         return Err(io::Error::other("bytes follow the last field"));
     }
     if is_default(&followed.measured, followed.estimate.is_some()) {

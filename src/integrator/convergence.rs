@@ -44,6 +44,7 @@ impl Convergence {
     }
 
     /// Error of an iteration that has not converged.
+    #[cold]
     pub(super) fn failure(&self) -> StepError {
         let &Self { iterations, violation, tolerance, correction, .. } = self;
         StepError::NotConverged { iterations, violation, tolerance, correction }

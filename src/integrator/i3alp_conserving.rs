@@ -144,6 +144,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// One step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
     /// `system`; a specialised form is compiled for the first try only.
+    #[inline(never)]
     pub fn advance<const M: usize, S, G>(
         &mut self,
         (system, general): (&S, &G),
@@ -234,6 +235,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
+    #[cold]
+    #[inline(never)]
     fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,

@@ -88,9 +88,14 @@ pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
 #[inline(always)]
 pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
-    // The quotient is the last factor because it takes longest.
-    let (Legs2 { x, y }, quotient) = (direction, (b + b) / (a * a + b * b));
-    Legs2 { x: x - (b * x + a * y) * quotient, y: y + (a * x - b * y) * quotient }
+    rotated_by_quotient(direction, direction, [a, b], (b + b) / (a * a + b * b))
+}
+
+/// A direction of each leg rotated by an angle of at most 0.45 rad, given twice the direction: cheaper than [`rotated_by`], equal bits.
+#[inline(always)]
+pub fn rotated_with_double(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
+    let [a, b] = half_tangent(angle);
+    rotated_by_quotient(direction, twice, [a, b], b / (a * a + b * b))
 }
 
 /// Polynomials a and b with b/a the tangent of half an angle, rad.
@@ -102,6 +107,13 @@ fn half_tangent(angle: Legs) -> [Legs; 2] {
     let a = (z + both(A[1])) * z + both(A[0]);
     let b = ((both(B[2]) * z + both(B[1])) * z + both(B[0])) * angle;
     [a, b]
+}
+
+/// A direction rotated by sin δ and 1 − cos δ, given as multiples of a and b times `by`, the direction or its double. The quotient is the
+/// last factor because it takes longest.
+#[inline(always)]
+fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
+    Legs2 { x: x - (b * by.x + a * by.y) * quotient, y: y + (a * by.x - b * by.y) * quotient }
 }
 
 /// Sine and cosine of an angle of each leg, rad, within 1 ulp and the rounding of the angle.
@@ -131,6 +143,7 @@ fn is_reducible(angle: Legs) -> bool {
 }
 
 #[cold]
+#[inline(never)]
 fn sin_cos_far(angle: Legs) -> (Legs, Legs) {
     let [left, right] = angle.to_array();
     let ((sl, cl), (sr, cr)) = (libm::sincos(left), libm::sincos(right));

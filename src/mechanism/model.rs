@@ -59,6 +59,7 @@ pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<
 }
 
 /// The error of a refused value: `allowed`, or, for a value that is not finite, "finite".
+#[inline(never)]
 fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
     let allowed = if value.is_finite() { allowed } else { "finite" };
     SceneError(format!("{name} = {value} {unit} is not allowed: it must be {allowed}."))

@@ -40,6 +40,7 @@ fn small(angle: Legs) -> [Legs; 3] {
 
 /// Cosine, sine and sin x/x of any angle x, rad.
 #[cold]
+#[inline(never)]
 fn large(angle: Legs) -> [Legs; 3] {
     let (sin, cos) = sin_cos(angle);
     let exact = Legs::new([0, 1].map(|leg| {

@@ -122,7 +122,8 @@ impl Cone {
         (self.axis + self.across[0] * cos + self.across[1] * sin).normalize()
     }
 
-    /// Gain (g·d)²/(d·M d) of a direction, N·m/(kg·m²) times N·m.
+    /// Gain (g·d)²/(d·M d) of a direction, N·m/(kg·m²) times N·m; one compiled copy for all callers.
+    #[inline(never)]
     fn gain(&self, angle: f64, force: &Vector4<f64>, mass: &Matrix4<f64>) -> f64 {
         let direction = self.direction(angle);
         force.dot(&direction).powi(2) / direction.dot(&(mass * direction))

@@ -60,6 +60,7 @@ impl<'a> AngleSystem<'a> {
 
     /// Deviation of angles from a closure branch, m.
     #[cold]
+    #[inline(never)]
     fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> AtTip {
         closure_branch.apart(legs(&q)).map(|angle| BRANCH_ARM * angle).into()
     }

@@ -87,6 +87,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// Wrench of the effects and its power. The motion is taken by value: pointing to it, the compiler would keep it in memory also in
     /// scenes without effects.
+    #[inline(never)]
     fn effects_at(&self, at: Motion) -> (Wrench, Work) {
         let (mut wrench, mut power) = (Wrench::default(), Work::default());
         for effect in &self.model.effects {
@@ -110,6 +111,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     }
 
     /// Slopes of loads and effects.
+    #[inline(never)]
     pub(super) fn slopes(&self, at: Motion) -> Slopes {
         let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
         for effect in &self.model.effects {

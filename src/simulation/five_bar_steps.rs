@@ -21,6 +21,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     }
 
     /// Mean wrench of the loads and the effects over a step, and its work.
+    #[inline(never)]
     fn acting_over(&self, over: FiniteMotion) -> (Wrench, Work) {
         let mut wrench = self.inputs.wrench();
         let mut work = Work { input: wrench.power(&over.changes, over.change), dissipated: 0.0 };
@@ -40,6 +41,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         (slopes, TipArm::of_step(step.secant, step.d, step.v))
     }
 
+    #[inline(never)]
     fn add_slopes_over(&self, over: FiniteMotion, slopes: &mut Slopes) {
         for effect in &self.model.effects {
             effect.add_slopes_over(&over, slopes);

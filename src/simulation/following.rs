@@ -31,6 +31,7 @@ pub struct Estimate {
 
 impl Following {
     /// Simulation at its start, before the first sample.
+    #[cold]
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {
@@ -46,6 +47,7 @@ impl Following {
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
+    #[cold]
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
         let simulation = Simulation::restored(parameters, run)?;
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
@@ -113,6 +115,7 @@ impl Following {
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].
+    #[cold]
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         self.simulation.tune(effects)?;

@@ -14,6 +14,7 @@ use crate::mechanism::Pose;
 
 impl FiveBar<'_> {
     /// Torques of wrench and weight on the links, N·m, by legs, and the power of the wrench, W.
+    #[inline(always)]
     pub(super) fn torques_and_power(&self, pose: &Pose, at: &Motion) -> (ByLink, Work) {
         let (wrench, power) = self.acting(at);
         let ([on_p, on_d], [weight_p, weight_d]) = (wrench.torques_in_angles(pose), self.model.weight_torques.torques(pose));
@@ -53,6 +54,7 @@ pub struct FollowedScene<'a> {
 
 impl FollowedScene<'_> {
     /// Answer of the equations of motion at a state, with the loads that act there.
+    #[inline(always)]
     fn at<T>(&self, at: &LinkState, force: &Links, answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T) -> T {
         let (model, inputs) = (self.model, with_unknown_force(self.inputs, force));
         let five_bar = FiveBar::<false>::new(model, &inputs, self.turns);
@@ -76,12 +78,14 @@ fn links(x: &Angles) -> Links {
 }
 
 impl Scene for FollowedScene<'_> {
+    #[inline(never)]
     fn acceleration(&self, at: &LinkState, force: &Links) -> Links {
         self.at(at, force, |five_bar, equations, pose, motion| {
             links(&equations.solve(five_bar.torques_and_power(pose, &motion).0).0)
         })
     }
 
+    #[inline(never)]
     fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised {
         self.at(at, force, |five_bar, equations, pose, motion| {
             let (alpha, lambda) = equations.solve(five_bar.torques_and_power(pose, &motion).0);

@@ -377,6 +377,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Makes a straight step through a vertex.
+    #[cold]
     fn pass_through<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,

@@ -120,6 +120,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
 
     /// Three sums at the end of the step, over q̇ or q̈: mean slope, finer and coarser error estimate. Two elements at a time are loaded
     /// once for all sums and stay in registers.
+    #[inline(never)]
     fn end_sums(&self, of_rates: bool) -> [Vector<N>; 3] {
         let mut sums = [Vector::ZERO; 3];
         for index in 0..N.div_ceil(2) {
@@ -140,6 +141,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
     }
 
     /// Evaluates the stages of the step in place, which avoids copies of returned values.
+    #[inline(never)]
     fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
@@ -243,6 +245,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         })
     }
 
+    #[cold]
     fn dense<const M: usize>(
         &mut self,
         system: &impl System<N, M>,

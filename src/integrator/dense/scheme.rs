@@ -242,6 +242,7 @@ impl StiffnessDetector {
     }
 
     /// Takes the product of step and fastest rate of one step.
+    #[cold]
     pub(super) fn check(&mut self, step_times_rate: f64) {
         if step_times_rate > STABILITY_LIMIT {
             self.away_from_limit = 0;
@@ -266,6 +267,7 @@ impl StiffnessDetector {
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Longest step, s, in which oscillations of springs decay while friction holds everything else.
+    #[cold]
     pub(super) fn longest_at_rest<S: System<N, M> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let on = system.on(self.mode);
         let rate = &mut self.memory.stiffness.rate_at_rest;

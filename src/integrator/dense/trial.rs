@@ -141,6 +141,7 @@ impl ErrorWeights {
     }
 
     /// Mean square as in [`Self::mean_square`], as one shared copy of the code for rare operations.
+    #[inline(never)]
     pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
         self.mean_square(error, ends, || work)
     }

@@ -24,6 +24,7 @@ const EXAMINED_ERROR: f64 = 0.01;
 const STIFF_RATIO: f64 = 0.2;
 
 /// End of a sub-step, damped if the unpredicted change of q̈ is stiff.
+#[cold]
 pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,

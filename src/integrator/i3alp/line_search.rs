@@ -27,6 +27,7 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 const FLAT: f64 = 1e-12;
 
 /// End of the step, if δ and λ are found. Only for systems whose forces have a potential.
+#[cold]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: Settings,

@@ -130,6 +130,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 }
 
 /// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
+#[cold]
 fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     regularization: f64,
@@ -152,6 +153,7 @@ fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
 
 /// Whether the residual of the equilibrium changes rates by less than a part of their admissible error. With stiff forces a small
 /// correction of the coordinates does not imply a small residual.
+#[cold]
 fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,

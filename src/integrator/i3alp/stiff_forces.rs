@@ -17,6 +17,7 @@ const EXACT: f64 = 1e-4;
 /// Local error with stiff forces, rad: the larger of the rate error, in units of [`RATE`] + |q̇|, and the error of the energy
 /// balance, in units of the energy scale; `separated` is the loss of separated springs, J. A step across a discontinuity changes the
 /// motion little and the work much.
+#[cold]
 pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,

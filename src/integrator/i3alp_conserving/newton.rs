@@ -124,6 +124,7 @@ pub(super) enum StopRule {
 }
 
 /// Full iteration: all unknowns at once, with the whole tangent. The first guess `x` becomes the unknowns of the root.
+#[inline(never)]
 pub(super) fn full_newton<const N: usize, const K: usize, C: CutStep<N, Unknowns = Vector<K>>>(
     cut: &C,
     x: &mut Vector<K>,

@@ -15,8 +15,9 @@ impl AngleSystem<'_> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&self.motion(&pose, q, v))]
     }
 
-    /// Forces in the angles, and their power, where anything acts but the weight. Arguments are copies: pointers to them would keep them
-    /// in memory also where nothing acts but the weight. Of a pose the directions are enough.
+    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
+    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    #[inline(never)]
     pub(super) fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism.pose_along(directions);
         let (torques, power) = self.five_bar.torques_and_power(&pose, &self.motion(&pose, &q, &v));
