@@ -17,7 +17,7 @@ const LOST: f64 = 0.01;
 /// Time without an alarm and with both encoders used after which a machine is lost without a word, s.
 const SILENT: f64 = 0.1;
 
-/// Label of machines whose encoders have another scale.
+/// What is off where encoders have another scale.
 const SCALE: &str = "scale 0.2 % off";
 
 /// Outcome of a run.
