@@ -126,7 +126,7 @@ def test_units(user: User) -> None:
 def test_the_twin_and_what_belongs_to_it(user: User) -> None:
     """Ten seconds of the twin; its record again, calibrated; commands from its state; members; samples without a clock; a broker's load."""
     running = subprocess.Popen(
-        [user.environment / "bin" / "fivebar", "twin", "--seconds", "20"], cwd=user.folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        [user.environment / "bin" / "fivebar", "twin", "--seconds", "10"], cwd=user.folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         env={"PATH": str(user.programs), "HOME": str(user.home), "TMPDIR": str(user.temporary), "XDG_CACHE_HOME": str(user.cache), "LANG": "C.UTF-8"},
     )  # fmt: skip
     assert running.stdout is not None

@@ -190,10 +190,12 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
-/// Builds the library so that fmi2CancelStep panics, and gives back its file. The dependencies are those of the Rust tests.
+/// Builds the library so that fmi2CancelStep panics, and gives back its file. The dependencies are those of the Rust tests; the library
+/// itself is not optimised, because a panic at the C border does not depend on that.
 fn panicking() -> Result<PathBuf> {
     let build = ["rustc", "--locked", "--lib", "--crate-type", "cdylib", "--message-format=json-render-diagnostics"];
-    let messages = process::run_for_output(process::cargo().args(build).args(["--", "--cfg", "forced_panic"]))?;
+    let messages =
+        process::run_for_output(process::cargo().args(build).args(["--", "--cfg", "forced_panic", "-C", "opt-level=0"]))?;
     for message in Message::parse_stream(messages.as_bytes()) {
         if let Message::CompilerArtifact(artifact) = message?
             && let Some(library) = artifact.filenames.iter().find(|file| file.extension() == Some(std::env::consts::DLL_EXTENSION))
@@ -231,8 +233,8 @@ fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     };
     let mut command = venv::python(packages)?;
     command
-        // Two files of tests at a time.
-        .args(["-m", "pytest", "tests/python", "--numprocesses", "2", "--dist", "loadfile"])
+        // Three files of tests at a time, on two cores: many tests wait for a twin's clock or for packages.
+        .args(["-m", "pytest", "tests/python", "--numprocesses", "3", "--dist", "loadfile"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
