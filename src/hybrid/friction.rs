@@ -162,10 +162,12 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn friction_guards(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
+        let first = (0..FRICTION_PLACES).find(|place| watched && sticks(self.stick_slip().at(*place)));
         let guard = |FrictionConstraint { place, rate, bound, .. }: FrictionConstraint<N>| FrictionGuard {
             place,
             rate,
             load: [holding[place], bound],
+            carried: first.is_some_and(|first| first < place) && sticks(self.stick_slip().at(place)),
             arms: self.lever_arms(place),
         };
         self.friction_constraints((q, pose, v), all).into_iter().map(guard).collect()
@@ -195,7 +197,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// Whether a run can have reached a state with its stick-slip states; `just_stopped` allows the residual rates of a stop.
     fn are_possible(&self, q: &Vector<N>, v: &Vector<N>, just_stopped: bool) -> bool {
         /// Largest rate by which a stick-slip state may contradict the motion, in stick velocities: a hundredfold of the event tolerance.
-        const LARGEST_CONTRADICTION: f64 = 100.0;
+        const LARGEST_CONTRADICTION: f64 = 2.0 * CARRIED_RATE;
         let stick_slip = self.stick_slip();
         if stick_slip.at_rest() {
             let all = self.friction_problem(q, &Vector::ZERO, &|_| true);
@@ -205,10 +207,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let guards = self.friction_guards(q, &self.pose(q), v);
         let far = LARGEST_CONTRADICTION * self.stick_velocity();
         let there = |place: usize| guards.iter().any(|guard| guard.place == place);
-        let held = |constraint: &FrictionConstraint<N>| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
-        self.friction_problem(q, v, &held).is_single_motion()
-            && (0..FRICTION_PLACES)
-                .all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
+        (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
             && guards.iter().all(|guard| match stick_slip.at(guard.place) {
                 StickSlip::Inactive => false,
                 StickSlip::Still => guard.rate.abs() <= far,
@@ -223,6 +222,10 @@ const REST_RATE: f64 = 1e3;
 
 /// Largest rate at which a place may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
 const STICKING_RATE: f64 = 2.0;
+
+/// Rate at which a place that sticks by the constraint of another begins to slip, in stick velocities: a lower one may be an error of the
+/// steps.
+const CARRIED_RATE: f64 = 50.0;
 
 /// Takes places in every state.
 fn all(_: StickSlip) -> bool {
@@ -258,6 +261,8 @@ pub struct FrictionGuard {
     pub rate: f64,
     /// Friction torque or force while sticking, and its bound, N·m or N; 0 while slipping.
     pub load: [f64; 2],
+    /// Whether the place sticks by the constraint of another, which holds one motion with it until a singularity is left behind.
+    pub carried: bool,
     /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
     pub arms: [f64; LINKS],
 }
@@ -284,6 +289,11 @@ impl FrictionGuard {
                 (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
             }
         }
+    }
+
+    /// Rate at which the place is carried along though it sticks, above the largest that errors explain, in units of the event tolerance.
+    pub fn carried_residual(&self, tolerance: f64) -> f64 {
+        if self.carried { self.rate.abs() / stick_velocity(tolerance) - CARRIED_RATE } else { f64::NEG_INFINITY }
     }
 
     /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
@@ -346,11 +356,6 @@ impl FrictionProblem {
         let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
         all && (self.least_squares_torques().is_some()
             || self.least_violating(2..=2).is_some_and(|(violation, _)| violation <= TOLERANCE))
-    }
-
-    /// Whether all places constrain the same motion.
-    pub fn is_single_motion(&self) -> bool {
-        (1..self.len()).all(|i| self.are_parallel(0, i))
     }
 
     /// Whether two places constrain the same motion: their rows are parallel.

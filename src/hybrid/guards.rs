@@ -55,8 +55,10 @@ impl<'a> GuardValues<'a> {
     pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
         let phase_guards =
             self.springs.iter().filter_map(|guard| guard.deciding(mode, tolerance)).map(|phase_guard| phase_guard.guard_residual);
-        let friction_guards =
-            self.friction_guards.iter().map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance));
+        let friction_guards = self
+            .friction_guards
+            .iter()
+            .map(|guard| guard.guard_residual(&mode.stick_slip, tolerance).max(guard.carried_residual(tolerance)));
         phase_guards.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
     }
 

@@ -3,10 +3,11 @@
 
 use std::f64::consts::{PI, TAU};
 
-use fivebar::effects;
 use fivebar::effects::payload::Join;
+use fivebar::effects::{self, Law};
 use fivebar::fmi::Snapshot;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::hybrid::StickSlip;
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
@@ -300,6 +301,34 @@ fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
                 }
             }
         }
+    }
+}
+
+/// Machines that start at rest with their distal links in one line, where the motors' rates are proportional: friction holds both motors at
+/// the start, and as the machine falls one of them holds on while the other slips.
+#[test]
+fn states_of_motors_that_stuck_as_one_are_read_back() {
+    for (method, error_tolerance) in
+        [Method::I3alp, Method::Dop853, Method::Automatic].into_iter().flat_map(|m| [3e-9, 1e-6].map(|t| (m, t)))
+    {
+        let mut parameters = default_parameters();
+        enable(&mut parameters, "friction");
+        parameters.effects.friction.law = Law::Stick;
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, error_tolerance);
+        let inputs = default_inputs();
+        let mut twins =
+            Twins::new(format!("{method:?} {error_tolerance:e}"), Simulation::new(&parameters, &inputs).expect("a scene"));
+        let mut moved_apart = false;
+        for _ in 0..60 {
+            assert!(twins.advance(&inputs, 1e-3, 1));
+            let state = twins.free.state();
+            let rates = [0, 3].map(|link| state.core.v[THETA[link]].abs());
+            let stick = [0, 4].map(|place| matches!(state.stick_slip.at(place), StickSlip::Sticks(_)));
+            // Tolerance: a place that slips counts as sticking below 50 stick velocities.
+            assert!((0..2).all(|i| !stick[i] || rates[i] <= 5.1e-5), "{}: {rates:?} {stick:?}", twins.name);
+            moved_apart |= rates[0].max(rates[1]) > 1e-3;
+        }
+        assert!(moved_apart, "{}", twins.name);
     }
 }
 
