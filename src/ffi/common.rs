@@ -5,14 +5,12 @@ use std::ffi::CStr;
 use std::panic::catch_unwind;
 use std::ptr::null_mut;
 
-use super::c_types::size_t;
-
 use super::function::{functions, string};
 use super::guard::Component;
 use super::library;
 use super::types::{
     fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2ModelExchange, fmi2Real,
-    fmi2String, fmi2Type, fmi2ValueReference,
+    fmi2String, fmi2Type, fmi2ValueReference, size_t,
 };
 use crate::fmi::{CallError, Kind, Unit};
 use crate::variables::{FmiType, Value};

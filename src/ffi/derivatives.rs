@@ -1,10 +1,8 @@
 //! Derivatives: of outputs with respect to inputs and continuous states (FMI 2.0.4, section 2.1.9), of inputs and outputs with respect
 //! to time (section 4.2.1).
 
-use super::c_types::size_t;
-
 use super::function::functions;
-use super::types::{fmi2Integer, fmi2Real, fmi2ValueReference};
+use super::types::{fmi2Integer, fmi2Real, fmi2ValueReference, size_t};
 
 functions! {
     /// Changes of the unknowns for changes `dvKnown` of the knowns (section 2.1.9).

@@ -1,9 +1,7 @@
 //! Functions for model exchange (FMI 2.0.4, section 3.2).
 
-use super::c_types::size_t;
-
 use super::function::functions;
-use super::types::{fmi2Boolean, fmi2EventInfo, fmi2False, fmi2Real};
+use super::types::{fmi2Boolean, fmi2EventInfo, fmi2False, fmi2Real, size_t};
 use crate::fmi::STATES;
 use crate::variables::EVENT_INDICATORS;
 

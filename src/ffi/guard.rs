@@ -4,7 +4,7 @@ use std::any::Any;
 use std::ffi::CString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
+use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status};
 use crate::fmi::{Call, CallError, Instance, Kind, Message, Status};
 
 /// Target of an fmi2Component.
@@ -35,15 +35,15 @@ impl Component {
         // SAFETY: the caller of fmi2Instantiate vouches for the logger; all strings outlive the call, and no argument
         // is missing since the text holds no format specification.
         unsafe {
-            logger(callbacks.componentEnvironment, name.as_ptr(), number(message.status), category.as_ptr(), text.as_ptr());
+            logger(callbacks.componentEnvironment, name.as_ptr(), message.status as fmi2Status, category.as_ptr(), text.as_ptr());
         }
     }
 
     /// Sends the messages queued in the instance's log.
-    #[inline(always)]
+    #[cold]
     pub(super) fn send_all(&mut self) {
-        if !self.instance.log.is_empty() {
-            self.send_queue();
+        for message in self.instance.log.drain() {
+            Self::send(&self.name, &self.callbacks, &message);
         }
     }
 
@@ -64,14 +64,6 @@ impl Component {
             format!("{call:?}: defect of the library, the instance can only be freed: {}", panic_text(panic))
         });
         Status::Fatal
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn send_queue(&mut self) {
-        for message in self.instance.log.drain() {
-            Self::send(&self.name, &self.callbacks, &message);
-        }
     }
 }
 
@@ -100,8 +92,10 @@ pub(super) unsafe fn guard(
             Ok(Err(rejection)) => component.refuse(call, &rejection),
             Err(panic) => component.poison(call, &*panic),
         };
-    component.send_all();
-    number(status)
+    if !component.instance.log.is_empty() {
+        component.send_all();
+    }
+    status as fmi2Status
 }
 
 /// Text of a panic.
@@ -115,9 +109,7 @@ pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use std::ffi::CStr;
-
-    use super::super::c_types::c_void;
+    use std::ffi::{CStr, c_void};
     use std::ptr::null_mut;
 
     use super::super::{fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String};

@@ -5,7 +5,6 @@
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
 //! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
 //! | `function.rs` | the form of a C function: arguments as slices and places, nulls refused |
-//! | `c_types.rs` | C's types on every platform |
 //! | `library.rs` | path of the file that this library was loaded from |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
@@ -41,7 +40,6 @@
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
-mod c_types;
 mod common;
 mod cosimulation;
 mod derivatives;

@@ -2,10 +2,8 @@
 
 use std::ptr::null_mut;
 
-use super::c_types::size_t;
-
 use super::function::{functions, not_null, slice};
-use super::types::{fmi2Byte, fmi2FMUstate};
+use super::types::{fmi2Byte, fmi2FMUstate, size_t};
 use crate::fmi::{CallError, Snapshot};
 
 /// The snapshot behind a stored state; null is refused.

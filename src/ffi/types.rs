@@ -2,9 +2,12 @@
 //!
 //! Enumerations are plain integers: a Rust enum must not hold a number that C may pass by mistake.
 
-use super::c_types::{c_char, c_int, c_uint, c_void, size_t};
+use std::ffi::{c_char, c_int, c_uint, c_void};
 
 use crate::fmi::Status;
+
+/// Length of an array: C's size_t.
+pub type size_t = usize;
 
 /// An instance.
 pub type fmi2Component = *mut c_void;
@@ -35,15 +38,15 @@ pub const fmi2False: fmi2Boolean = 0;
 /// Status of a call.
 pub type fmi2Status = c_int;
 /// Done.
-pub const fmi2OK: fmi2Status = 0;
+pub const fmi2OK: fmi2Status = Status::Ok as fmi2Status;
 /// Done, with a probable mistake of the master.
-pub const fmi2Warning: fmi2Status = 1;
+pub const fmi2Warning: fmi2Status = Status::Warning as fmi2Status;
 /// Could not be done.
-pub const fmi2Discard: fmi2Status = 2;
+pub const fmi2Discard: fmi2Status = Status::Discard as fmi2Status;
 /// Refused.
-pub const fmi2Error: fmi2Status = 3;
+pub const fmi2Error: fmi2Status = Status::Error as fmi2Status;
 /// A defect of the library.
-pub const fmi2Fatal: fmi2Status = 4;
+pub const fmi2Fatal: fmi2Status = Status::Fatal as fmi2Status;
 
 /// Kind of FMU.
 pub type fmi2Type = c_int;
@@ -103,15 +106,4 @@ pub struct fmi2CallbackFunctions {
     pub stepFinished: Option<fmi2StepFinished>,
     /// Handed back to the logger.
     pub componentEnvironment: fmi2ComponentEnvironment,
-}
-
-/// The number of a status.
-pub(super) fn number(status: Status) -> fmi2Status {
-    match status {
-        Status::Ok => fmi2OK,
-        Status::Warning => fmi2Warning,
-        Status::Discard => fmi2Discard,
-        Status::Error => fmi2Error,
-        Status::Fatal => fmi2Fatal,
-    }
 }

@@ -7,19 +7,20 @@
 use super::CallError;
 use crate::variables::Category;
 
-/// fmi2Status (FMI 2.0.4, section 2.1.3) without fmi2Pending: a step is never pending. In the order of severity.
+/// fmi2Status (FMI 2.0.4, section 2.1.3) with its numbers, in the order of severity; without fmi2Pending, which is 5: a step is never
+/// pending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Status {
     /// Done.
-    Ok,
+    Ok = 0,
     /// Done, with a probable mistake of the master.
-    Warning,
+    Warning = 1,
     /// Could not be done; nothing was changed.
-    Discard,
+    Discard = 2,
     /// Refused; nothing was changed.
-    Error,
+    Error = 3,
     /// A defect of this library; the instance can only be freed.
-    Fatal,
+    Fatal = 4,
 }
 
 impl Status {
