@@ -13,9 +13,9 @@
 //! M is 2 × 2 in each leg, so that the saddle-point system is a Schur complement of two rows.
 
 use crate::integrator::Kkt;
-use crate::mechanism::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
+use crate::mechanism::coordinates::{angles_by_leg, centres, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
-use crate::mechanism::placement::{ByLink, on_centres};
+use crate::mechanism::placement::{ByLink, by_links};
 use crate::mechanism::{ClosureBranch, ClosureTerms, Coordinates, Mechanism, Pose};
 use crate::vector::Vector;
 
@@ -38,13 +38,18 @@ pub const LINK_INDICES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 
 
 /// Link angles out of the twelve coordinates.
 pub fn angles_of(x: &Coordinates) -> Angles {
-    angles([legs_of(x, P_THETA), legs_of(x, D_THETA)])
+    angles(angles_by_leg(x))
 }
 
 /// Pairs of the proximal and of the distal links.
 #[inline(always)]
 pub fn legs(x: &Angles) -> [Legs; 2] {
     [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
+}
+
+/// Values of links 1 to 4.
+pub fn in_link_order(x: &Angles) -> [f64; 4] {
+    by_links(legs(x))
 }
 
 /// Angles or what belongs to them from those of the proximal and of the distal links.
@@ -138,9 +143,9 @@ impl Weight {
     /// Constant force on the centres of mass, N; the proximal link carries at its elbow that on the distal one.
     pub fn new(mechanism: &Mechanism, force: &Coordinates) -> Self {
         let &Mechanism { a_p, b_p, a_d, .. } = mechanism;
-        let [on_p, on_d] = on_centres(force);
+        let [on_p, on_d] = centres(force);
         let (own, hung) = (on_p.scaled(a_p), on_d.scaled(a_p + b_p));
-        Self([Legs2 { x: own.x + hung.x, y: own.y + hung.y }, on_d.scaled(a_d)])
+        Self([own + hung, on_d.scaled(a_d)])
     }
 
     /// Torques on the links, N·m.
@@ -190,8 +195,8 @@ impl Closure {
     /// Φ_q by links, m.
     #[inline(always)]
     pub fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let ([p, d], [on_p, on_d]) = (self.links(pose), self.constant);
-        [Legs2 { x: on_p.x - p.y, y: on_p.y + p.x }, Legs2 { x: on_d.x - d.y, y: on_d.y + d.x }]
+        let ([p, d], [on_p, on_d]) = (self.links(pose), *self.constant);
+        [on_p + p.turned(), on_d + d.turned()]
     }
 
     /// Φ_q v.
@@ -229,7 +234,7 @@ impl Factor {
         let ([p, d], across) = (closure.phi_q(pose), inertia.centripetal(pose));
         let (per_p, chi) = (inertia.mobility, inertia.carried_per_p * pose.u_p.dot(pose.u_d));
         let per_r = both(1.0) / (inertia.stretched + per_p * across * across);
-        let r = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
+        let r = d - p.scaled(chi);
         let by_tip @ [on_p, on_r] = [p.scaled(per_p), r.scaled(per_r)];
         let diagonal = sums([p.x * on_p.x + r.x * on_r.x, p.y * on_p.y + r.y * on_r.y]) + both(regularization);
         let beside = p.x * on_p.y + r.x * on_r.y;

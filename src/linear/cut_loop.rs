@@ -31,15 +31,15 @@ mod whole;
 
 use crate::dynamics::{StepLevers, TipArm};
 use crate::effects::Slopes;
-use crate::mechanism::coordinates::{D_THETA, P_THETA, TIP_X, TIP_Y, add_legs, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::coordinates::{TIP_X, TIP_Y, add_legs, angles_by_leg, centres, legs_of, set_angles, set_legs};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, largest, sum};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Multipliers, Pose};
 use crate::vector::Vector;
 pub use bordered::BorderedMatrix;
 use bordered::tip_separation;
+use open_legs::Moments;
 pub use open_legs::OpenLegs;
-use open_legs::{Moments, angles, centres};
 
 /// Number of unknowns of the cut loop.
 pub const CUT_UNKNOWNS: usize = 8;
@@ -57,8 +57,9 @@ const NU: usize = 3;
 /// The unknowns of the cut loop from the increments d and all Λ, with ν = 0.
 pub fn cut_unknowns(d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
     let mut x = CutUnknowns::ZERO;
-    set_legs(&mut x, PROXIMAL, legs_of(d, P_THETA));
-    set_legs(&mut x, DISTAL, legs_of(d, D_THETA));
+    let [proximal, distal] = angles_by_leg(d);
+    set_legs(&mut x, PROXIMAL, proximal);
+    set_legs(&mut x, DISTAL, distal);
     set_legs(&mut x, LAMBDA, Legs::new([lambda[TIP_X], lambda[TIP_Y]]));
     x
 }
@@ -70,13 +71,12 @@ pub fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
 
 /// The largest |Δθ|, rad.
 pub fn largest_turn(x: &CutUnknowns) -> f64 {
-    let [left, right] = legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()).to_array();
-    if left > right { left } else { right }
+    largest(legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()))
 }
 
 /// Difference of two moments, link by link.
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
-    [p.minus(other_p), d.minus(other_d)]
+    [p - other_p, d - other_d]
 }
 
 /// A vector of the tip copied to both legs.
@@ -129,11 +129,6 @@ pub struct OpenResidual {
     pub left: [Legs; 2],
 }
 
-/// The larger magnitude; NaN if the second is.
-fn larger([x, y]: [f64; 2]) -> f64 {
-    if x.abs() > y.abs() { x.abs() } else { y.abs() }
-}
-
 /// Normals n̂ of directions û.
 fn normals([p, d]: [Legs2; 2]) -> [Legs2; 2] {
     [p.turned(), d.turned()]
@@ -149,7 +144,7 @@ impl<'a> OpenStep<'a> {
     pub fn new(legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> Self {
         let half = both(0.5 * h);
         let initial_moment = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
-        Self { legs, pose, q, h, initial_moment, initial_rotations: angles(v).map(|rate| half * rate) }
+        Self { legs, pose, q, h, initial_moment, initial_rotations: angles_by_leg(v).map(|rate| half * rate) }
     }
 
     /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
@@ -233,8 +228,7 @@ impl<'a> OpenStep<'a> {
         let mechanism = &self.legs.mechanism;
         let end = mechanism.coordinates(&motion.secant.end, [Legs::ZERO; 2]);
         let mut d = end - *self.q;
-        set_legs(&mut d, P_THETA, turns[0]);
-        set_legs(&mut d, D_THETA, turns[1]);
+        set_angles(&mut d, turns);
         d
     }
 
@@ -260,10 +254,9 @@ impl<'a> OpenStep<'a> {
         } = motion;
         let [load_p, load_d] = legs.moment_of_forces(centres(&applied));
         let [lever_p, lever_d] = legs.levers(at_tip(legs_of(x, LAMBDA).to_array()));
-        let joint_load @ [joint_load_p, joint_load_d] =
-            [load_p.plus(*moment_change_p).minus(lever_p), load_d.plus(*moment_change_d).minus(lever_d)];
+        let joint_load @ [joint_load_p, joint_load_d] = [load_p + *moment_change_p - lever_p, load_d + *moment_change_d - lever_d];
         let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
-        let [torque_p, torque_d] = angles(&applied);
+        let [torque_p, torque_d] = angles_by_leg(&applied);
         let half = both(0.5);
         let turning_p = half * (*half_p + begun_p) * along_p.dot(*velocity_defect_p) - along_p.turned().dot(joint_load_p);
         let turning_d = half * (*half_d + begun_d) * along_d.dot(*velocity_defect_d) - along_d.turned().dot(joint_load_d);
@@ -277,8 +270,8 @@ impl<'a> OpenStep<'a> {
     /// Norms of the residuals: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
     pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
         let [mobility_p, mobility_d] = self.legs.turn_mobility;
-        let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs()).to_array();
-        [larger(offset), larger(*gap), larger(*rate)]
+        let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs());
+        [offset, Legs::new(*gap), Legs::new(*rate)].map(largest)
     }
 
     /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum

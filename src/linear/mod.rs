@@ -162,18 +162,23 @@ impl LinearSolver {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
     }
 
-    /// Solves the saddle-point system with A₀. `BARE`: the solve is known at compile time to be leg by leg.
+    /// Solves the saddle-point system with A₀.
     #[inline(always)]
-    pub fn solve_tangent<const BARE: bool>(
-        &self,
-        of: &TangentSystem<'_>,
-        right: (&Coordinates, &Multipliers),
-    ) -> Result<Solution, StepError> {
+    pub fn solve_tangent(&self, of: &TangentSystem<'_>, right: (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
         match self.solve {
-            _ if BARE => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
-            LinearSolve::TwoLeg if !of.slopes.couple_links() => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
+            LinearSolve::TwoLeg if !of.slopes.couple_links() => self.solve_tangent_by_legs(of, right),
             LinearSolve::TwoLeg | LinearSolve::Coupled | LinearSolve::Dense => self.solve_full(of, right),
         }
+    }
+
+    /// Solves the saddle-point system with an A₀ that couples no links, leg by leg.
+    #[inline(always)]
+    pub fn solve_tangent_by_legs(
+        &self,
+        of: &TangentSystem<'_>,
+        (b, c): (&Coordinates, &Multipliers),
+    ) -> Result<Solution, StepError> {
+        Ok(self.factor_two_leg(of)?.solve(b, c))
     }
 
     /// (M + h/2 C + h²/4 K) x.

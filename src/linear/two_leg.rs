@@ -239,11 +239,11 @@ impl TwoLeg {
         // The product (along·1 + excess·n̂n̂ᵀ) v with a matrix that is diagonal in the proximal link's frame.
         let framed = |along: Legs, excess: Legs, v: Legs2| {
             let normal = excess * across.dot(v);
-            Legs2 { x: along * v.x + normal * across.x, y: along * v.y + normal * across.y }
+            v.scaled(along) + across.scaled(normal)
         };
         let ground = Legs2 { x: legs_of(r, G_X), y: legs_of(r, G_Y) };
         let carried = framed(self.couple_along, self.couple_excess, ground);
-        let elbow = Legs2 { x: legs_of(r, E_X) - carried.x, y: legs_of(r, E_Y) - carried.y };
+        let elbow = Legs2 { x: legs_of(r, E_X), y: legs_of(r, E_Y) } - carried;
 
         let free = self.elbow_inverse.times(elbow);
         let [first, second] = self.gain;
@@ -251,14 +251,13 @@ impl TwoLeg {
         let [xx, xy, yy] = self.tip_inverse;
         let (tip_x, tip_y) = (xx * x + xy * y, xy * x + yy * y);
 
-        let (back_x, back_y) = (first.scaled(both(tip_x)), second.scaled(both(tip_y)));
-        let elbow = Legs2 { x: free.x - back_x.x - back_y.x, y: free.y - back_x.y - back_y.y };
+        let elbow = free - first.scaled(both(tip_x)) - second.scaled(both(tip_y));
         let own = framed(self.ground_along, self.ground_excess, ground);
-        let carried = framed(self.couple_along, self.couple_excess, elbow);
+        let ground = own - framed(self.couple_along, self.couple_excess, elbow);
 
         let mut y = Multipliers::ZERO;
-        set_legs(&mut y, G_X, own.x - carried.x);
-        set_legs(&mut y, G_Y, own.y - carried.y);
+        set_legs(&mut y, G_X, ground.x);
+        set_legs(&mut y, G_Y, ground.y);
         set_legs(&mut y, E_X, elbow.x);
         set_legs(&mut y, E_Y, elbow.y);
         y[TIP_X] = tip_x;

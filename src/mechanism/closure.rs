@@ -7,8 +7,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::coordinates::set_angles;
 use super::model::finite;
-use super::placement::{by_legs, set_angles};
+use super::placement::by_legs;
 use super::{Coordinates, Geometry, Mechanism, SceneError};
 
 /// Side of the arrow from left elbow to right elbow on which the tip lies.

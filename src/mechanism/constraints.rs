@@ -13,7 +13,9 @@
 
 use nalgebra::SMatrix;
 
-use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
+use super::coordinates::{
+    D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, angles_by_leg, legs_of, set_legs,
+};
 use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, both, rotated_by, rotated_by_tiny, sin_cos, sin_cos_of_both, sum};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
@@ -89,17 +91,12 @@ pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
 impl Mechanism {
     /// Pose at q.
     pub fn pose(&self, q: &Coordinates) -> Pose {
-        self.pose_at([legs_of(q, P_THETA), legs_of(q, D_THETA)])
+        self.pose_at(angles_by_leg(q))
     }
 
     /// Pose from the angles of the proximal and the distal links, rad; one compiled copy for its many callers.
     #[inline(never)]
-    pub(crate) fn pose_at(&self, angles: [Legs; 2]) -> Pose {
-        self.pose_in_place(angles)
-    }
-
-    /// Pose from the angles of the proximal and the distal links, rad, inlined: for steps that keep the pose in registers.
-    pub(crate) fn pose_in_place(&self, [proximal, distal]: [Legs; 2]) -> Pose {
+    pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
@@ -139,7 +136,7 @@ impl Pose {
 
     /// The product Φ_q v, m/s for velocities.
     pub fn phi_q_times(&self, v: &Coordinates) -> Multipliers {
-        let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
+        let [w_p, w_d] = angles_by_leg(v);
         let (a_p, b_p) = (self.a_p.turned(), self.b_p.turned());
         let (a_d, sigma_b_d) = (self.a_d.turned(), self.sigma_b_d.turned());
         let mut product = Multipliers::ZERO;
@@ -167,8 +164,7 @@ impl Pose {
 
     /// The product Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
     pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
-        let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
-        let (w_p, w_d) = (w_p * w_p, w_d * w_d);
+        let [w_p, w_d] = angles_by_leg(v).map(|rate| rate * rate);
         let mut product = Multipliers::ZERO;
         set_legs(&mut product, G_X, self.a_p.x * w_p);
         set_legs(&mut product, G_Y, self.a_p.y * w_p);
@@ -188,7 +184,7 @@ impl Pose {
     /// Variation of directions and arms by a variation of q. Products with the result are derivatives of products with the pose, except for
     /// the unit entries of Φ_q, which are constant.
     pub fn varied(&self, q: &Coordinates) -> Self {
-        let (proximal, distal) = (legs_of(q, P_THETA), legs_of(q, D_THETA));
+        let [proximal, distal] = angles_by_leg(q);
         Self {
             u_p: self.u_p.turned().scaled(proximal),
             u_d: self.u_d.turned().scaled(distal),

@@ -3,7 +3,7 @@
 //! Twelve coordinates: x, y (m) of each link's centre of mass and its angle θ (rad). Ten multipliers (N): the forces of the joints.
 //! Both vectors are stored in pairs of the left and the right leg: `[x_P left, x_P right, y_P left, …]`.
 
-use super::legs::Legs;
+use super::legs::{Legs, Legs2, largest};
 use crate::vector::Vector;
 
 /// Number of coordinates.
@@ -67,6 +67,22 @@ pub fn set_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
 
 /// Largest magnitude among the angle entries of coordinates, rad, velocities, rad/s, or increments.
 pub fn largest_angle(x: &Coordinates) -> f64 {
-    let [left, right] = legs_of(x, P_THETA).abs().fast_max(legs_of(x, D_THETA).abs()).to_array();
-    if left > right { left } else { right }
+    let [proximal, distal] = angles_by_leg(x);
+    largest(proximal.abs().fast_max(distal.abs()))
+}
+
+/// The angle entries of coordinates: proximal and distal links.
+pub fn angles_by_leg(x: &Coordinates) -> [Legs; 2] {
+    [legs_of(x, P_THETA), legs_of(x, D_THETA)]
+}
+
+/// Sets the angle entries of coordinates: proximal and distal links.
+pub fn set_angles(x: &mut Coordinates, [p, d]: [Legs; 2]) {
+    set_legs(x, P_THETA, p);
+    set_legs(x, D_THETA, d);
+}
+
+/// The position entries of coordinates: vectors of the proximal and the distal centres of mass.
+pub fn centres(x: &Coordinates) -> [Legs2; 2] {
+    [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
 }

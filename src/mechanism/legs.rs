@@ -2,6 +2,8 @@
 //!
 //! Both legs run ground → proximal link → distal link → tip, so that the two lanes execute the same code.
 
+use std::ops::{Add, Sub};
+
 use wide::bytemuck::cast;
 use wide::{f64x2, i64x2};
 
@@ -53,6 +55,28 @@ impl Legs2 {
     }
 }
 
+impl Add for Legs2 {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y }
+    }
+}
+
+impl Sub for Legs2 {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y }
+    }
+}
+
+/// The larger magnitude of both legs; NaN if that of the right one is.
+pub fn largest(x: Legs) -> f64 {
+    let [left, right] = x.abs().to_array();
+    if left > right { left } else { right }
+}
+
 /// Largest angle of [`rotated_by`], rad: the limit of the polynomials' accuracy.
 const LARGEST_SMALL_ANGLE: f64 = 0.45;
 
@@ -87,33 +111,16 @@ pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
 /// the round-off is that of the direction itself.
 #[inline(always)]
 pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
-    let [a, b] = half_tangent(angle);
-    rotated_by_quotient(direction, direction, [a, b], (b + b) / (a * a + b * b))
-}
-
-/// A direction of each leg rotated by an angle of at most 0.45 rad, given twice the direction: cheaper than [`rotated_by`], equal bits.
-#[inline(always)]
-pub fn rotated_with_double(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
-    let [a, b] = half_tangent(angle);
-    rotated_by_quotient(direction, twice, [a, b], b / (a * a + b * b))
-}
-
-/// Polynomials a and b with b/a the tangent of half an angle, rad.
-#[inline(always)]
-fn half_tangent(angle: Legs) -> [Legs; 2] {
     const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];
     const B: [f64; 3] = [0.5 * A[0], -13.995_239_444_296_098, 0.033_359_826_126_325_32];
+    // Polynomials a and b with b/a the tangent of half the angle.
     let z = angle * angle;
     let a = (z + both(A[1])) * z + both(A[0]);
     let b = ((both(B[2]) * z + both(B[1])) * z + both(B[0])) * angle;
-    [a, b]
-}
-
-/// A direction rotated by sin δ and 1 − cos δ, given as multiples of a and b times `by`, the direction or its double. The quotient is the
-/// last factor because it takes longest.
-#[inline(always)]
-fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
-    Legs2 { x: x - (b * by.x + a * by.y) * quotient, y: y + (a * by.x - b * by.y) * quotient }
+    // The quotient is the last factor because it takes longest.
+    let Legs2 { x, y } = direction;
+    let quotient = (b + b) / (a * a + b * b);
+    Legs2 { x: x - (b * x + a * y) * quotient, y: y + (a * x - b * y) * quotient }
 }
 
 /// Sine and cosine of an angle of each leg, rad, within 1 ulp and the rounding of the angle.

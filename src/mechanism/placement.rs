@@ -6,7 +6,9 @@
 //!
 //! with l_P the arm from motor axis to elbow, a the arms to the centres of mass.
 
-use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use super::coordinates::{
+    D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, angles_by_leg, centres, set_legs,
+};
 use super::legs::{Legs, Legs2, SIGMA, both};
 use super::{Coordinates, Mechanism, Multipliers, Pose};
 
@@ -15,7 +17,7 @@ pub type ByLink = [Legs; 2];
 
 /// Arm from motor axis to elbow, m.
 pub fn proximal_arm(pose: &Pose) -> Legs2 {
-    Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
+    pose.a_p + pose.b_p
 }
 
 /// Coordinates with these values of the proximal and distal centres of mass and of the link angles.
@@ -25,11 +27,6 @@ fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
         set_legs(&mut x, place, value);
     }
     x
-}
-
-/// The forces on the proximal and the distal centres of mass.
-pub fn on_centres(forces: &Coordinates) -> [Legs2; 2] {
-    [Legs2 { x: legs_of(forces, P_X), y: legs_of(forces, P_Y) }, Legs2 { x: legs_of(forces, D_X), y: legs_of(forces, D_Y) }]
 }
 
 impl Mechanism {
@@ -46,8 +43,7 @@ impl Pose {
     /// Velocities q̇ = T ω at link rates ω, rad/s.
     pub fn velocities(&self, rates @ [w_p, w_d]: ByLink) -> Coordinates {
         let (n_p, n_l, n_d) = (self.a_p.turned(), proximal_arm(self).turned(), self.a_d.turned());
-        let distal = Legs2 { x: n_l.x * w_p + n_d.x * w_d, y: n_l.y * w_p + n_d.y * w_d };
-        arranged([n_p.scaled(w_p), distal], rates)
+        arranged([n_p.scaled(w_p), n_l.scaled(w_p) + n_d.scaled(w_d)], rates)
     }
 
     /// Centripetal part Ṫ ω of the accelerations q̈ at link rates ω, rad/s.
@@ -58,31 +54,25 @@ impl Pose {
     /// Accelerations towards the first joints of the links, for squares of their rates, rad²/s².
     pub fn inward(&self, [s_p, s_d]: ByLink) -> Coordinates {
         let l = proximal_arm(self);
-        let distal = Legs2 { x: -l.x * s_p - self.a_d.x * s_d, y: -l.y * s_p - self.a_d.y * s_d };
-        arranged([self.a_p.scaled(-s_p), distal], [Legs::ZERO; 2])
+        arranged([self.a_p.scaled(-s_p), l.scaled(-s_p) - self.a_d.scaled(s_d)], [Legs::ZERO; 2])
     }
 
     /// Torques Tᵀ Q on the links, N·m, of a generalised force Q.
     pub fn torques_of(&self, forces: &Coordinates) -> ByLink {
-        let [on_p, on_d] = on_centres(forces);
-        let proximal = legs_of(forces, P_THETA) + self.a_p.turned().dot(on_p) + proximal_arm(self).turned().dot(on_d);
-        [proximal, legs_of(forces, D_THETA) + self.a_d.turned().dot(on_d)]
+        let ([on_p, on_d], [torque_p, torque_d]) = (centres(forces), angles_by_leg(forces));
+        let proximal = torque_p + self.a_p.turned().dot(on_p) + proximal_arm(self).turned().dot(on_d);
+        [proximal, torque_d + self.a_d.turned().dot(on_d)]
     }
-}
-
-/// Sets the angle entries of coordinates.
-pub fn set_angles(x: &mut Coordinates, [p, d]: ByLink) {
-    set_legs(x, P_THETA, p);
-    set_legs(x, D_THETA, d);
 }
 
 /// Forces of all joints from the forces that they take on the centres of mass, N, and the force at the tip: from the tip to the ground,
 /// the force at each joint is that of the next joint plus the load of the link between.
 pub fn joint_forces(taken: &Coordinates, [x, y]: [f64; 2]) -> Multipliers {
-    let [on_p, on_d] = on_centres(taken);
-    let elbow = Legs2 { x: on_d.x - SIGMA * both(x), y: on_d.y - SIGMA * both(y) };
+    let [on_p, on_d] = centres(taken);
+    let elbow = on_d - Legs2 { x: SIGMA * both(x), y: SIGMA * both(y) };
+    let ground = on_p + elbow;
     let mut joints = Multipliers::ZERO;
-    for (place, value) in [(E_X, elbow.x), (E_Y, elbow.y), (G_X, on_p.x + elbow.x), (G_Y, on_p.y + elbow.y)] {
+    for (place, value) in [(E_X, elbow.x), (E_Y, elbow.y), (G_X, ground.x), (G_Y, ground.y)] {
         set_legs(&mut joints, place, value);
     }
     (joints[TIP_X], joints[TIP_Y]) = (x, y);

@@ -7,7 +7,7 @@ use super::five_bar::FiveBar;
 use super::model::Model;
 pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
 use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
-pub(super) use crate::dynamics::angles::{DISTAL, PROXIMAL, angles, legs};
+pub(super) use crate::dynamics::angles::{angles, legs};
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
 use crate::mechanism::constraints::{directions_corrected, directions_turned};

@@ -34,8 +34,8 @@ fn angle_to_bifurcation(q: &Angles) -> f64 {
 }
 
 /// Step of h seconds along a closure branch, integrated in the link angles; `None` where the motion is on no branch.
-pub(super) fn crossing<const BARE: bool>(system: &FiveBar<'_, BARE>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
-    let (system, model) = (AngleSystem::new(system.general()), system.model);
+pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
+    let (system, model) = (AngleSystem::new(system), system.model);
     let settings = Settings {
         schemes: Schemes::Automatic,
         error_tolerance: model.settings.error_tolerance.max(LEAST_TOLERANCE),

@@ -1,10 +1,11 @@
 //! Replacement of a run's motion by the corrected one of the estimator.
 
 use super::Inputs;
-use super::angles::{LINK_INDICES, angles_of};
+use super::angles::angles_of;
 use super::five_bar::FiveBar;
 use super::model::Model;
 use super::run::{Conserving, Integrator, Run};
+use crate::dynamics::angles::in_link_order;
 use crate::estimator::LinkState;
 use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
@@ -20,7 +21,7 @@ impl Run {
             Integrator::Conserving(run) => of(&run.state.q, &run.state.v),
             Integrator::DenseOutput(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
-                LinkState::new(LINK_INDICES.map(|i| q[i]), LINK_INDICES.map(|i| v[i]))
+                LinkState::new(in_link_order(&q), in_link_order(&v))
             }
             Integrator::ModelExchange(run) => {
                 let (theta, omega) = run.motion();

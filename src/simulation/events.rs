@@ -11,7 +11,7 @@ use crate::hybrid::{
     TIP_FRICTION, stick_velocity,
 };
 use crate::integrator::{Events, Extremes, System};
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
 use crate::vector::Vector;
 
@@ -289,8 +289,8 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         if !self.model.sticks {
             return mode;
         }
-        let pairs = |x: &Coordinates| [legs_of(x, P_THETA), legs_of(x, D_THETA)];
-        let still = self.closure_branch([pairs(q), pairs(v)]).map_or(StickSlips::OPEN, |branch| StickSlips::OPEN.on_branch(branch));
+        let still =
+            self.closure_branch([q, v].map(angles_by_leg)).map_or(StickSlips::OPEN, |branch| StickSlips::OPEN.on_branch(branch));
         mode.with_stick_slip(FiveBar::on(self, mode.with_stick_slip(still)).resolved(q, v))
     }
 }

@@ -11,8 +11,8 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose}
 
 /// A model with the inputs and whole turns that are constant during a step.
 ///
-/// `BARE` selects the form without motion-dependent effects, solved leg by leg, which keeps the whole step in registers and saves 580 of
-/// 2,970 instructions of a fixed step (`cargo xtask bench`, table steps).
+/// `BARE` selects the form without motion-dependent effects, solved leg by leg, which keeps the whole step in registers and saves 700 of
+/// 3,490 instructions of a fixed step (`cargo xtask bench`, table steps).
 #[derive(Clone, Copy, Debug)]
 pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) model: &'a Model,
@@ -138,7 +138,8 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     ) -> Result<(Coordinates, Multipliers), StepError> {
         let &TangentPoint { q, pose, v, lambda, h } = at;
         let (slopes, arm) = self.slopes_at(q, pose, v);
-        self.model.solver.solve_tangent::<BARE>(&TangentSystem { slopes, arm, pose, lambda, h, regularization, definite }, right)
+        let of = TangentSystem { slopes, arm, pose, lambda, h, regularization, definite };
+        if BARE { self.model.solver.solve_tangent_by_legs(&of, right) } else { self.model.solver.solve_tangent(&of, right) }
     }
 }
 

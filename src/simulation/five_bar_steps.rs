@@ -1,7 +1,6 @@
 //! The five-bar over a finite step, as the conserving method needs it: discrete derivatives of the joint constraints
 //! (`src/mechanism/secant.rs`) and mean forces of the effects.
 
-use super::angles::{angles_of, legs};
 use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
 use crate::dynamics::TipArm;
@@ -9,6 +8,7 @@ use crate::effects::{FiniteMotion, Slopes, Wrench};
 use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
 use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns, lengthened};
+use crate::mechanism::coordinates::angles_by_leg;
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
@@ -58,7 +58,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         Self: 'a;
 
     fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.model.mechanism.secant(begin, legs(&angles_of(d)))
+        self.model.mechanism.secant(begin, angles_by_leg(d))
     }
 
     fn end(secant: &Secant) -> &Pose {

@@ -9,12 +9,13 @@
 //! which is the perfectly inelastic impact: the lost kinetic energy is dissipated. Mass that moves with the tip brings m J_tᵀ J_t ω₀, and
 //! mass that leaves takes that: rates do not change, and the energy counts as input work.
 
-use super::angles::{AngleSystem, Angles, DISTAL, LINK_INDICES, PROXIMAL, angles_of};
+use super::angles::{AngleSystem, Angles, angles_of, legs};
 use super::five_bar::FiveBar;
 use super::{Model, State};
+use crate::dynamics::angles::in_link_order;
 use crate::effects::payload::Join;
 use crate::integrator::{Kkt, System, Work};
-use crate::mechanism::coordinates::{THETA, legs_of};
+use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
@@ -45,8 +46,7 @@ impl Discontinuity {
         }
         let impact = join == Join::AtRest && mass(after) > mass(before);
         let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
-        let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
-        let (q, v) = closure::assemble(&after.mechanism.geometry, THETA.map(|i| present.core.q[i]), in_order(&rates));
+        let (q, v) = closure::assemble(&after.mechanism.geometry, THETA.map(|i| present.core.q[i]), in_link_order(&rates));
         let mut state = *present;
         (state.core.q, state.core.v) = (q, v);
         let gained = state.kinetic_energy(after) - present.kinetic_energy(before);
@@ -61,7 +61,7 @@ impl Discontinuity {
 fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let State { core, inputs, turns, .. } = present;
     let (q, v) = (angles_of(&core.q), angles_of(&core.v));
-    let pose = |model: &Model| model.mechanism.pose_at([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]);
+    let pose = |model: &Model| model.mechanism.pose_at(legs(&q));
     let system = AngleSystem::new(FiveBar::<false>::new(after, inputs, turns));
     let after_pose = pose(after);
     let factor = system.factor_mass(&after_pose, after.regularization);

@@ -5,7 +5,7 @@ use nalgebra::{Matrix4, Matrix4x2};
 use super::Inputs;
 use super::five_bar::FiveBar;
 use super::model::Model;
-use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, legs};
+use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
@@ -74,7 +74,7 @@ fn columns(of: &[Angles; 4]) -> Matrix4<f64> {
 
 /// Values of links 1 to 4.
 fn links(x: &Angles) -> Links {
-    by_links(legs(x)).into()
+    in_link_order(x).into()
 }
 
 impl Scene for FollowedScene<'_> {

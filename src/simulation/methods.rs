@@ -109,7 +109,7 @@ impl MacroStepMethod {
                 let mut step = i3alp::MacroStep::of(h);
                 let mut progress = step.advance(system, settings, core, mode)?;
                 while let i3alp::Progress::Blocked(h) = progress {
-                    let transit = bifurcation::crossing(system, core, h);
+                    let transit = bifurcation::crossing(system.general(), core, h);
                     progress = step.cross(system, settings, (core, mode), transit.as_ref())?;
                 }
                 Ok(())

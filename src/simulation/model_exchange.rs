@@ -8,11 +8,12 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::{Angles, LINK_INDICES};
+use super::angles::Angles;
 use super::five_bar::FiveBar;
 use super::run::Integrator;
 use super::state::Core;
 use super::{Inputs, Model, Simulation};
+use crate::dynamics::angles::in_link_order;
 use crate::integrator::{Bounds, Inconsistency, Work};
 use crate::mechanism::{Assembly, SceneError, Start, closure};
 
@@ -71,7 +72,7 @@ impl ModelExchangeState {
     pub(super) fn jump(&mut self, work: Work, rates: Option<Angles>) {
         self.work += work;
         if let Some(rates) = rates {
-            self.omega = LINK_INDICES.map(|i| rates[i]);
+            self.omega = in_link_order(&rates);
         }
     }
 

@@ -167,17 +167,7 @@ impl Run {
                     run.restart(model, (inputs, turns), Work::default());
                 }
                 *held = *inputs;
-                let MacroStepped { method, mode, core } = run;
-                let advanced = if model.is_bare() {
-                    macro_steps::<true, _>(model, core, (held, turns), steps, |system, core, h| {
-                        method.advance(system, core, mode, h)
-                    })
-                } else {
-                    macro_steps::<false, _>(model, core, (held, turns), steps, |system, core, h| {
-                        method.advance(system, core, mode, h)
-                    })
-                };
-                advanced.inspect_err(|_| (*run, *turns, *held) = before)
+                run.take(model, (held, turns), steps).inspect_err(|_| (*run, *turns, *held) = before)
             }
             Integrator::Conserving(run) => {
                 let before = (*run, *turns, *held);
@@ -185,17 +175,7 @@ impl Run {
                     run.state.change();
                 }
                 *held = *inputs;
-                let Conserving { settings, state } = run;
-                let advanced = if model.is_bare() {
-                    macro_steps::<true, _>(model, state, (held, turns), steps, |system, run, h| {
-                        run.advance((system, &system.general()), settings, h)
-                    })
-                } else {
-                    macro_steps::<false, _>(model, state, (held, turns), steps, |system, run, h| {
-                        run.advance((system, &system.general()), settings, h)
-                    })
-                };
-                advanced.inspect_err(|_| (*run, *turns, *held) = before)
+                run.take(model, (held, turns), steps).inspect_err(|_| (*run, *turns, *held) = before)
             }
             Integrator::DenseOutput(run) => run.advance(model, (held, turns), inputs, steps),
             Integrator::ModelExchange(_) => Ok(()),
@@ -260,39 +240,54 @@ impl Run {
     }
 }
 
-/// States of runs whose steps end with the macro step.
-trait Counted {
+/// Runs whose steps end with the macro step.
+trait ByMacroSteps {
+    /// Takes one macro step of h seconds. A failure leaves the state undefined.
+    fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError>;
+
     /// Coordinates, whose whole turns are counted separately, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
+
+    /// Takes macro steps in the form that the model allows. A failure leaves the state undefined.
+    fn take(&mut self, model: &Model, held: (&Inputs, &mut [i64; 4]), steps: MacroSteps) -> Result<(), StepFailure> {
+        if model.is_bare() { self.take_as::<true>(model, held, steps) } else { self.take_as::<false>(model, held, steps) }
+    }
+
+    /// Takes macro steps in one form of the system.
+    fn take_as<const BARE: bool>(
+        &mut self,
+        model: &Model,
+        (inputs, turns): (&Inputs, &mut [i64; 4]),
+        steps: MacroSteps,
+    ) -> Result<(), StepFailure> {
+        let turns_at_start = *turns;
+        let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
+        for step in 0..steps.count {
+            self.step(&system.with_turns(turns), steps.h).map_err(|cause| steps.failure(step, cause))?;
+            let (q, counters) = self.counted();
+            counters.steps += 1;
+            remove_whole_turns(q, turns);
+        }
+        Ok(())
+    }
 }
 
-impl Counted for Core {
+impl ByMacroSteps for MacroStepped {
+    fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
+        self.method.advance(system, &mut self.core, &mut self.mode, h)
+    }
+
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
-        (&mut self.q, &mut self.counters)
+        (&mut self.core.q, &mut self.core.counters)
     }
 }
 
-impl Counted for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
+impl ByMacroSteps for Conserving {
+    fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
+        self.state.advance((system, &system.general()), &self.settings, h)
+    }
+
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
-        (&mut self.q, &mut self.counters)
+        (&mut self.state.q, &mut self.state.counters)
     }
-}
-
-/// Macro steps by a method whose steps end with them. A failure leaves the state undefined.
-fn macro_steps<const BARE: bool, R: Counted>(
-    model: &Model,
-    run: &mut R,
-    (inputs, turns): (&Inputs, &mut [i64; 4]),
-    steps: MacroSteps,
-    mut advance: impl FnMut(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
-) -> Result<(), StepFailure> {
-    let turns_at_start = *turns;
-    let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
-    for step in 0..steps.count {
-        advance(&system.with_turns(turns), run, steps.h).map_err(|cause| steps.failure(step, cause))?;
-        let (q, counters) = run.counted();
-        counters.steps += 1;
-        remove_whole_turns(q, turns);
-    }
-    Ok(())
 }

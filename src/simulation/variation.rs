@@ -6,13 +6,13 @@
 
 use super::angles::{angles, angles_of, legs};
 use super::{Model, State};
-use crate::dynamics::angles::{AtTip, Closure, Equations};
+use crate::dynamics::angles::{AtTip, Closure, Equations, in_link_order};
 use crate::dynamics::change_of_motion;
 use crate::effects::{Effect, Inputs, Motion, MotionChange, Slopes, Wrench};
 use crate::hybrid::Frictional;
-use crate::mechanism::coordinates::{THETA, TIP_X, TIP_Y};
+use crate::mechanism::coordinates::{THETA, TIP_X, TIP_Y, set_angles};
 use crate::mechanism::legs::both;
-use crate::mechanism::placement::{by_links, joint_forces, set_angles};
+use crate::mechanism::placement::joint_forces;
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
 /// Direction of a directional derivative.
@@ -67,7 +67,7 @@ impl State {
         let closure = Closure::new(&model.mechanism, None);
         let equations = Equations::new((&model.inertia, &closure), &pose, &rates, model.regularization);
         let tip = AtTip::from([core.lambda[TIP_X], core.lambda[TIP_Y]]);
-        let slopes = system.slopes_of_torques(&pose, at, by_links(legs(&rates)));
+        let slopes = system.slopes_of_torques(&pose, at, in_link_order(&rates));
         let near = equations.linearised((&alpha, &tip), slopes);
         let (d_alpha, d_tip) = near.change([&turned, &quickened], &angles(by_inputs.torques_in_angles(&pose)));
 

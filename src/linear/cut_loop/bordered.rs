@@ -20,7 +20,7 @@ impl BorderedMatrix {
     pub(super) fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
         let reciprocal = both(1.0) / (pp * dd - pd * dp);
         let inverse @ [[ipp, ipd], [idp, idd]] = [[dd * reciprocal, -pd * reciprocal], [-dp * reciprocal, pp * reciprocal]];
-        let columns = [p.scaled(ipp).plus(d.scaled(ipd)), p.scaled(idp).plus(d.scaled(idd))];
+        let columns = [p.scaled(ipp) + d.scaled(ipd), p.scaled(idp) + d.scaled(idd)];
         let [xx, yx] = tip_separation(ends, columns.map(|column| column.x));
         let [xy, yy] = tip_separation(ends, columns.map(|column| column.y));
         let (xx, yy) = (xx + e, yy + e);

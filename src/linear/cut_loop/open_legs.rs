@@ -1,8 +1,7 @@
 //! Constants of the two legs, open at the tip: moments and mobilities of the cut loop's equations.
 
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of};
+use crate::mechanism::Mechanism;
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both};
-use crate::mechanism::{Coordinates, Mechanism};
 
 /// Constants of a mechanism whose legs are open at the tip.
 #[derive(Clone, Copy, Debug)]
@@ -20,26 +19,6 @@ pub struct OpenLegs {
 
 /// First moments of a displacement of the proximal and the distal links, kg·m².
 pub(super) type Moments = [Legs2; 2];
-
-impl Legs2 {
-    pub(super) fn plus(self, other: Self) -> Self {
-        Self { x: self.x + other.x, y: self.y + other.y }
-    }
-
-    pub(super) fn minus(self, other: Self) -> Self {
-        Self { x: self.x - other.x, y: self.y - other.y }
-    }
-}
-
-/// The position entries of coordinates: vectors of the proximal and the distal centres of mass.
-pub(super) fn centres(x: &Coordinates) -> [Legs2; 2] {
-    [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
-}
-
-/// The angle entries of coordinates: proximal and distal links.
-pub(super) fn angles(x: &Coordinates) -> [Legs; 2] {
-    [legs_of(x, P_THETA), legs_of(x, D_THETA)]
-}
 
 impl OpenLegs {
     /// The constants of a mechanism.
@@ -60,19 +39,19 @@ impl OpenLegs {
     /// First moments of rotations of the links, with p and d the displacements per length, kg·m².
     pub(super) fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [own, shared, distal] = self.moment;
-        [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
+        [p.scaled(own) + d.scaled(shared), p.scaled(shared) + d.scaled(distal)]
     }
 
     /// First moments of displacements of the centres of mass, m.
     pub(super) fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [proximal, elbow, distal] = self.mass_moment;
-        [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
+        [p.scaled(proximal) + d.scaled(elbow), d.scaled(distal)]
     }
 
     /// Moments of forces on the centres of mass, N.
     pub(super) fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
         let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
-        [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
+        [p.scaled(a_p) + d.scaled(a_p + b_p), d.scaled(a_d)]
     }
 
     /// Products of σ(ℓ, L) and a vector of the tip.

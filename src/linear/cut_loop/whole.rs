@@ -86,7 +86,7 @@ impl OpenStep<'_> {
             for j in 0..2 {
                 let moment = end[j].scaled(moments[i][j]);
                 let (moved, dragged) = (moment.turned(), moment.scaled(half[j]));
-                let carried = moved.plus(dragged);
+                let carried = moved + dragged;
                 matrix.add(i, j, turning.dot(carried) - lever.dot(dragged));
                 matrix.add(i, HALF + j, lever.dot(moved) - turning.dot(moved));
                 matrix.add(MEAN + i, j, c * across.dot(carried));
