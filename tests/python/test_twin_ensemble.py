@@ -6,10 +6,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from distributed.comm import CommClosedError
 
 from fivebar.twin.ensemble import cluster, command, results, rows, what_if
 from fivebar.twin.ensemble.member import Plan, Runner
@@ -67,6 +70,18 @@ def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
     story = results.read(tmp_path / "alone.parquet", PLAN)
     assert story.failed == 0 and story.summary()["singular"]["probability"] == 1.0
     assert len(results.draw(tmp_path, story)) == 2
+
+
+def test_a_worker_that_dies_after_the_last_chunk_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scheduler reaches a worker no more that it asks to remove the unit: the tables are complete."""
+
+    def broken(name: str) -> None:
+        raise CommClosedError(f"removal of {name}: connection reset by peer")
+
+    content = pa.table({"member": [0, 1]})
+    monkeypatch.setattr(cluster, "_in_order", lambda of, members, name: iter([content]))
+    of = SimpleNamespace(register_plugin=lambda plugin, name: None, unregister_worker_plugin=broken)
+    assert list(cluster.tables(of, b"", PLAN, 2, "broken")) == [content]
 
 
 @pytest.mark.full

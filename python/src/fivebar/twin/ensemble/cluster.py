@@ -9,6 +9,7 @@ import tempfile
 import threading
 import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, Final
 
 import dask
@@ -93,7 +94,9 @@ def tables(of: Client, fmu: bytes, plan: Plan, members: int, name: str) -> Itera
     try:
         yield from _in_order(of, members, name)
     finally:
-        of.unregister_worker_plugin(name)
+        # The scheduler forgets the plugin before it asks the workers to; a worker that dies meanwhile has nothing left to remove.
+        with suppress(OSError):
+            of.unregister_worker_plugin(name)
 
 
 def _in_order(of: Client, members: int, name: str) -> Iterator[pa.Table]:
