@@ -65,6 +65,9 @@ class Unit:
             "estimator.enabled": True,
             # The user knows the delay of the bus, and that stamps are not exact.
             "estimator.maxDelay": machine.SAMPLE,
+            # A workshop gives 0.2 mm and 2 mrad.
+            "estimator.sigma0.length": 2e-4,
+            "estimator.sigma0.offset": 2e-3,
             "estimator.sigma0.theta": 0.01,
             "estimator.sigma0.omega": 0.1,
             "solver.method": method,

@@ -37,7 +37,7 @@ impl Estimator {
             let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
             tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
         });
-        known + frame.tip_by_lengths(constants.parameters.sigma0_length)
+        known + frame.tip_by_geometry(&constants.parameters)
     }
 
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where

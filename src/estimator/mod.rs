@@ -8,7 +8,7 @@
 //! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
-//! | `forecast.rs`, `bands.rs`, `lengths.rs`, `alarm.rs` | what is told of the estimate |
+//! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
 //! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
 //!
 //! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
@@ -24,9 +24,9 @@ mod constants;
 pub mod encoder;
 pub mod flow;
 pub mod forecast;
+mod geometry;
 mod history;
 mod hypotheses;
-mod lengths;
 mod parameters;
 mod propagation;
 mod quantiser;
@@ -131,7 +131,7 @@ impl Estimator {
     pub fn correct(&mut self, constants: &Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let (linkage, mut motion) = (&constants.linkage, *motion);
         let mut frame = linkage.frame(&motion.theta);
-        let persistent = frame.motors_by_lengths(constants.parameters.sigma0_length);
+        let persistent = frame.motors_by_geometry(&constants.parameters);
         let mut samples = [0, 1].map(|i| self.receive(i, constants, (&motion, &frame), persistent[i], (measured, now)));
         // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {

@@ -31,6 +31,8 @@ pub struct Parameters {
     pub sigma0_omega: f64,
     /// Standard deviation of the constant lengths of links and base, m.
     pub sigma0_length: f64,
+    /// Standard deviation of the constant mounting angle of each encoder, rad.
+    pub sigma0_offset: f64,
     /// Method of the covariance in a forecast.
     pub forecast: Bands,
     /// Torque scale of the unknown force, N·m; 0: the torque that carries the machine's weight.
@@ -52,6 +54,7 @@ impl Parameters {
             ("estimator.quantum[2]", self.quantum[1], "rad"),
             ("estimator.maxDelay", self.max_delay, "s"),
             ("estimator.sigma0.length", self.sigma0_length, "m"),
+            ("estimator.sigma0.offset", self.sigma0_offset, "rad"),
             ("estimator.torqueScale", self.torque_scale, "N.m"),
         ] {
             not_negative(name, value, unit)?;

@@ -227,6 +227,31 @@ fn lengths_move_the_tip() {
     }
 }
 
+/// Encoders mounted at unknown angles: the tip's covariance is the sum of the effects of both motors, by differences of starts.
+#[test]
+fn mounting_angles_move_the_tip() {
+    let sigma = 1e-3;
+    let mut parameters = followed(Method::I3alp);
+    (parameters.estimator.sigma0_theta, parameters.estimator.sigma0_omega) = (1e-9, 1e-9);
+    parameters.estimator.sigma0_offset = sigma;
+    let covariance = Following::new(&parameters, &default_inputs()).expect("a scene").tip_covariance();
+    let mut expected = [0.0; 3];
+    for motor in 0..2 {
+        let [[x, y], [v, w]] = [1e-6, -1e-6].map(|change| {
+            let mut other = parameters.clone();
+            other.start.theta[motor] += change;
+            let simulation = Simulation::new(&other, &default_inputs()).expect("a scene");
+            <[f64; 2]>::from(fivebar::observers::motion(simulation.model(), &simulation.state()).tip)
+        });
+        let [x, y] = [(x - v) * sigma / 2e-6, (y - w) * sigma / 2e-6];
+        expected = [expected[0] + x * x, expected[1] + x * y, expected[2] + y * y];
+    }
+    for i in 0..3 {
+        // As above: the regularisation of what motors hold rounds by some percent.
+        assert!((covariance[i] - expected[i]).abs() < 0.08 * (expected[0] + expected[2]), "{covariance:?}, expected {expected:?}");
+    }
+}
+
 /// White noise and the model's own machine: NEES has its four degrees of freedom or less (the filter allows for unknown forces, which
 /// this machine does not feel), and NIS one for each encoder.
 #[test]

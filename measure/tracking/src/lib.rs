@@ -10,6 +10,7 @@ pub mod compare;
 pub mod detection;
 pub mod forecast;
 pub mod foreign;
+pub mod geometry;
 pub mod machine;
 pub mod quality;
 pub mod report;

@@ -72,6 +72,25 @@ pub type Links = [f64; 4];
 /// Inputs as functions of time, s.
 pub type Course = fn(f64, &Plan) -> Inputs;
 
+/// Systematic error of an encoder.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Systematic {
+    /// Mounting angle, rad.
+    pub offset: f64,
+    /// Amplitude, rad, and phase, rad, of the error by an eccentric disc.
+    pub eccentricity: [f64; 2],
+    /// Relative error of the scale.
+    pub scale: f64,
+}
+
+impl Systematic {
+    /// Angle that an encoder without noise shows, rad.
+    pub fn shown(&self, angle: f64) -> f64 {
+        let [amplitude, phase] = self.eccentricity;
+        (1.0 + self.scale) * angle + self.offset + amplitude * (angle + phase).sin()
+    }
+}
+
 /// Random parts of a course.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Plan {
@@ -81,6 +100,8 @@ pub struct Plan {
     pub push: [f64; 2],
     /// Time from which the push acts, s.
     pub from: f64,
+    /// Systematic errors of the encoders that the twin does not know.
+    pub systematic: [Systematic; 2],
     /// Both encoders are silent between these times, s.
     pub silent: [f64; 2],
 }
@@ -189,7 +210,9 @@ pub struct Instant<'a> {
     pub estimate: &'a State,
     /// The twin.
     pub twin: &'a Following,
-    /// Error of the tip, m.
+    /// Error of the tip, m, in x and y.
+    pub off: [f64; 2],
+    /// Size of the error of the tip, m.
     pub tip_error: f64,
 }
 
@@ -209,14 +232,17 @@ pub fn follow(
         let truth = machine.state();
         let (theta, _) = motion(&truth);
         if !(hushed..back).contains(&time) {
-            measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
+            measured = Measured {
+                theta: [0, 1].map(|i| encoder.read(scenario.plan.systematic[i].shown(theta[MEASURED[i]]), random)),
+                time: [time; 2],
+            };
         }
         twin.correct(&measured, time);
         let inputs = scenario.inputs(time);
         let estimate = twin.state_for(&inputs);
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
-        let tip_error = (x - v).hypot(y - w);
-        look(&Instant { time, truth: &truth, estimate: &estimate, twin: &twin, tip_error });
+        let off = [x - v, y - w];
+        look(&Instant { time, truth: &truth, estimate: &estimate, twin: &twin, off, tip_error: off[0].hypot(off[1]) });
         // Machine and twin hold the inputs of the middle of the step.
         let macro_steps = (h / 1e-3).round().max(1.0);
         let middle = time + h / 2.0;

@@ -1,0 +1,134 @@
+//! Machines whose lengths or encoders' mounting angles are not those of the model: how far the tip is off, whether it is within its band, and
+//! whether a machine is lost without a word.
+
+use fivebar::estimator::Status;
+use fivebar::simulation::{Parameters, Simulation};
+
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, follow};
+use crate::quality::{SETTLED, fall, sines};
+use crate::report::{Figure, Table, median};
+
+/// χ² of two degrees of freedom at 95 %.
+const ELLIPSE: f64 = 5.991;
+/// Standard deviations of the twin that is told: lengths, m, and mounting angles, rad.
+const TOLD: [f64; 2] = [2e-4, 2e-3];
+/// A machine is lost where its tip is off by more than this, m.
+const LOST: f64 = 0.01;
+/// Time without an alarm and with both encoders used after which a machine is lost without a word, s.
+const SILENT: f64 = 0.1;
+
+/// Label of machines whose encoders have another scale.
+const SCALE: &str = "scale 0.2 % off";
+
+/// Outcome of a run.
+struct Outcome {
+    /// Tip errors, m, and half-widths of the 95 % ellipse along its longer axis, m, of each sample.
+    errors: Vec<[f64; 2]>,
+    /// Part of the samples with the tip within its ellipse.
+    inside: f64,
+    lost: bool,
+    silently: bool,
+}
+
+/// Lengths of links and base 0.1 % off, each by itself.
+fn lengths_off(scenario: &mut Scenario, random: &mut Random) {
+    let geometry = &mut scenario.truth.geometry;
+    let lengths = geometry.links.iter_mut().map(|link| &mut link.length).chain([&mut geometry.base_distance]);
+    lengths.for_each(|length| *length *= 1.0 + 1e-3 * random.normal());
+}
+
+/// One encoder mounted 1 mrad off.
+fn offset(scenario: &mut Scenario, _: &mut Random) {
+    scenario.plan.systematic[0].offset = 1e-3;
+}
+
+/// Eccentric discs on both encoders, 2 mrad each.
+fn eccentricity(scenario: &mut Scenario, random: &mut Random) {
+    for of in &mut scenario.plan.systematic {
+        of.eccentricity = [2e-3, random.between(0.0, std::f64::consts::TAU)];
+    }
+}
+
+/// Scales of both encoders 0.2 % off.
+fn scale(scenario: &mut Scenario, _: &mut Random) {
+    scenario.plan.systematic.iter_mut().for_each(|of| of.scale = 2e-3);
+}
+
+fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Outcome {
+    let (mut errors, mut inside, mut quiet) = (Vec::new(), 0.0, 0.0_f64);
+    let (mut lost, mut silently) = (false, false);
+    let done = follow(scenario, encoder, 1e-3, random, |at| {
+        if at.time < SETTLED {
+            return;
+        }
+        let [xx, xy, yy] = at.twin.tip_covariance();
+        let [dx, dy] = at.off;
+        let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy);
+        let longest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
+        let width = (ELLIPSE * longest).sqrt();
+        inside += f64::from(u8::from(squared <= ELLIPSE));
+        errors.push([at.tip_error, width]);
+        lost = at.tip_error > LOST;
+        let unsaid = lost && at.tip_error > 3.0 * width && at.twin.status() == Status::Following && !at.twin.estimator().alarm();
+        quiet = if unsaid { quiet + 1e-3 } else { 0.0 };
+        silently |= quiet > SILENT;
+    });
+    let count = errors.len().max(1) as f64;
+    Outcome { errors, inside: inside / count, lost: lost || done.is_err(), silently }
+}
+
+type Scene = fn(&mut Random) -> Scenario;
+type Error = fn(&mut Scenario, &mut Random);
+
+/// Tip errors, coverage and lost runs by what is off, scene, encoder, and whether the twin is told.
+pub fn table(seeds: u64, first: u64) -> Table {
+    let mut table =
+        Table::new("Geometry that is off, at 1 ms: coverage of the 95 % ellipse of the tip, and runs lost without a word");
+    let errors: [(&str, Error); 4] = [
+        ("lengths 0.1 % off", lengths_off),
+        ("an encoder 1 mrad off", offset),
+        ("eccentricity 2 mrad", eccentricity),
+        (SCALE, scale),
+    ];
+    let scenes: [(&str, Scene); 2] = [("falls", |random| fall(random, false)), ("servos on sines", |random| sines(random, 2.0))];
+    for (what, error) in errors {
+        for (name, scene) in scenes {
+            for encoder in [COARSE, FINE] {
+                for told in [[0.0; 2], TOLD] {
+                    let outcomes: Vec<Outcome> = (0..seeds)
+                        .map(|seed| {
+                            let mut random = Random::new(first + 7_700_000 + seed);
+                            let scenario = loop {
+                                let mut scenario = scene(&mut random);
+                                scenario.truth = Parameters { geometry: scenario.model.geometry, ..scenario.truth };
+                                error(&mut scenario, &mut random);
+                                [scenario.model.estimator.sigma0_length, scenario.model.estimator.sigma0_offset] = told;
+                                // Lengths with which the machine cannot be assembled are drawn again.
+                                if Simulation::new(&scenario.truth, &scenario.acting(0.0)).is_ok() {
+                                    break scenario;
+                                }
+                            };
+                            run(&scenario, &encoder, &mut random)
+                        })
+                        .collect();
+                    let all = |k: usize| 1e3 * median(outcomes.iter().flat_map(|outcome| &outcome.errors).map(|error| error[k]));
+                    let covered = 100.0 * outcomes.iter().map(|outcome| outcome.inside).sum::<f64>() / seeds as f64;
+                    let count = |of: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| of(outcome)).count() as f64;
+                    let label = format!("{what}, {name}, {}, {}", encoder.name, if told == TOLD { "told" } else { "not told" });
+                    let remark = format!("median error {:.3} mm, half-width {:.3} mm", all(0), all(1));
+                    let (lost, silently) = (count(|outcome| outcome.lost), count(|outcome| outcome.silently));
+                    let of = format!("of {seeds}; lost at the end: {lost}");
+                    // A scale that is off grows with every turn, which neither mounting angles nor lengths do.
+                    if told == TOLD && what != SCALE {
+                        table.push(Figure::between(format!("{label}: within, %"), covered, [88.0, 100.0], remark));
+                        table.push(Figure::at_most(format!("{label}: lost without a word"), silently, 0.0, of));
+                    } else {
+                        table.push(Figure::told(format!("{label}: within, %"), covered, remark));
+                        table.push(Figure::told(format!("{label}: lost without a word"), silently, of));
+                    }
+                }
+            }
+        }
+    }
+    table
+}
