@@ -97,6 +97,14 @@ pub(super) const GATE: f64 = 30.0;
 pub(super) const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
 /// Largest number of samples rejected in a row before the encoder is trusted again.
 pub(super) const MOST_REJECTED_IN_A_ROW: u32 = 10;
+/// Stuck encoder: least distance of its reading from what the estimate without it expects, in quantisation intervals, standard deviations of
+/// the noise, and standard deviations of the expected angle.
+pub(super) const OVERDUE: [f64; 3] = [2.0, 4.0, 4.0];
+/// Stuck encoder: time within which a push may hold an axis inside a quantisation interval by chance, s. Without it 2 of 40 pushes of 0.5 N at
+/// 0.1° looked like a stuck encoder.
+pub(super) const LONGEST_CHANCE: f64 = 0.05;
+/// Number of samples over which the variance of the stamps is averaged.
+pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
 pub(super) const CORRELATION_TIME: f64 = 0.3;
 /// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).

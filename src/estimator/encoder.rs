@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::bank::PredictedSample;
 use super::constants::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
-    MOST_REJECTED_IN_A_ROW, SILENT_AFTER_INTERVALS, SINGLE_EDGE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
+    MOST_REJECTED_IN_A_ROW, SAMPLES_OF_JITTER, SILENT_AFTER_INTERVALS, SINGLE_EDGE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
 use super::tangent::wrapped;
 
@@ -103,7 +103,15 @@ pub struct Encoder {
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
     /// Macro steps' time since the last valid sample, s; infinite before the first.
-    pub(super) time_since_sample: f64,
+    time_since_sample: f64,
+    /// Macro steps' time since the last sample, s, valid or not; 0 before the first.
+    time_since_arrival: f64,
+    /// Macro steps' time between the last two valid samples, s; 0 before there are two.
+    arrival_interval: f64,
+    /// Mean variance of the stamps, s².
+    jitter: f64,
+    /// Standard deviation of the time of the last valid sample, s.
+    timing: f64,
     pub(super) fault: Fault,
 }
 
@@ -117,6 +125,10 @@ impl Encoder {
         rejected_in_a_row: 0,
         interval: 0.0,
         time_since_sample: f64::INFINITY,
+        time_since_arrival: 0.0,
+        arrival_interval: 0.0,
+        jitter: 0.0,
+        timing: 0.0,
         fault: Fault::None,
     };
 
@@ -129,12 +141,16 @@ impl Encoder {
         if time.is_finite() {
             self.time = time;
         }
+        let was_stuck = self.fault == Fault::Stuck;
         let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
+        // Stamps that are off by less than a sample's period are no reason to refuse a sample.
+        let period = if self.arrival_interval > 0.0 { self.arrival_interval } else { f64::INFINITY };
+        let tolerance = std::mem::take(&mut self.time_since_arrival).min(period).max(rounded);
         self.fault = if angle.is_nan() || angle.abs() >= LARGEST_ANGLE || !time.is_finite() {
             Fault::Invalid
-        } else if age < -rounded {
+        } else if age < -tolerance {
             Fault::Future
-        } else if age > max_delay + rounded {
+        } else if age > max_delay + tolerance {
             Fault::Late
         } else {
             Fault::None
@@ -143,25 +159,58 @@ impl Encoder {
             return None;
         }
         self.repeated = has_sample && self.angle.to_bits() == angle.to_bits();
+        if was_stuck && self.repeated {
+            self.fault = Fault::Stuck;
+        }
         self.change = if has_sample { angle - self.angle } else { 0.0 };
         if has_sample {
-            self.interval = (time - self.valid_time).abs();
+            let interval = (time - self.valid_time).abs();
+            // Stamps err where their intervals equal neither each other nor those of the arrivals.
+            let off = (interval - self.time_since_sample).abs().min((interval - self.interval).abs());
+            let off = if off > rounded && self.interval > 0.0 { off } else { 0.0 };
+            self.jitter += (off * off / 2.0 - self.jitter) / SAMPLES_OF_JITTER;
+            (self.interval, self.arrival_interval) = (interval, self.time_since_sample);
         }
         (self.angle, self.valid_time) = (angle, time);
         self.time_since_sample = 0.0;
-        Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
+        let used = if age <= rounded { 0.0 } else { age.min(max_delay.max(rounded)) };
+        let excess = age - used;
+        let excess = if excess.abs() > 2.0 * rounded { excess } else { 0.0 };
+        let timing = (self.jitter + excess * excess).sqrt();
+        self.timing = if timing > rounded { timing } else { 0.0 };
+        Some(Sample { angle, age: if used <= rounded { 0.0 } else { used } })
+    }
+
+    /// Time update by h seconds.
+    pub(super) fn step(&mut self, h: f64) {
+        self.time_since_sample += h;
+        self.time_since_arrival += h;
+    }
+
+    /// Whether the encoder has ever delivered a valid sample.
+    pub(super) fn has_received(&self) -> bool {
+        self.time_since_sample.is_finite()
+    }
+
+    /// Standard deviation of the white noise of the last sample, rad, whose encoder has the noise `sigma`, rad, on an axis that turns at
+    /// `rate`, rad/s, under a stamp that errs.
+    pub(super) fn white_sigma(&self, sigma: f64, rate: f64) -> f64 {
+        if self.timing == 0.0 { sigma } else { sigma.hypot(self.timing * rate) }
     }
 
     /// Whether the encoder is silent: no sample for longer than its sampling interval allows.
     pub(super) fn is_silent(&self) -> bool {
-        self.time_since_sample > SILENT_AFTER_INTERVALS * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+        let interval = self.interval.max(self.arrival_interval);
+        self.time_since_sample > SILENT_AFTER_INTERVALS * if interval > 0.0 { interval } else { UNKNOWN_INTERVAL }
     }
 
     /// Whether stored values are possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.interval];
-        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.time_since_sample >= 0.0
+        let numbers = [self.time, self.angle, self.valid_time, self.change];
+        let durations = [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing];
+        numbers.iter().chain(&durations).all(|x| x.is_finite())
+            && durations.iter().chain([&self.time_since_sample]).all(|x| *x >= 0.0)
     }
 
     /// Time between the last two valid samples, s; 0 before there are two.
@@ -179,19 +228,14 @@ impl Encoder {
         self.repeated
     }
 
-    /// Whether an encoder repeats its angle although its axis turns at `rate`, rad/s, by more than quantisation interval and noise.
-    pub(super) fn should_not_repeat(&self, rate: f64, quantum: f64, sigma: f64) -> bool {
-        self.repeated && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
-    }
-
     /// Gating: whether a sample is used whose normalised innovation squared is `nis` in the mixture and `least` in the loudest model.
-    /// `suspicious`: the encoder repeats its angle while the other does not; `patient`: the estimate is trusted rather than the sample.
-    pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
+    /// `overdue`: the reading should have changed; `patient`: the estimate is trusted rather than the sample.
+    pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (overdue, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
-            Fault::Stuck if self.repeated => Fault::Stuck,
+            Fault::Stuck => Fault::Stuck,
+            _ if overdue => Fault::Stuck,
             // NaN exceeds the gate.
             _ if nis <= GATE => Fault::None,
-            _ if suspicious => Fault::Stuck,
             _ if self.rejected_in_a_row < 1
                 || (patient
                     && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL)
@@ -306,6 +350,36 @@ mod tests {
         for steps in [1.4, 2.4] {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
+    }
+
+    /// Stamps that err by less than a sample's period are used, with a noise that grows with the axis' rate; later ones and exact ones are not.
+    #[test]
+    fn stamps_that_jitter_are_used() {
+        let (h, steps) = (1e-3, 2000);
+        // Times of arrival less the stamps, s, of uniform errors of ±0.4 ms: standard deviation 0.4 ms/√3.
+        let received = |error: &dyn Fn(u32) -> f64| {
+            let (mut encoder, mut used, mut silent) = (Encoder::NEW, 0, 0);
+            for k in 0..steps {
+                let now = h * f64::from(k);
+                used += u32::from(encoder.receive(f64::from(k), now - error(k), now, 0.0).is_some());
+                encoder.step(h);
+                silent += u32::from(k > 1 && encoder.is_silent());
+            }
+            assert!(encoder.is_sound());
+            (encoder, used, silent)
+        };
+        let uniform = |k: u32| 0.8e-3 * ((f64::from(k) * 0.618_033_988_75).fract() - 0.5);
+        let (encoder, used, silent) = received(&uniform);
+        assert!(used >= steps - 1 && silent == 0, "{used} used, {silent} times silent");
+        let (told, expected) = (encoder.white_sigma(0.0, 2.0), 2.0 * 0.4e-3 / 3f64.sqrt());
+        // The mean is over 50 samples, and what exceeds the last stamp's admissible age counts beside it.
+        assert!((0.5..2.5).contains(&(told / expected)), "{told} for {expected}");
+        assert_eq!(encoder.white_sigma(1e-4, 0.0), 1e-4);
+        let (encoder, used, silent) = received(&|_| 0.0);
+        assert_eq!((used, silent, encoder.white_sigma(1e-4, 2.0)), (steps, 0, 1e-4));
+        // Beyond a period: the first two are exact.
+        assert_eq!(received(&|k| if k < 2 { 0.0 } else { 1.5e-3 }).1, 2);
+        assert_eq!(received(&|k| if k < 2 { 0.0 } else { -1.5e-3 }).1, 2);
     }
 
     /// Invalid samples change neither sampling interval nor difference, wherever their time is.

@@ -8,6 +8,7 @@
 //! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
+//! | `unaided.rs` | the estimate without an encoder that repeats itself |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
 //! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
 //!
@@ -32,6 +33,7 @@ mod propagation;
 mod quantiser;
 mod stored;
 pub mod tangent;
+mod unaided;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -51,6 +53,7 @@ use hypotheses::Hypotheses;
 pub use parameters::{Bands, Constants, Parameters};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
+use unaided::Unaided;
 
 /// Quality of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +83,7 @@ pub struct Estimator {
     /// Whether no samples arrived before the last macro step.
     coasts: bool,
     hypotheses: Hypotheses,
+    unaided: Unaided,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
@@ -111,6 +115,7 @@ impl Estimator {
             held: false,
             coasts: true,
             hypotheses: Hypotheses::default(),
+            unaided: Unaided::default(),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
@@ -166,10 +171,14 @@ impl Estimator {
         match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
+                self.unaided.correct(&error, &turn);
                 frame = to;
             }
             // No closed configuration is near the corrected one: the covariance is worthless.
-            None => self.belief.bank = bank::Bank::new(constants.start_variances()),
+            None => {
+                self.belief.bank = bank::Bank::new(constants.start_variances());
+                self.unaided = Unaided::default();
+            }
         }
         let readings =
             if self.hypotheses.are_quiet() { self.confined_to_intervals(constants, &motion, &readings) } else { readings };
@@ -191,7 +200,8 @@ impl Estimator {
     ) -> Option<Sample> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let encoder::Sample { angle, age } = self.encoders[i].receive(measured.theta[i], measured.time[i], now, max_delay)?;
-        let noise = self.encoders[i].noise(sigma[i], quantum[i], motion.omega[MEASURED[i]], persistent);
+        let rate = motion.omega[MEASURED[i]];
+        let noise = self.encoders[i].noise(self.encoders[i].white_sigma(sigma[i], rate), quantum[i], rate, persistent);
         let innovation = if age > 0.0 {
             let Some((expected, row)) = self.history.at(motion, frame, i, age) else {
                 // The sample is older than the run or than the last change of hypothesis.
@@ -208,24 +218,29 @@ impl Estimator {
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
     fn update(&mut self, constants: &Constants, motion: &LinkState, persistent: [f64; 2], samples: &[Option<Sample>; 2]) -> Update {
         let Parameters { sigma, quantum, .. } = constants.parameters;
-        let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
         let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
-        let mut nis = 0.0;
+        let (mut nis, models) = (0.0, self.models(constants, motion));
         for i in 0..2 {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
             let expected = self.belief.bank.predict_sample(&innovation);
-            let (encoder, rate, own) = (&mut self.encoders[i], motion.omega[MEASURED[i]], expected.nis());
-            let suspicious = !other_stands[i] && encoder.should_not_repeat(rate, quantum[i], sigma[i]);
+            let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
+            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
+            self.unaided.receive(i, &self.encoders, &self.belief.bank, &models);
+            let overdue = self.unaided.contradicts(i, &innovation, (sigma, quantum[i]));
+            let encoder = &mut self.encoders[i];
             self.innovation[i] = innovation.residual;
             nis += own;
-            if encoder.passes_gate(own, expected.nis_of_loudest_model(), (suspicious, self.hypotheses.is_branch_known())) {
+            if encoder.passes_gate(own, expected.nis_of_loudest_model(), (overdue, self.hypotheses.is_branch_known())) {
                 let told = [innovation.noise, persistent[i]];
-                self.belief.bank.update(&encoder.with_quantisation_interval(&expected, (sigma[i], quantum[i]), rate, told));
+                self.belief.bank.update(&encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told));
                 if self.hypotheses.are_open() {
                     update.likelihood += expected.log_likelihood();
                 }
                 update.fit += own;
+                self.unaided.update(i, &innovation);
                 update.readings[i] = Some(Reading { angle, noise: innovation.noise, age, dead_zone: 0.0 });
+            } else if overdue && let Some(bank) = self.unaided.take() {
+                self.belief.bank = bank;
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -258,6 +273,7 @@ impl Estimator {
         self.belief = Belief::new(variances);
         self.innovation = [left, right].map(|sample| sample.innovation.residual);
         self.history.clear();
+        self.unaided = Unaided::default();
         (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
         Some(anew)
     }
@@ -267,6 +283,7 @@ impl Estimator {
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
         self.history.clear();
+        self.unaided = Unaided::default();
         constants.linkage.frame(&motion.theta)
     }
 
@@ -280,7 +297,8 @@ impl Estimator {
         let Parameters { sigma, quantum, .. } = constants.parameters;
         [0, 1].map(|i| {
             let rate = motion.omega[MEASURED[i]];
-            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma[i], quantum[i]), rate))
+            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
+            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate))
         })
     }
 
@@ -308,12 +326,12 @@ impl Estimator {
         // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
         let scales = [scale, if self.has_intervals(parameters) { inertia } else { 0.0 }];
         let priors = if coasts { LIKELY_MODELS } else { models };
-        self.belief.bank.predict(&step.f, &step.noise(h), scales, (h, parameters.switch_time), &priors);
+        let (noise, timing) = (step.noise(h), (h, parameters.switch_time));
+        self.belief.bank.predict(&step.f, &noise, scales, timing, &priors);
+        self.unaided.predict(&step, &noise, scales, timing);
         self.held = step.held;
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
-        for encoder in &mut self.encoders {
-            encoder.time_since_sample += h;
-        }
+        self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h);
     }
 
@@ -358,7 +376,7 @@ impl Estimator {
 
     /// Whether an encoder has ever delivered a sample.
     pub fn has_received(&self, i: usize) -> bool {
-        self.encoders[i].time_since_sample.is_finite()
+        self.encoders[i].has_received()
     }
 
     /// Whether the last samples have reinitialised the estimate.
@@ -391,7 +409,7 @@ impl Estimator {
     #[cold]
     pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
         let linkage = &constants.linkage;
-        if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) {
+        if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) || !self.unaided.is_sound() {
             return Err("its estimate has a state or covariance that is not valid");
         }
         if !self.encoders.iter().all(Encoder::is_sound) || !self.history.is_sound() || !self.forecast.is_sound(linkage) {

@@ -282,6 +282,58 @@ fn bands_are_honest() {
     assert!((1.5..5.4).contains(&nees), "NEES {nees}");
 }
 
+/// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is called stuck within 0.2 s of its axis being at its fastest, however
+/// coarse its readings and however often they come, and the tip stays within 10 mm by the other encoder and the servos. One that repeats itself
+/// since a servo, stiff or not, holds its axis is no fault.
+#[test]
+fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
+    let swing = |time: f64, frequency: f64| {
+        let (angle, rate) = (0.25 * (frequency * time).sin(), 0.25 * frequency * (frequency * time).cos());
+        Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
+    };
+    for (quantum, h, kp, freezes) in [
+        (1e-4, 1e-3, 1.0, true),
+        (1.7e-3, 1e-3, 1.0, true),
+        (1.7e-3, 5e-3, 1.0, true),
+        (1e-4, 2e-4, 1.0, true),
+        (1.7e-3, 1e-3, 20.0, false),
+        (1e-4, 1e-3, 20.0, false),
+    ] {
+        let mut parameters = followed(Method::Dop853);
+        parameters.start.theta = [2.0, 1.1];
+        parameters.estimator.sigma = [0.0; 2];
+        parameters.estimator.quantum = [quantum; 2];
+        parameters.effects.servo.enabled = true;
+        (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([kp; 2], [0.01 * kp; 2]);
+        // At rest for half a second, then a swing that is fastest at 2.07 s.
+        let course = |time: f64| if time < 0.5 { swing(0.0, 0.0) } else { swing(time - 0.5, 2.0) };
+        let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
+        let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+        let (mut frozen, mut found) = (None, None);
+        for step in 0..(2.5 / h) as u32 {
+            let time = f64::from(step) * h;
+            let theta = [0, 3].map(|link| (machine.state().angles()[link] / quantum).round() * quantum);
+            let failed = freezes && time >= 2.07;
+            let left = if failed { *frozen.get_or_insert(theta[0]) } else { theta[0] };
+            following.correct(&Measured { theta: [left, theta[1]], time: [time; 2] }, time);
+            let case = format!("{quantum} rad, {h} s, {kp} N.m/rad, at {time} s");
+            let faults = [0, 1].map(|i| following.estimator().encoder(i).1);
+            assert!(failed || faults[0] != Fault::Stuck, "{case}");
+            assert_ne!(faults[1], Fault::Stuck, "{case}");
+            if faults[0] == Fault::Stuck {
+                found.get_or_insert(time);
+            }
+            let [at, by] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+                .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
+            assert!(found.is_none_or(|_| (at - by).norm() < 0.01), "{case}: {at} {by}");
+            let inputs = course(time + h / 2.0);
+            following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
+            machine.advance(&inputs, h, 1).expect("a step");
+        }
+        assert_eq!(found.is_some_and(|found| found < 2.27), freezes, "{quantum} rad, {h} s, {kp} N.m/rad: {found:?}");
+    }
+}
+
 /// All methods and readings, through coasting and samples: n steps in one call are n calls of one, to the bit.
 #[test]
 fn grouping_does_not_matter() {

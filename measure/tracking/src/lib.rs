@@ -8,6 +8,7 @@
 pub mod benchmark;
 pub mod compare;
 pub mod detection;
+pub mod faults;
 pub mod forecast;
 pub mod foreign;
 pub mod geometry;

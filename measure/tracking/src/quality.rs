@@ -101,7 +101,8 @@ pub fn sines(random: &mut Random, duration: f64) -> Scenario {
     Scenario { model, truth, course: sines_course, plan, duration, from: None }
 }
 
-fn friction(random: &mut Random) -> Scenario {
+/// Servos on sines, with friction that the twin does not know of.
+pub fn friction(random: &mut Random) -> Scenario {
     let mut scenario = sines(random, 2.0);
     scenario.truth = Parameters { geometry: scenario.model.geometry, ..scenario.truth };
     scenario.truth.effects.friction.enabled = true;

@@ -1,0 +1,227 @@
+//! Encoders, clocks and starts that fail: how often the estimate is wrong in silence, and how soon the failure is told.
+
+use std::collections::VecDeque;
+
+use fivebar::effects::Inputs;
+use fivebar::estimator::{Fault, MEASURED, Measured, Status};
+use fivebar::fmi::bindings::default_inputs;
+use fivebar::mechanism::Assembly;
+use fivebar::simulation::Signal;
+
+use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, start_off, tip};
+use crate::quality::{fall, friction, pick, plan, push, servos, sines};
+use crate::report::{Figure, Table};
+
+/// Half-width of a 95 % ellipse in standard deviations.
+const ELLIPSE: f64 = 2.4477;
+/// Tip error that counts, m, and in half-widths; and how long it must last in silence, s.
+const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
+/// Time within which a failure is to be told, s.
+const SOON: f64 = 0.2;
+
+/// Failure of encoder 1, of both clocks, or of the start.
+#[derive(Clone, Copy, Debug)]
+enum Failure {
+    /// Reads on as at the onset.
+    Frozen,
+    /// Reads 0.
+    Zero,
+    /// Reads off by an angle, rad.
+    Jump(f64),
+    /// Is silent for a second.
+    Missing,
+    /// The encoders are exchanged.
+    Swapped,
+    /// Stamps are off by normal noise, s.
+    Jitter(f64),
+    /// Stamps are late by a constant, s.
+    Late(f64),
+    /// The twin starts in the other assembly.
+    Assembly,
+    /// None.
+    Nothing,
+}
+
+/// Outcome of a run.
+#[derive(Default)]
+struct Outcome {
+    /// Whether the tip is off at the end.
+    lost: bool,
+    /// Whether the tip was off with a status that does not tell it.
+    silent: bool,
+    /// Time from the onset to the first status that tells it, s.
+    found: f64,
+    /// Whether an encoder was called stuck before the onset, or at the other encoder.
+    early: bool,
+    /// Part of the samples after which some had been refused for their stamp.
+    refused: f64,
+}
+
+fn swing_course(time: f64, plan: &Plan) -> Inputs {
+    let theta = [2.0, 1.1];
+    let angle = |i: usize| theta[i] + 0.25 * (2.0 * time + plan.phase[i]).sin();
+    let speed = |i: usize| 0.5 * (2.0 * time + plan.phase[i]).cos();
+    Inputs { servo_theta: [angle(0), angle(1)], servo_omega: [speed(0), speed(1)], ..default_inputs() }
+}
+
+/// Servos that swing both axes by 0.25 rad at 2 rad/s, masses 5 % off.
+fn swing(random: &mut Random) -> Scenario {
+    let mut model = desk();
+    servos(&mut model, 1.0, 0.01);
+    let plan = plan(random);
+    let start = swing_course(0.0, &plan);
+    (model.start.theta, model.start.omega) = (start.servo_theta, start.servo_omega);
+    let truth = five_percent(&model, random);
+    start_off(&mut model, random, [0.02, 0.2]);
+    Scenario { model, truth, course: swing_course, plan, duration: 3.0, from: None }
+}
+
+fn falling(random: &mut Random) -> Scenario {
+    fall(random, true)
+}
+
+fn fast(random: &mut Random) -> Scenario {
+    sines(random, 3.0)
+}
+
+/// A run with a failure from some instant on.
+fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, random: &mut Random) -> Outcome {
+    let onset = random.between(0.5, 1.2);
+    let mut told = scenario.clone();
+    if let Failure::Assembly = failure {
+        let assembly = &mut told.model.start.assembly;
+        *assembly = if *assembly == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
+    }
+    let (mut machine, mut twin) = (scenario.machine(), told.twin(encoder));
+    let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
+    let (mut held, mut wrong, mut refused, mut stamp, mut queue) = (None, 0.0, 0.0, [-1.0; 2], VecDeque::new());
+    let steps = (scenario.duration / h).round() as u64;
+    for step in 0..steps {
+        let time = step as f64 * h;
+        let truth = machine.state();
+        let (theta, _) = motion(&truth);
+        let mut measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
+        let failing = time >= onset;
+        match failure {
+            Failure::Frozen if failing => measured.theta[0] = *held.get_or_insert(measured.theta[0]),
+            Failure::Zero if failing => measured.theta[0] = 0.0,
+            Failure::Jump(by) if failing => measured.theta[0] += by,
+            Failure::Missing if (onset..onset + 1.0).contains(&time) => measured.time[0] = stamp[0],
+            Failure::Swapped => measured.theta.swap(0, 1),
+            Failure::Jitter(sigma) => measured.time = [0, 1].map(|_| time + sigma * random.normal()),
+            Failure::Late(by) => {
+                // A sample has the stamp of its arrival.
+                queue.push_back(measured.theta);
+                measured.theta = if queue.len() as f64 * h > by + h { queue.pop_front().unwrap_or_default() } else { queue[0] };
+            }
+            _ => (),
+        }
+        stamp = measured.time;
+        twin.correct(&measured, time);
+        refused += f64::from(u8::from(matches!(twin.status(), Status::Faulty(Fault::Late | Fault::Future))));
+        let inputs = scenario.inputs(time);
+        let estimate = twin.state_for(&inputs);
+        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
+        let off = (x - v).hypot(y - w);
+        let [xx, xy, yy] = twin.tip_covariance();
+        let largest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
+        let half_width = ELLIPSE * largest.max(0.0).sqrt();
+        let fine = twin.status() == Status::Following && !twin.estimator().alarm();
+        let is_silent = time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine;
+        wrong = if is_silent { wrong + h } else { 0.0 };
+        outcome.silent |= wrong >= SILENT.2;
+        outcome.lost = off > SILENT.0;
+        let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);
+        outcome.early |= second || first && !failing;
+        if failing && twin.status() != Status::Following && outcome.found.is_infinite() {
+            outcome.found = time - onset;
+        }
+        let macro_steps = (h / 1e-3).round().max(1.0);
+        let middle = time + h / 2.0;
+        let moved = twin.advance_along(&Signal::held(scenario.inputs(middle)), h / macro_steps, macro_steps as u64);
+        let moved = moved.and_then(|()| machine.advance(&scenario.acting(middle), h / macro_steps, macro_steps as u64));
+        if moved.is_err() {
+            outcome.lost = true;
+            break;
+        }
+    }
+    outcome.refused = refused / steps as f64;
+    outcome
+}
+
+/// An encoder of some bits.
+const fn bits(name: &'static str, bits: u32) -> Encoder {
+    Encoder { name, sigma: 0.0, quantum: std::f64::consts::TAU / (1_u64 << bits) as f64 }
+}
+
+/// Failures, each in its scenes by its encoders.
+pub fn table(runs: u64, first: u64) -> Table {
+    type Scene = fn(&mut Random) -> Scenario;
+    const MEDIUM: Encoder = bits("14 bit", 14);
+    const FEW: Encoder = bits("12 bit", 12);
+    const FEWEST: Encoder = bits("10 bit", 10);
+    let rows: [(&str, Scene, Failure, Encoder, f64); 31] = [
+        ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
+        ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
+        ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
+        ("frozen, swing", swing, Failure::Frozen, FEWEST, 1e-3),
+        ("frozen, swing", swing, Failure::Frozen, COARSE, 1e-3),
+        ("frozen, swing", swing, Failure::Frozen, COARSE, 5e-3),
+        ("frozen, swing", swing, Failure::Frozen, FINE, 2e-4),
+        ("frozen, fall", falling, Failure::Frozen, FINE, 1e-3),
+        ("wrong assembly, swing", swing, Failure::Assembly, FINE, 1e-3),
+        ("wrong assembly, sines", fast, Failure::Assembly, FINE, 1e-3),
+        ("wrong assembly, pick", pick, Failure::Assembly, FINE, 1e-3),
+        ("wrong assembly, fall", falling, Failure::Assembly, FINE, 1e-3),
+        ("jitter of 0.3 ms, swing", swing, Failure::Jitter(3e-4), FINE, 1e-3),
+        ("jitter of 0.3 ms, sines", fast, Failure::Jitter(3e-4), FINE, 1e-3),
+        ("late by 8 ms, sines", fast, Failure::Late(8e-3), FINE, 1e-3),
+        ("zero, swing", swing, Failure::Zero, FINE, 1e-3),
+        ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), FINE, 1e-3),
+        ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
+        ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
+        ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),
+        ("nothing, fall", falling, Failure::Nothing, FINE, 1e-3),
+        ("nothing, pick", pick, Failure::Nothing, FINE, 1e-3),
+        ("nothing, pick", pick, Failure::Nothing, COARSE, 1e-3),
+        ("nothing, push", push, Failure::Nothing, COARSE, 1e-3),
+        ("nothing, push", push, Failure::Nothing, FINE, 1e-3),
+        ("nothing, push", push, Failure::Nothing, MEDIUM, 1e-3),
+        ("nothing, push", push, Failure::Nothing, COARSE, 5e-3),
+        ("nothing, push", push, Failure::Nothing, FEWEST, 1e-3),
+        ("nothing, friction", friction, Failure::Nothing, FINE, 1e-3),
+        ("nothing, friction", friction, Failure::Nothing, COARSE, 1e-3),
+        ("nothing, friction", friction, Failure::Nothing, FEWEST, 5e-3),
+    ];
+    let mut table = Table::new("Encoders, clocks and starts that fail, runs");
+    for (name, scene, failure, encoder, h) in rows {
+        let outcomes: Vec<Outcome> = (0..runs)
+            .map(|seed| {
+                let mut random = Random::new(first + 7_900_000 + seed);
+                let scenario = scene(&mut random);
+                run(&scenario, (&encoder, h), failure, &mut random)
+            })
+            .collect();
+        let count = |of: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| of(outcome)).count();
+        let silent = count(&|o| o.silent);
+        let refused = 100.0 * outcomes.iter().map(|o| o.refused).sum::<f64>() / runs as f64;
+        let remark = format!(
+            "of {runs}; lost at the end {}, told within 0.2 s {}, stuck in error {}, refused stamps {refused:.1} %",
+            count(&|o| o.lost),
+            count(&|o| o.found <= SOON),
+            count(&|o| o.early),
+        );
+        let label = format!("{name}, {}, {} ms", encoder.name, 1e3 * h);
+        table.push(if let Failure::Nothing = failure {
+            Figure::at_most(
+                format!("{label}: wrong in silence, or stuck in error"),
+                count(&|o| o.silent || o.early) as f64,
+                0.0,
+                remark,
+            )
+        } else {
+            Figure::told(format!("{label}: wrong in silence"), silent as f64, remark)
+        });
+    }
+    table
+}
