@@ -16,7 +16,7 @@ const GLIBC_FLOOR: [u32; 2] = [2, 17];
 /// lie in one file.
 const SHIPPED: [(&str, &str, &str, &[&str]); 5] = [
     ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
-    ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME]),
+    ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME, WINDOWS_LIBRARIES]),
     ("aarch64-linux", "aarch64-unknown-linux-gnu", "so", &[]),
     ("darwin64", "x86_64-apple-darwin", "dylib", MAC_FLAGS),
     ("darwin64", "aarch64-apple-darwin", "dylib", MAC_FLAGS),
@@ -79,6 +79,13 @@ const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
 
 /// The linker for Windows writes the time into a library unless it is told not to: the same sources give the same bytes.
 const NO_TIME: &str = "-Clink-arg=-Wl,--no-insert-timestamp";
+
+/// The linker for Windows orders what a library takes from others by the files' paths: those of the system lie in a folder with a
+/// path that is relative, and so before those of the standard library in every checkout.
+const WINDOWS_LIBRARIES: &str = "-Clink-arg=-Ltarget/cross/windows";
+
+/// Names under which Rust asks for parts of Windows.
+const WINDOWS_SYSTEM: [&str; 3] = ["kernel32", "msvcrt", "ntdll"];
 
 /// For which machines a unit is packed.
 #[derive(Clone, Copy)]
@@ -237,6 +244,9 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
         // Files that zig and its helper keep beside the output stay in this folder as well.
         .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
         .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
+    if triple.ends_with("windows-gnu") {
+        windows_libraries(&folder)?;
+    }
     if triple.ends_with("apple-darwin") {
         // The linker leaves out what there is to strip, before it signs; Debian lacks the program that rustc strips with.
         cargo
@@ -258,6 +268,19 @@ fn mac_libraries(folder: &Path) -> Result<PathBuf> {
         fs::copy(&names, &copy).with_context(|| format!("{} cannot be copied to {}", names.display(), paths::short(&copy)))?;
     }
     Ok(root)
+}
+
+/// The folder [`WINDOWS_LIBRARIES`], with the linker's own lists of names.
+fn windows_libraries(folder: &Path) -> Result<()> {
+    let libraries = folder.join("windows");
+    fs::create_dir_all(&libraries)?;
+    for name in WINDOWS_SYSTEM {
+        let file = format!("lib{name}.a");
+        let names = process::output(process::program(WINDOWS_LINKER).arg(format!("-print-file-name={file}")))?;
+        let copy = libraries.join(&file);
+        fs::copy(names.trim(), &copy).with_context(|| format!("{} cannot be copied to {}", names.trim(), paths::short(&copy)))?;
+    }
+    Ok(())
 }
 
 /// A command of cargo, optimised, for the browser, where a panic is a trap.
