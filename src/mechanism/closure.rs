@@ -152,7 +152,7 @@ pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 
     let span = ElbowSpan::new(geometry, "theta", start.theta)?;
     let theta = angles(geometry, &span, start);
     let [(_, n1), (u2, _), (u3, _), (_, n4)] = theta.map(direction);
-    check_direct_singularity(u2.x * u3.y - u2.y * u3.x)?;
+    check_direct_singularity(u2.perp(&u3))?;
     let [w1, w4] = start.omega;
     let [l1, _, _, l4] = geometry.links.map(|link| link.length);
     let [w2, w3] = distal_rates(geometry, [u2, u3], n4 * (l4 * w4) - n1 * (l1 * w1));
@@ -175,7 +175,7 @@ pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
 /// l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = parting is solved by products with û₃ and û₂.
 fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vector2<f64>) -> [f64; 2] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
-    let sine = u2.x * u3.y - u2.y * u3.x;
+    let sine = u2.perp(&u3);
     [parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine)]
 }
 

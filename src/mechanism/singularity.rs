@@ -3,7 +3,6 @@
 //! From |Q − A_i|² = const, with A_i the elbows: J_x ẋ = J_q θ̇, rows (Q − A_i) of J_x. In link directions
 //! det J_x = l₂ l₃ û₂ × û₃ and det J_q = Π l_P l_D û_P × û_D.
 
-use super::legs::{Legs, Legs2};
 use super::{Assembly, Geometry, Pose};
 use crate::scalar::Scalar;
 
@@ -54,11 +53,6 @@ pub struct Singularity {
     pub kind: SingularityKind,
 }
 
-/// Third component of the vector product of two vectors, leg by leg.
-fn cross(a: Legs2, b: Legs2) -> Legs {
-    a.x * b.y - a.y * b.x
-}
-
 impl Pose {
     /// Signs of the configuration, one bit for each negative value: det J_x (assembly mode), bend of the left and right elbow (working
     /// mode). A bit that changes shows that the trajectory has passed a direct or inverse singularity.
@@ -76,7 +70,7 @@ impl Pose {
     /// Sines of the angle between the distal links and of the angles in the left and right elbow.
     fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
-        let [left, right] = cross(self.u_p, self.u_d).to_array();
+        let [left, right] = self.u_p.cross(self.u_d).to_array();
         [x2 * y3 - y2 * x3, left, right]
     }
 }

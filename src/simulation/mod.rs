@@ -6,7 +6,6 @@
 pub mod angles;
 mod bifurcation;
 mod correction;
-mod cut_five_bar;
 mod dense_run;
 mod events;
 pub mod five_bar;

@@ -7,7 +7,7 @@
 //! Δw = moment(n̂₁ Δω̂ − ω̂ û₁ ΔΔθ),     Δy = moment(n̂₁ ΔΔθ) − Δw − σ(ℓ, L) Δν,     Δg = −Δw − σ(ℓ, L) ΔΛ + slopes of the forces
 //! ```
 
-use super::{CUT_UNKNOWNS, CutUnknowns, OpenMotion, OpenResidual, OpenStep};
+use super::{CUT_UNKNOWNS, CutUnknowns, DISTAL, LAMBDA, NU, OpenMotion, OpenResidual, OpenStep};
 use crate::dynamics::TipArm;
 use crate::effects::Slopes;
 use crate::matrix::Inverse;
@@ -22,7 +22,7 @@ const HALF: usize = 4;
 /// Index of the equations (ν) among the pairs; (f) are first, then the tip's gap and its rate.
 const MEAN: usize = 4;
 /// Indices of the tip's gap and rate among the pairs of equations, and of Λ and ν among those of unknowns.
-const TIP: [usize; 2] = [2, 3];
+const TIP: [usize; 2] = [LAMBDA, NU];
 
 /// Matrix by columns.
 struct Matrix([Vector<SIZE>; SIZE]);
@@ -114,7 +114,6 @@ impl OpenStep<'_> {
 
     /// Adds the slopes of the mean forces by Δθ and by ω̂, also those by which the joint at the tip couples the legs.
     fn add_slopes(&self, matrix: &mut Matrix, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm) {
-        const DISTAL: usize = 1;
         let squared = 0.5 * self.h * self.h;
         for (unknown, weights) in [(0, [squared, 0.0]), (HALF, [0.0, self.h])] {
             for (i, row) in self.inertias_of(motion, slopes, arm, weights).into_iter().enumerate() {
