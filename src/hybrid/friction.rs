@@ -106,7 +106,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             stick_slip.set(constraint.place, StickSlip::Sticks(SlipDirection::Forward));
         }
         let mass = self.factor_mass(&pose, self.regularization());
-        let forces = self.with_stick_slip(stick_slip).forces(q, &pose, v);
+        let forces = self.with_stick_slip(stick_slip).forces(q, &pose, v).0;
         let (a, _) = mass.solve(&forces, &-self.phi_q_dot_times(&pose, v));
         let mut friction_problem = FrictionProblem::default();
         for (i, constraint) in resting.iter().enumerate() {
@@ -150,7 +150,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         }
         let StickingConstraint::Direction { row, drift, force } = self.sticking(q, &pose, v) else { return holding };
         let mass = self.factor_mass(&pose, self.regularization());
-        let (a, _) = mass.solve(&self.forces(q, &pose, v), &-self.phi_q_dot_times(&pose, v));
+        let (a, _) = mass.solve(&self.forces(q, &pose, v).0, &-self.phi_q_dot_times(&pose, v));
         let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
         for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), sticks)) {
             holding[constraint.place] = part * share;

@@ -3,10 +3,10 @@
 
 use arrayvec::ArrayVec;
 
-use super::friction::{FrictionGuard, FrictionGuards};
+use super::friction::FrictionGuards;
 use super::mode::{INDICATORS, Mode, SPRINGS, StickSlip};
 use super::unilateral::{Phase, UnilateralGuard};
-use crate::integrator;
+use crate::integrator::{self, Residuals};
 use crate::mechanism::LINKS;
 
 /// Bounds on the derivatives of the link angles over a step.
@@ -41,25 +41,20 @@ impl<'a> GuardValues<'a> {
         indicators
     }
 
-    /// Largest excess of a sticking load over its bound while the mechanism moves, in units of the event tolerance; −∞ where nothing
-    /// sticks, or everything does.
-    pub fn breakaway_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
-        let sticks =
-            |guard: &&FrictionGuard| !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.place), StickSlip::Sticks(_));
-        let residuals = self.friction_guards.iter().filter(sticks).map(|guard| guard.guard_residual(&mode.stick_slip, tolerance));
-        residuals.fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// Largest guard value of a state in units of the event tolerance, at an angular tolerance, rad: positive past a guard, negative
-    /// where the mode holds.
-    pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
+    /// Distances of a state past the guards, in units of the event tolerance at an angular tolerance, rad. Nothing breaks away where
+    /// everything sticks.
+    pub fn residuals(&self, mode: &Mode, tolerance: f64) -> Residuals {
         let phase_guards =
             self.springs.iter().filter_map(|guard| guard.deciding(mode, tolerance)).map(|phase_guard| phase_guard.guard_residual);
-        let friction_guards = self
-            .friction_guards
-            .iter()
-            .map(|guard| guard.guard_residual(&mode.stick_slip, tolerance).max(guard.carried_residual(tolerance)));
-        phase_guards.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
+        let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
+        self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
+            let residual = guard.guard_residual(&mode.stick_slip, tolerance);
+            let sticks = !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.place), StickSlip::Sticks(_));
+            Residuals {
+                largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
+                breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },
+            }
+        })
     }
 
     /// Elastic energy still stored in springs that have separated, J; its decrease is dissipated.
@@ -76,7 +71,7 @@ impl<'a> GuardValues<'a> {
 
     /// The mode after the transitions of all springs whose guards the state has passed, or, where none is passed, of the nearest one.
     pub fn next_mode(&self, mode: Mode, tolerance: f64) -> Mode {
-        let nearest = self.guard_residual(&mode, tolerance).min(0.0);
+        let nearest = self.residuals(&mode, tolerance).largest.min(0.0);
         let mut next_mode = mode;
         for guard in &self.springs {
             if let Some(phase_guard) = guard.deciding(&mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)

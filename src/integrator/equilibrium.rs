@@ -1,6 +1,6 @@
 //! Dynamic equilibrium: accelerations q̈ and multipliers λ at given q, q̇ and forces (`docs/method.md`, (16)).
 
-use super::{Kkt, StickingConstraint, System, Work};
+use super::{Kkt, StickingConstraint, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -24,27 +24,27 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     regularization: f64,
 ) -> (Vector<N>, Vector<M>, Work) {
-    let (forces, power) = system.forces_and_power(q, pose, v);
+    let (forces, power) = system.forces(q, pose, v);
     let (a, lambda) = equilibrium_under(system, &forces, (q, pose, v), &system.factor_mass(pose, regularization));
     (a, lambda, power)
 }
 
-/// Acceleration q̈ and power at rates `v`, `by` away from the base of small-angle updates.
+/// Acceleration q̈ and power at rates `v`, `by` away from coordinates with their pose.
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    from: (&Vector<N>, &S::TrigBase),
+    from: (&Vector<N>, &S::Pose),
     by: &Vector<N>,
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    if system.has_sticking() {
+    if system.stuck() != Stuck::Nothing {
         let (q, v) = (*from.0 + *by, Vector::ZERO + *v);
         let (a, _, power) = equilibrium_with_power(system, (&q, &system.pose(&q), &v), regularization);
         return (a, power);
     }
-    let pose = system.pose_from_base(from, by);
-    let (forces, power) = system.forces_and_power(&(*from.0 + *by), &pose, v);
+    let pose = system.pose_near(from, by);
+    let (forces, power) = system.forces(&(*from.0 + *by), &pose, v);
     let mass = system.factor_mass(&pose, regularization);
     (mass.solve(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
 }
@@ -58,7 +58,7 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     v: &Vector<N>,
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    equilibrium_under(system, &system.forces(q, pose, v), (q, pose, v), mass)
+    equilibrium_under(system, &system.forces(q, pose, v).0, (q, pose, v), mass)
 }
 
 /// Solves for q̈ and λ with given forces, pose and factorised mass matrix.
@@ -70,7 +70,7 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
     let (a, lambda) = mass.solve(forces, &-system.phi_q_dot_times(pose, v));
-    if system.has_sticking() { with_reaction(system, forces, (q, pose, v), (mass, a, lambda)) } else { (a, lambda) }
+    if system.stuck() != Stuck::Nothing { with_reaction(system, forces, (q, pose, v), (mass, a, lambda)) } else { (a, lambda) }
 }
 
 /// q̈ and λ with the reaction of sticking friction, from those without.

@@ -24,27 +24,22 @@ pub struct Extremes<const N: usize> {
     pub snaps: Vector<N>,
 }
 
+/// Distances of a state past its guards, in event tolerances; negative within the mode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residuals {
+    /// Distance past the guard that is passed by most.
+    pub largest: f64,
+    /// Distance of the reaction of sticking friction past its breakaway bound while the system moves; −∞ where nothing sticks. The reaction
+    /// is known at evaluated states only, without a bound in between.
+    pub breakaway: f64,
+}
+
 /// A hybrid system. By default it has one mode and no events.
 pub trait Events<const N: usize>: Sized {
     /// Mode: the smooth formula in use for every force.
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
     /// Guard values at a state.
     type GuardValues;
-
-    /// Whether the system has any events.
-    fn has_events(&self) -> bool {
-        false
-    }
-
-    /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
-    fn regularization_velocity(&self) -> f64 {
-        f64::INFINITY
-    }
-
-    /// Whether forces have sharp nonlinearities without an event.
-    fn has_sharp_nonlinearity(&self) -> bool {
-        false
-    }
 
     /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
@@ -63,20 +58,14 @@ pub trait Events<const N: usize>: Sized {
         self
     }
 
-    /// Guard residual of a state: distance past the guards of the mode in units of the event tolerance that belongs to `tolerance`;
-    /// negative within the mode.
-    fn guard_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
-        f64::NEG_INFINITY
+    /// Distances of a state past the guards of the mode, in units of the event tolerance that belongs to `tolerance`.
+    fn residuals(&self, _at: &Self::GuardValues, _tolerance: f64) -> Residuals {
+        Residuals { largest: f64::NEG_INFINITY, breakaway: f64::NEG_INFINITY }
     }
 
     /// Mode after the transition at a state that has reached a guard.
     fn next_mode(&self, q: &Vector<N>, v: &Vector<N>, _tolerance: f64) -> Self::Mode {
         self.mode_of(q, v)
-    }
-
-    /// Whether any event is a stick-slip transition, whose state only the run can remember.
-    fn has_stick_slip(&self) -> bool {
-        false
     }
 
     /// Whether any contact or stop pushes in this mode.
@@ -93,17 +82,6 @@ pub trait Events<const N: usize>: Sized {
     /// Estimated time until the mode ends, s, where its formulas hold over a short path only.
     fn dwell_time(&self, _at: &Self::GuardValues) -> f64 {
         f64::INFINITY
-    }
-
-    /// Whether the whole system sticks: nothing moves while the forces stay constant.
-    fn is_at_rest(&self) -> bool {
-        false
-    }
-
-    /// Reaction of sticking friction beyond its breakaway bound while the system moves, in event tolerances: negative below, −∞ where
-    /// nothing sticks. The reaction is known at evaluated states only, without a bound in between.
-    fn breakaway_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
-        f64::NEG_INFINITY
     }
 
     /// Whether a motion between two states, `duration` seconds apart and within `extremes`, certainly passes no guard by more than

@@ -24,7 +24,8 @@ use super::dense_output::{Interpolant, Quintic};
 use super::equilibrium::project_sticking;
 use super::locator::{self, EventCheck, EventTrials, Path, SHORTEST};
 use super::{
-    Approach, Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Transit, velocity_correction,
+    Approach, Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, System, Transit,
+    velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
@@ -135,14 +136,14 @@ impl MacroStep {
         let (mut h, mut error) = (self.rest, f64::INFINITY);
         let (mut trials, mut lasting) = (EventTrials::NONE, f64::INFINITY);
         while self.work <= u64::from(settings.max_work) {
-            if base_system.has_events() && trials.end.is_none() {
+            if base_system.features().events && trials.end.is_none() {
                 let (next, longest) = locator::mode_at(base_system, *mode, [&state.q, &state.v], settings.error_tolerance);
                 lasting = longest;
                 enter(base_system, settings, state, (mode, next));
             }
             let in_mode = base_system.on(*mode);
             let system: &S = in_mode.borrow();
-            if system.is_at_rest() {
+            if system.stuck() == Stuck::Wholly {
                 state.counters.substeps += 1;
                 return Ok(Progress::Done);
             }
@@ -284,7 +285,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
-    if system.has_sticking() {
+    if system.stuck() != Stuck::Nothing {
         v = project_sticking(system, (&q, &pose, &v), &mass);
     }
     if let Some(energy) = &limits.energy {
@@ -305,12 +306,12 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
 
 /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost constant angles.
 fn controls_rates<const N: usize, const M: usize>(settings: &Settings, system: &impl Implicit<N, M>) -> bool {
-    settings.adaptive && system.has_stiff_forces()
+    settings.adaptive && system.features().stiff
 }
 
 /// Whether sub-steps end at events.
-fn locates_events<const N: usize>(settings: &Settings, system: &impl Events<N>) -> bool {
-    settings.adaptive && system.has_events()
+fn locates_events<const N: usize, const M: usize>(settings: &Settings, system: &impl System<N, M>) -> bool {
+    settings.adaptive && system.features().events
 }
 
 /// A step so short that q̈ and λ change by round-off only.
@@ -354,7 +355,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
         }
-        if system.follows_work() {
+        if system.features().work {
             // Trapezoidal rule, of the order of the method.
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
             state.work.dissipated += separated;

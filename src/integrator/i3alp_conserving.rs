@@ -295,7 +295,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if !(q.is_finite() && v.is_finite()) {
             return Err(StepError::NotFinite);
         }
-        if system.follows_work() {
+        if system.features().work {
             self.work = self.work.plus(1.0, system.work_over(over));
         }
         (self.q, self.v) = (q, *v);

@@ -50,7 +50,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         let v = velocity(q);
         let inertia = system.mass_times(&pose, &acceleration(q));
         let constraint = system.phi_q_transposed_times(&pose, &state.lambda);
-        let residual = -beta * (inertia + constraint - system.forces(&q, &pose, &v));
+        let residual = -beta * (inertia + constraint - system.forces(&q, &pose, &v).0);
         // The approximate tangent omits ∂(Φ_qᵀλ)/∂q, as if λ were 0.
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
         let (correction, _) = system.solve_tangent(&at, regularization, (&residual, &-phi))?;

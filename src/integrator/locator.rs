@@ -6,7 +6,7 @@ use std::borrow::Borrow;
 use std::cell::Cell;
 
 use super::dense_output::Interpolant;
-use super::{Events, Extremes};
+use super::{Events, Extremes, Residuals, System};
 use crate::vector::Vector;
 
 /// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
@@ -43,7 +43,7 @@ const MOST_EVALUATIONS: u32 = 200;
 
 /// Mode in which a step from q and q̇ begins that the last one has left in `mode`, after all transitions due there; and the longest useful
 /// step in that mode, s.
-pub(super) fn mode_at<const N: usize, S: Events<N>>(
+pub(super) fn mode_at<const N: usize, const M: usize, S: System<N, M> + Events<N>>(
     system: &S,
     mode: S::Mode,
     [q, v]: [&Vector<N>; 2],
@@ -54,13 +54,13 @@ pub(super) fn mode_at<const N: usize, S: Events<N>>(
     /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
     const DWELL_MARGIN: f64 = 1.2;
     let mut mode = system.select_branch(mode, q, v);
-    if !system.has_events() {
+    if !system.features().events {
         return (mode, f64::INFINITY);
     }
     let guard_values = system.guard_values(q, v);
     for _ in 0..MOST_TRANSITIONS {
         let in_mode = system.on(mode);
-        if in_mode.borrow().guard_residual(&guard_values, tolerance) <= CROSSING_RESIDUAL {
+        if in_mode.borrow().residuals(&guard_values, tolerance).largest <= CROSSING_RESIDUAL {
             break;
         }
         mode = in_mode.borrow().next_mode(q, v, tolerance);
@@ -162,7 +162,7 @@ impl EventWindow {
     /// Position of the state q, q̇ and q̈ near the end of a step of `length` seconds.
     pub(super) fn of<const N: usize>(system: &impl Events<N>, tolerance: f64, [q, v, a]: [&Vector<N>; 3], length: f64) -> Self {
         let guard_residual_at =
-            |later: f64| system.guard_residual(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), tolerance);
+            |later: f64| system.residuals(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), tolerance).largest;
         let guard_residual = guard_residual_at(0.0);
         if (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH {
             return Self::Within;
@@ -226,8 +226,7 @@ struct Probe<T> {
     part: f64,
     /// Guard values at the place.
     guard_values: T,
-    /// Largest guard residual, in event tolerances.
-    guard_residual: f64,
+    residuals: Residuals,
 }
 
 /// Location of the first event on a path.
@@ -244,8 +243,8 @@ struct Search<'a, S, const N: usize> {
 
 impl<S: Events<N>, const N: usize> Search<'_, S, N> {
     fn probe(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
-        let guard_residual = self.system.guard_residual(&guard_values, self.tolerance);
-        Probe { part, guard_values, guard_residual }
+        let residuals = self.system.residuals(&guard_values, self.tolerance);
+        Probe { part, guard_values, residuals }
     }
 
     fn at(&self, part: f64) -> Probe<S::GuardValues> {
@@ -256,10 +255,10 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
 
     /// Part of the step at which the first guard is crossed between two places; the first place is within all guards.
     fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
-        if to.guard_residual > CROSSING_RESIDUAL {
+        if to.residuals.largest > CROSSING_RESIDUAL {
             // A crossing lies in between; the stretch before it is searched for earlier ones.
             let at = self.crossing_between(from, to);
-            let before = if at.guard_residual <= CROSSING_RESIDUAL { self.first(from, &at) } else { None };
+            let before = if at.residuals.largest <= CROSSING_RESIDUAL { self.first(from, &at) } else { None };
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
@@ -268,13 +267,12 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
         }
         let duration = stretch * self.path.length;
         let stays = self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.extremes, self.tolerance);
-        if stays && self.system.breakaway_residual(&from.guard_values, self.tolerance) == f64::NEG_INFINITY {
+        if stays && from.residuals.breakaway == f64::NEG_INFINITY {
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
-        if stays && middle.guard_residual <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
-            let probes =
-                [from, &middle, to].map(|probe| [probe.part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)]);
+        if stays && middle.residuals.largest <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
+            let probes = [from, &middle, to].map(|probe| [probe.part, probe.residuals.breakaway]);
             if maximum_is_below(probes) {
                 return None;
             }
@@ -296,10 +294,10 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
                 return None;
             }
             let probe = self.at(part);
-            if probe.guard_residual > CROSSING_RESIDUAL {
+            if probe.residuals.largest > CROSSING_RESIDUAL {
                 return self.first(from, &probe);
             }
-            let maximum = [part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)];
+            let maximum = [part, probe.residuals.breakaway];
             [left, top, right] = match (part < top[0], maximum[1] > top[1]) {
                 (true, true) => [left, maximum, top],
                 (true, false) => [maximum, top, right],
@@ -314,13 +312,13 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
     fn crossing_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
         let [mut before, mut after] = [from.part, to.part];
         // Only sign and size near the guard matter.
-        let (mut low, mut high) = ((from.guard_residual - TARGET_RESIDUAL).max(-1e12), to.guard_residual - TARGET_RESIDUAL);
+        let (mut low, mut high) = ((from.residuals.largest - TARGET_RESIDUAL).max(-1e12), to.residuals.largest - TARGET_RESIDUAL);
         let mut last_was_positive = None;
         if low < 0.0 {
             for _ in 0..ROUNDS {
                 let part = after - high * (after - before) / (high - low);
                 let probe = self.at(part);
-                let here = probe.guard_residual - TARGET_RESIDUAL;
+                let here = probe.residuals.largest - TARGET_RESIDUAL;
                 if here.abs() <= 0.5 * WINDOW_HALF_WIDTH {
                     return probe;
                 }

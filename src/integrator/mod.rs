@@ -26,12 +26,12 @@ pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{CutStep, Discrete, StepIncrement};
 pub use equilibrium::{equilibrium, equilibrium_at, held_at_zero};
 pub use error::StepError;
-pub use events::{Events, Extremes};
+pub use events::{Events, Extremes, Residuals};
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
-pub use system::{AccelerationTangents, Implicit, Kkt, StickingConstraint, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Features, Implicit, Kkt, StickingConstraint, Stuck, System, TangentPoint, Work};
 
 /// A system as the methods that follow their error need it: equations of motion, passages through vertices, and events.
 pub trait Mechanics<const N: usize, const M: usize>: System<N, M> + Passage<N> + Events<N> {}

@@ -154,8 +154,8 @@ impl<const N: usize, const M: usize> State<N, M> {
         transit: &Transit<N>,
         regularization: f64,
     ) -> Result<S::Mode, StepError> {
-        if system.has_events() {
-            self.power = system.power(&self.q, &system.pose(&self.q), &self.v);
+        if system.features().events {
+            self.power = system.forces(&self.q, &system.pose(&self.q), &self.v).1;
         }
         let mut end_state = StepEnd::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
         if let Some((a, work)) = transit.known {
@@ -173,8 +173,8 @@ impl<const N: usize, const M: usize> State<N, M> {
             self.counters.launches += u64::from(driven);
         }
         let mode = system.mode_of(&self.q, &self.v);
-        if system.has_events() {
-            self.power = system.on(mode).borrow().power(&self.q, &system.pose(&self.q), &self.v);
+        if system.features().events {
+            self.power = system.on(mode).borrow().forces(&self.q, &system.pose(&self.q), &self.v).1;
         }
         Ok(mode)
     }

@@ -41,8 +41,8 @@ pub fn advance<const N: usize, const M: usize>(
         q_rate = v;
         q_sum += weight * q_rate;
         v_sum += weight * v_rate;
-        if system.follows_work() {
-            work = work.plus(weight * h / 6.0, system.power(&q, &system.pose(&q), &v));
+        if system.features().work {
+            work = work.plus(weight * h / 6.0, system.forces(&q, &system.pose(&q), &v).1);
         }
     }
     let (mut q, mut v) = (q0 + h / 6.0 * q_sum, v0 + h / 6.0 * v_sum);

@@ -4,7 +4,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::equilibrium::{equilibrium_under, equilibrium_with_power, project_sticking};
-use super::{Passage, StepError, System, Work};
+use super::{Passage, StepError, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Counts of the integrator's operations since the start.
@@ -69,7 +69,7 @@ pub struct State<const N: usize, const M: usize> {
     pub error_estimate: f64,
     /// Work since the start, J, integrated along the path with the order of the method.
     pub work: Work,
-    /// Power at the state, W; 0 unless [`System::follows_work`].
+    /// Power at the state, W; 0 unless [`super::Features::work`].
     pub power: Work,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
@@ -113,7 +113,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium and resets the predictor.
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        if system.has_sticking() {
+        if system.stuck() != Stuck::Nothing {
             let mass = system.factor_mass(pose, regularization);
             self.v = project_sticking(system, (&self.q, pose, &self.v), &mass);
         }
@@ -159,12 +159,12 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
 impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with given q̈ and λ.
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
-        Self { q, v, a, lambda, power: power(system, &q, pose, &v), configuration_signs: system.configuration_signs(pose) }
+        Self { q, v, a, lambda, power: system.forces(&q, pose, &v).1, configuration_signs: system.configuration_signs(pose) }
     }
 
     /// End at q and q̇ with q̈ and λ from equilibrium.
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
-        let (forces, power) = system.forces_and_power(&q, pose, &v);
+        let (forces, power) = system.forces(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
         Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(pose) }
     }
@@ -197,9 +197,4 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
     pub(super) fn finite(self) -> Result<Self, StepError> {
         if self.is_finite() { Ok(self) } else { Err(StepError::NotFinite) }
     }
-}
-
-/// Power of inputs and dissipation, W; 0 unless [`System::follows_work`].
-fn power<const N: usize, const M: usize, S: System<N, M>>(system: &S, q: &Vector<N>, pose: &S::Pose, v: &Vector<N>) -> Work {
-    if system.follows_work() { system.power(q, pose, v) } else { Work::default() }
 }

@@ -13,21 +13,13 @@ use crate::vector::Vector;
 pub trait System<const N: usize, const M: usize> {
     /// Quantities that depend on q only and are computed once per q (directions, arms).
     type Pose;
-    /// Base data for small-angle updates of a pose.
-    type TrigBase;
     /// Factorised saddle-point matrix [M Φ_qᵀ; Φ_q −e].
     type Mass: Kkt<N, M>;
 
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
-    /// Pose at q + `by` from the pose at q, cheaper than [`System::pose`] where `by` is small.
-    fn updated_pose(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
-        self.pose(&(*q + *by))
-    }
-    /// Base data for small-angle updates of `pose`.
-    fn trig_base(&self, pose: &Self::Pose) -> Self::TrigBase;
-    /// Pose at q + `by` from the base data at q.
-    fn pose_from_base(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
+    /// Pose at q + `by` from the pose at q.
+    fn pose_near(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -38,24 +30,24 @@ pub trait System<const N: usize, const M: usize> {
     fn phi_q_dot_times(&self, pose: &Self::Pose, v: &Vector<N>) -> Vector<M>;
     /// M x.
     fn mass_times(&self, pose: &Self::Pose, x: &Vector<N>) -> Vector<N>;
-    /// Generalised applied forces Q(q, q̇).
-    fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Vector<N>;
+    /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W; 0 unless [`Features::work`].
+    fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work);
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
-    /// Whether any force is stiff, or has discontinuities that a step may miss (friction, servos, stops, contact).
-    fn has_stiff_forces(&self) -> bool {
-        false
+    /// Features of the forces.
+    fn features(&self) -> Features {
+        Features::SMOOTH
     }
 
     /// Signs of the singularity determinants, one bit each. A bit changes where the motion passes a singularity.
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Whether any friction element sticks.
-    fn has_sticking(&self) -> bool {
-        false
+    /// Motion that sticking friction prevents.
+    fn stuck(&self) -> Stuck {
+        Stuck::Nothing
     }
-    /// Sticking constraint with its reaction. Called only if [`System::has_sticking`].
+    /// Sticking constraint with its reaction. Called only if [`System::stuck`] is not [`Stuck::Nothing`].
     fn sticking_constraint(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> StickingConstraint<N> {
         StickingConstraint::Nothing
     }
@@ -69,23 +61,44 @@ pub trait System<const N: usize, const M: usize> {
     ) -> Option<AccelerationTangents<N>> {
         None
     }
-    /// Whether the work of any force must be integrated along the path.
-    fn follows_work(&self) -> bool;
-    /// Power of inputs and of dissipative forces, W. Called only if [`System::follows_work`].
-    fn power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Work;
-    /// Generalised forces and power from one pass over the effects: [`System::forces`], [`System::power`].
-    fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
-        (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
-    }
-    /// Kinetic energy plus potential energy of all forces but the inputs, J; [`System::power`] is the rate at which the energy
-    /// changes. Called only if [`System::has_stiff_forces`].
-    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
-        0.0
-    }
     /// Maximum norm of x over the coordinates in which the local error is measured (link angles).
     fn error_norm(&self, x: &Vector<N>) -> f64;
     /// Largest magnitude of a coordinate, m: the scale of round-off in Φ.
     fn length_scale(&self) -> f64;
+}
+
+/// Features of the forces of a system, by which a method treats them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Features {
+    /// Whether the work of any force must be integrated along the path.
+    pub work: bool,
+    /// Whether any force is stiff, or has discontinuities that a step may miss (friction, servos, stops, contact).
+    pub stiff: bool,
+    /// Whether there are events.
+    pub events: bool,
+    /// Whether any event is a stick-slip transition, whose state only the run can remember.
+    pub stick_slip: bool,
+    /// Whether any force has sharp nonlinearities without an event.
+    pub sharp: bool,
+    /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
+    pub regularization_velocity: f64,
+}
+
+impl Features {
+    /// Smooth forces whose work is of no interest.
+    pub const SMOOTH: Self =
+        Self { work: false, stiff: false, events: false, stick_slip: false, sharp: false, regularization_velocity: f64::INFINITY };
+}
+
+/// Motion that sticking friction prevents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stuck {
+    /// No friction element sticks.
+    Nothing,
+    /// Some friction element sticks.
+    Partly,
+    /// The whole system is at rest and sticks: nothing moves while the forces stay constant.
+    Wholly,
 }
 
 /// A system for implicit methods: constraint forces, and tangents of all forces.
@@ -124,7 +137,13 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         None
     }
 
-    /// Generalised forces of drives (servos), if there are any. Called only if [`System::has_stiff_forces`].
+    /// Kinetic energy plus potential energy of all forces but the inputs, J, which changes at the rate of their power
+    /// ([`System::forces`]). Called only with [`Features::stiff`] forces.
+    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
+        0.0
+    }
+
+    /// Generalised forces of drives (servos), if there are any. Called only with [`Features::stiff`] forces.
     fn drive_forces(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }

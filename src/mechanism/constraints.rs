@@ -16,7 +16,7 @@ use nalgebra::SMatrix;
 use super::coordinates::{
     D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, angles_by_leg, legs_of, set_legs,
 };
-use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, both, rotated_by, rotated_by_tiny, sin_cos, sin_cos_of_both, sum};
+use super::legs::{Legs, Legs2, SIGMA, are_small, both, rotated_by, sin_cos, sin_cos_of_both, sum};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
@@ -55,20 +55,6 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
 /// Largest magnitude of the constraint equations' values, the max norm of a violation.
 pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
-}
-
-/// Directions of links after the rotations of a projection, rad, which are tiny unless steps are coarse.
-#[inline(always)]
-pub(crate) fn directions_corrected((angles, [p, d]): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
-    if !are_tiny(by) {
-        return directions_corrected_by_more(angles, [p, d], by);
-    }
-    [rotated_by_tiny(p, by[0]), rotated_by_tiny(d, by[1])]
-}
-
-#[inline(never)]
-fn directions_corrected_by_more(angles: [Legs; 2], directions_there: [Legs2; 2], by: [Legs; 2]) -> [Legs2; 2] {
-    directions_turned((angles, directions_there), by)
 }
 
 /// Directions of links after rotations, rad, from known directions at known angles: a small rotation costs half of a sine and cosine.

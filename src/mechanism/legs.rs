@@ -87,22 +87,6 @@ pub fn are_small([one, other]: [Legs; 2]) -> bool {
     (one * one).fast_max(other * other).simd_gt(both(LARGEST_SMALL_ANGLE * LARGEST_SMALL_ANGLE)).to_bitmask() == 0
 }
 
-/// Largest angle of [`rotated_by_tiny`], rad: half of its square is below half an ulp of 1.
-const LARGEST_TINY_ANGLE: f64 = 1e-8;
-
-/// Whether both angles of both legs, rad, are small enough for [`rotated_by_tiny`].
-#[inline(always)]
-pub fn are_tiny([one, other]: [Legs; 2]) -> bool {
-    (one * one).fast_max(other * other).simd_gt(both(LARGEST_TINY_ANGLE * LARGEST_TINY_ANGLE)).to_bitmask() == 0
-}
-
-/// A direction of each leg rotated by an angle of at most 1e-8 rad, with sin δ = δ and cos δ = 1.
-#[inline(always)]
-pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
-    let Legs2 { x, y } = direction;
-    Legs2 { x: x - angle * y, y: y + angle * x }
-}
-
 /// A direction of each leg rotated by an angle of at most 0.45 rad, at less than half the cost of sine and cosine: no range reduction, no
 /// quadrants.
 ///

@@ -9,9 +9,8 @@ pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles
 use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
 pub(super) use crate::dynamics::angles::{angles, legs};
 use crate::hybrid::{Frictional, Mode};
-use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
-use crate::mechanism::constraints::{directions_corrected, directions_turned};
-use crate::mechanism::legs::Legs2;
+use crate::integrator::{AccelerationTangents, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work};
+use crate::mechanism::constraints::directions_turned;
 use crate::mechanism::placement::{by_links, joint_forces};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
@@ -78,7 +77,7 @@ impl<'a> AngleSystem<'a> {
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
         let pose = self.pose(q);
         let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
-        let force = in_order(&self.forces(q, &pose, &Angles::ZERO));
+        let force = in_order(&self.forces(q, &pose, &Angles::ZERO).0);
         let mass = LINK_INDICES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
         let branch = vertex::least_constraint(&self.mechanism.geometry, in_order(q), force, mass)?;
         let mut direction = Angles::ZERO;
@@ -96,7 +95,7 @@ impl<'a> AngleSystem<'a> {
         pose: &Pose,
         [x, rates]: [&Coordinates; 2],
     ) -> (Coordinates, Multipliers, Work) {
-        let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
+        let (applied, power) = self.five_bar.forces(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
         let torques = self.inertia.with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
@@ -110,7 +109,6 @@ impl<'a> AngleSystem<'a> {
 
 impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     type Pose = Pose;
-    type TrigBase = [Legs2; 2];
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
@@ -118,17 +116,8 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     #[inline(always)]
-    fn updated_pose(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_corrected((legs(q), [pose.u_p, pose.u_d]), legs(by)))
-    }
-
-    fn trig_base(&self, pose: &Pose) -> [Legs2; 2] {
-        [pose.u_p, pose.u_d]
-    }
-
-    #[inline(always)]
-    fn pose_from_base(&self, (q, trig_base): (&Angles, &[Legs2; 2]), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_turned((legs(q), *trig_base), legs(by)))
+    fn pose_near(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
 
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
@@ -150,12 +139,8 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.inertia.mass_times(pose, x)
     }
 
-    fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        self.forces_and_power(q, pose, v).0
-    }
-
     #[inline(always)]
-    fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
+    fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
             let torques = self.model().weight_torques.torques(pose);
             return (self.inertia.with_centripetal(torques, pose, v), Work::default());
@@ -168,16 +153,16 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         Factor::new(self.inertia, &self.closure, pose, regularization)
     }
 
-    fn has_stiff_forces(&self) -> bool {
-        self.five_bar.has_stiff_forces()
+    fn features(&self) -> Features {
+        self.five_bar.features()
     }
 
     fn configuration_signs(&self, pose: &Pose) -> u8 {
         self.five_bar.configuration_signs(pose)
     }
 
-    fn has_sticking(&self) -> bool {
-        self.five_bar.has_sticking()
+    fn stuck(&self) -> Stuck {
+        self.five_bar.stuck()
     }
 
     fn sticking_constraint(&self, q: &Angles, pose: &Pose, v: &Angles) -> StickingConstraint<ANGLES> {
@@ -195,14 +180,6 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         let slopes = self.five_bar.slopes_of_torques(pose, self.motion(pose, q, v), by_links(legs(v)));
         let [by_q, by_v] = equations.linearised((a, lambda), slopes).columns();
         Some(AccelerationTangents { by_q, by_v })
-    }
-
-    fn follows_work(&self) -> bool {
-        self.five_bar.follows_work()
-    }
-
-    fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
-        self.five_bar.acting(&self.motion(pose, q, v)).1
     }
 
     fn error_norm(&self, x: &Angles) -> f64 {

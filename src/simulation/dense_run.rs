@@ -12,7 +12,7 @@ use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
 use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::dense::{DenseStep, Horizon, Settings};
-use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
+use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Stuck, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
 
 /// Step under way, and durations for which inputs were held.
@@ -92,7 +92,7 @@ impl DenseRun {
         } else {
             FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
         };
-        if system.has_sticking() {
+        if system.stuck() != Stuck::Nothing {
             core.balance(&system, &system.pose(&core.q), model.regularization);
         } else {
             let motion = [&sample.q, &sample.v];

@@ -10,7 +10,7 @@ use crate::hybrid::{
     self, FrictionConstraint, FrictionConstraints, FrictionGuards, Frictional, GuardValues, Mode, StickSlip, StickSlips,
     TIP_FRICTION, stick_velocity,
 };
-use crate::integrator::{Events, Extremes, System};
+use crate::integrator::{Events, Extremes, Residuals, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
 use crate::vector::Vector;
@@ -142,30 +142,18 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
 
-    fn has_events(&self) -> bool {
-        self.model().has_events
-    }
-
-    fn regularization_velocity(&self) -> f64 {
-        self.model().regularization_velocity
-    }
-
-    fn has_sharp_nonlinearity(&self) -> bool {
-        self.model().has_sharp_nonlinearity
-    }
-
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let friction_guards = if self.model().sticks { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        let friction_guards = if self.features().stick_slip { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
         self.five_bar().guards(&self.motion(&pose, q, v), friction_guards)
     }
 
     fn mode_of(&self, q: &Angles, v: &Angles) -> Mode {
         let mut mode = self.select_branch(Mode::OF_STATE, q, v);
-        if self.has_events() {
+        if self.features().events {
             mode = self.five_bar().guards(&self.motion(&self.pose(q), q, v), FrictionGuards::new()).mode(mode);
         }
-        if self.model().sticks { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
+        if self.features().stick_slip { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
     fn select_branch(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
@@ -174,28 +162,24 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         }
         let closure_branch = self.five_bar().closure_branch([legs(q), legs(v)]);
         match closure_branch {
-            Some(closure_branch) if self.model().sticks => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
+            Some(closure_branch) if self.features().stick_slip => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
             _ => mode,
         }
         .with_closure_branch(closure_branch)
     }
 
     fn on(&self, mode: Mode) -> impl Borrow<Self> {
-        let has_modes = self.has_events() || self.model().mechanism.geometry.base_distance == 0.0;
+        let has_modes = self.features().events || self.model().mechanism.geometry.base_distance == 0.0;
         if has_modes { InMode::Others(self.in_mode(mode)) } else { InMode::Same(self) }
     }
 
-    fn guard_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.guard_residual(&self.five_bar().mode, tolerance)
+    fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {
+        at.residuals(&self.five_bar().mode, tolerance)
     }
 
     fn next_mode(&self, q: &Angles, v: &Angles, tolerance: f64) -> Mode {
         let mode = self.guard_values(q, v).next_mode(self.five_bar().mode, tolerance);
-        if self.model().sticks { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
-    }
-
-    fn has_stick_slip(&self) -> bool {
-        self.model().sticks
+        if self.features().stick_slip { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
     fn has_active_contact(&self) -> bool {
@@ -210,14 +194,6 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         at.dwell_time(&self.five_bar().mode)
     }
 
-    fn is_at_rest(&self) -> bool {
-        self.five_bar().mode.stick_slip.at_rest()
-    }
-
-    fn breakaway_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.breakaway_residual(&self.five_bar().mode, tolerance)
-    }
-
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
         GuardValues::stay_in_phase(ends, &self.five_bar().mode, duration, &of_links(extremes, LINK_INDICES), tolerance)
     }
@@ -227,18 +203,14 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
 
-    fn has_events(&self) -> bool {
-        !BARE && self.model.has_events
-    }
-
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let friction_guards = if self.model.sticks { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        let friction_guards = if self.features().stick_slip { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
         self.guards(&self.motion(q, &pose, v), friction_guards)
     }
 
     fn mode_of(&self, q: &Coordinates, v: &Coordinates) -> Mode {
-        if !self.has_events() {
+        if !self.features().events {
             return Mode::OF_STATE;
         }
         let mode = self.guards(&self.motion(q, &self.pose(q), v), FrictionGuards::new()).mode(Mode::OF_STATE);
@@ -249,16 +221,8 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         FiveBar::on(self, mode)
     }
 
-    fn has_stick_slip(&self) -> bool {
-        !BARE && self.model.sticks
-    }
-
-    fn is_at_rest(&self) -> bool {
-        !BARE && self.mode.stick_slip.at_rest()
-    }
-
-    fn guard_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.guard_residual(&self.mode, tolerance)
+    fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {
+        at.residuals(&self.mode, tolerance)
     }
 
     fn next_mode(&self, q: &Coordinates, v: &Coordinates, tolerance: f64) -> Mode {
@@ -273,10 +237,6 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         at.dwell_time(&self.mode)
     }
 
-    fn breakaway_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.breakaway_residual(&self.mode, tolerance)
-    }
-
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
         GuardValues::stay_in_phase(ends, &self.mode, duration, &of_links(extremes, THETA), tolerance)
     }
@@ -286,7 +246,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     /// The mode with the stick-slip states that follow from the state. Coordinates know no closure branch, so the joints that one keeps
     /// still are found anew.
     fn with_resolved_friction(&self, mode: Mode, q: &Coordinates, v: &Coordinates) -> Mode {
-        if !self.model.sticks {
+        if !self.features().stick_slip {
             return mode;
         }
         let still =

@@ -4,7 +4,7 @@ use super::model::Model;
 use crate::dynamics::{Conditions, TipArm};
 use crate::effects::{Inputs, Motion, Slopes, Wrench};
 use crate::hybrid::{Frictional, Mode};
-use crate::integrator::{Events, Implicit, StepError, StickingConstraint, System, TangentPoint, Work};
+use crate::integrator::{Events, Features, Implicit, StepError, StickingConstraint, Stuck, System, TangentPoint, Work};
 use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -148,14 +148,11 @@ const DENSE_WORK: u64 = 16;
 
 impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
     type Pose = Pose;
-    type TrigBase = ();
     type Mass = MassFactor<'a, BARE>;
 
     fn pose(&self, q: &Coordinates) -> Pose {
         self.model.mechanism.pose(q)
     }
-
-    fn trig_base(&self, _: &Pose) {}
 
     #[inline(always)]
     fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
@@ -178,18 +175,13 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
-        self.forces_and_power(q, pose, v).0
-    }
-
-    #[inline(always)]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
         self.model.solver.factor_mass(pose, regularization)
     }
 
     #[inline(always)]
-    fn has_stiff_forces(&self) -> bool {
-        !BARE && self.model.has_stiff_forces
+    fn features(&self) -> Features {
+        Features { work: self.follows_work, ..if BARE { Features::SMOOTH } else { self.model.features } }
     }
 
     #[inline(always)]
@@ -198,8 +190,13 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn has_sticking(&self) -> bool {
-        !BARE && self.model.sticks && self.mode.stick_slip.any_sticks()
+    fn stuck(&self) -> Stuck {
+        match &self.mode.stick_slip {
+            _ if BARE || !self.model.features.stick_slip => Stuck::Nothing,
+            stick_slip if stick_slip.at_rest() => Stuck::Wholly,
+            stick_slip if stick_slip.any_sticks() => Stuck::Partly,
+            _ => Stuck::Nothing,
+        }
     }
 
     fn sticking_constraint(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
@@ -207,24 +204,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn follows_work(&self) -> bool {
-        self.follows_work
-    }
-
-    fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Work {
-        self.acting(&self.motion(q, pose, v)).1
-    }
-
-    #[inline(always)]
-    fn forces_and_power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Coordinates, Work) {
+    fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Coordinates, Work) {
         let (wrench, power) = self.acting(&self.motion(q, pose, v));
         let mut forces = self.model.weight;
         wrench.add_to(TipArm::of_pose(pose, v).row, &mut forces);
         (forces, if self.follows_work { power } else { Work::default() })
-    }
-
-    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
     #[inline(always)]
@@ -277,6 +261,10 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
         self.model.conservative.then(|| self.potential_energy(q, pose))
+    }
+
+    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
+        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
     fn drive_forces(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {

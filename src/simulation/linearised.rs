@@ -9,7 +9,7 @@ use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, 
 use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
-use crate::integrator::{System, Work};
+use crate::integrator::Work;
 use crate::mechanism::Pose;
 
 impl FiveBar<'_> {
@@ -110,6 +110,6 @@ impl Scene for FollowedScene<'_> {
     }
 
     fn has_stiff_forces(&self) -> bool {
-        System::has_stiff_forces(&FiveBar::<false>::new(self.model, self.inputs, self.turns))
+        self.model.features.stiff
     }
 }

@@ -6,6 +6,7 @@ use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
 use crate::estimator;
+use crate::integrator::Features;
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
 
@@ -37,18 +38,10 @@ pub struct Model {
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
     /// Whether all forces have a potential.
     pub conservative: bool,
-    /// Whether any effect has events, and the method ends its steps at them.
-    pub has_events: bool,
-    /// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
-    pub(super) regularization_velocity: f64,
+    /// Features of the active effects; events only if the method ends its steps at them.
+    pub(super) features: Features,
     /// Whether any effect has unilateral springs.
     pub(super) may_make_contact: bool,
-    /// Whether any effect has set-valued dry friction (stick-slip).
-    pub(super) sticks: bool,
-    /// Whether any effect has a force that changes steeply somewhere.
-    pub has_stiff_forces: bool,
-    /// Whether any effect has a sharp nonlinearity without an event, while none has stick-slip friction.
-    pub(super) has_sharp_nonlinearity: bool,
     /// Inertias by which the conserving method judges the stiffness of a force.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
@@ -88,12 +81,8 @@ impl Model {
         let mut model = Self {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: true,
-            has_events: false,
-            regularization_velocity: f64::INFINITY,
+            features: Features::SMOOTH,
             may_make_contact: false,
-            sticks: false,
-            has_stiff_forces: false,
-            has_sharp_nonlinearity: false,
             has_servo: false,
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
@@ -114,14 +103,19 @@ impl Model {
     /// Notes the properties of the active effects that methods ask for in every step.
     fn note_properties(&mut self) {
         let any = |property: &dyn Fn(&Effect) -> bool| self.effects.iter().any(property);
-        (self.may_make_contact, self.sticks) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.sticks()));
-        self.has_events = self.settings.follows_error() && (self.may_make_contact || self.sticks);
-        self.conservative = !any(&|effect| !effect.conservative());
-        self.has_stiff_forces = any(&|effect| effect.has_stiff_forces());
-        self.has_sharp_nonlinearity = !self.sticks && any(&|effect| effect.has_sharp_nonlinearity());
-        self.has_servo = any(&|effect| matches!(effect, Effect::Servo(_)));
+        let (may_make_contact, stick_slip) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.sticks()));
         let velocities = self.effects.iter().map(|effect| effect.regularization_velocity());
-        self.regularization_velocity = velocities.fold(f64::INFINITY, f64::min);
+        self.conservative = !any(&|effect| !effect.conservative());
+        self.features = Features {
+            work: !self.conservative,
+            stiff: any(&|effect| effect.has_stiff_forces()),
+            events: self.settings.follows_error() && (may_make_contact || stick_slip),
+            stick_slip,
+            sharp: !stick_slip && any(&|effect| effect.has_sharp_nonlinearity()),
+            regularization_velocity: velocities.fold(f64::INFINITY, f64::min),
+        };
+        self.may_make_contact = may_make_contact;
+        self.has_servo = any(&|effect| matches!(effect, Effect::Servo(_)));
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.

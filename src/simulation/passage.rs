@@ -13,7 +13,7 @@ use super::angles::{ANGLES, AngleSystem, Angles, angles_of};
 use super::bifurcation;
 use super::five_bar::FiveBar;
 use crate::integrator::{
-    Approach, Departure, EnergyBalance, Events, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
+    Approach, Departure, EnergyBalance, Passage, PassageLimits, Projection, StepError, StepLimits, Stuck, System, Transit,
     equilibrium, velocity_correction,
 };
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -70,7 +70,7 @@ impl Passage<ANGLES> for AngleSystem<'_> {
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
             // At rest by friction there is no passage.
-            Some(_) if self.is_at_rest() => Approach::Clear,
+            Some(_) if self.stuck() == Stuck::Wholly => Approach::Clear,
             Some(offset) => self.approach_vertex(limits, from, offset),
             None => Approach::Clear,
         }
@@ -94,7 +94,7 @@ impl Passage<ANGLES> for AngleSystem<'_> {
     }
 
     fn acceleration_from_rest(&self, q: &Angles, v: &Angles) -> Option<Angles> {
-        if self.offset(q)?.norm() >= AT_REST || v.norm() > 0.0 || self.is_at_rest() {
+        if self.offset(q)?.norm() >= AT_REST || v.norm() > 0.0 || self.stuck() == Stuck::Wholly {
             return None;
         }
         let branch = self.branch_of_least_constraint(q)?;
@@ -243,7 +243,7 @@ impl AngleSystem<'_> {
     /// Acceleration of the forces along a direction on the tangent cone, rad/s², at a speed along it, rad/s.
     fn acceleration_along(&self, q: &Angles, direction: &Angles, speed: f64) -> f64 {
         let pose = self.pose(q);
-        self.forces(q, &pose, &(speed * *direction)).dot(direction) / self.mass_times(&pose, direction).dot(direction)
+        self.forces(q, &pose, &(speed * *direction)).0.dot(direction) / self.mass_times(&pose, direction).dot(direction)
     }
 
     fn energy_balance(&self, q: &Angles, v: &Angles) -> EnergyBalance {

@@ -36,7 +36,7 @@ fn penalty_step(
     let at = |q: &Vector<COORDINATES>| {
         let q = Coordinates::from(<[f64; COORDINATES]>::from(*q));
         let pose = mechanism.pose(&q);
-        let force = Vector::from(*system.forces(&q, &pose, &Coordinates::ZERO));
+        let force = Vector::from(*system.forces(&q, &pose, &Coordinates::ZERO).0);
         (pose.phi_q(), Vector::from(*mechanism.phi(&q, &pose)), force, pose)
     };
 

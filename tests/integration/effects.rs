@@ -95,8 +95,8 @@ fn tangents_are_derivatives_of_forces() {
                 let (two, four) = (weight(2.0), weight(4.0));
                 let stiffness = (four - 2.0 * two + mass) / 2.0;
                 let damping = two - mass - stiffness;
-                let by_q = difference(&q, j, |q| system.forces(q, &system.pose(q), &v));
-                let by_v = difference(&v, j, |v| system.forces(&q, &pose, v));
+                let by_q = difference(&q, j, |q| system.forces(q, &system.pose(q), &v).0);
+                let by_v = difference(&v, j, |v| system.forces(&q, &pose, v).0);
                 for i in 0..COORDINATES {
                     // Truncation: third derivatives of up to 1e3 times 1e-12; round-off: forces of up to 1e2 times 1e-16/1e-6.
                     assert!((stiffness[i] + by_q[i]).abs() < 1e-6, "{name}: K[{i}][{j}] = {} {}", stiffness[i], -by_q[i]);
@@ -118,8 +118,8 @@ fn powers_and_potentials_account_for_every_force() {
         let system = FiveBar::<false>::new(model, &inputs, &turns);
         for (q, v) in random_states(50) {
             let pose = system.pose(&q);
-            let mechanical = system.forces(&q, &pose, &v).dot(&v);
-            let power = system.power(&q, &pose, &v);
+            let (forces, power) = system.forces(&q, &pose, &v);
+            let mechanical = forces.dot(&v);
             let potential = |s: f64| {
                 let q = q + s * v;
                 let conditions = Conditions { inputs: &inputs, turns: &turns, mode: Mode::OF_STATE };

@@ -2,7 +2,7 @@
 //! stiffness.
 
 use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes, Settings};
-use fivebar::integrator::{AccelerationTangents, Events, Kkt, Passage, State, System, Work};
+use fivebar::integrator::{AccelerationTangents, Events, Features, Kkt, Passage, State, System, Work};
 use fivebar::vector::Vector;
 
 use crate::support::slope;
@@ -32,11 +32,9 @@ impl Kkt<2, 0> for Free {
 
 impl System<2, 0> for Point {
     type Pose = ();
-    type TrigBase = ();
     type Mass = Free;
 
     fn pose(&self, _: &Vector<2>) {}
-    fn trig_base(&self, _: &()) {}
     fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
         Vector::ZERO
     }
@@ -49,18 +47,16 @@ impl System<2, 0> for Point {
     fn mass_times(&self, (): &(), x: &Vector<2>) -> Vector<2> {
         *x
     }
-    fn forces(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Vector<2> {
-        (self.acceleration)(q, v)
+    /// The power of all accelerating forces is the rate of the kinetic energy.
+    fn forces(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> (Vector<2>, Work) {
+        let acceleration = (self.acceleration)(q, v);
+        (acceleration, Work { input: (self.power)(q, v, &acceleration), dissipated: 0.0 })
     }
     fn factor_mass(&self, (): &(), _: f64) -> Free {
         Free
     }
-    fn follows_work(&self) -> bool {
-        true
-    }
-    /// The power of all accelerating forces: the rate of the kinetic energy.
-    fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
-        Work { input: (self.power)(q, v, &(self.acceleration)(q, v)), dissipated: 0.0 }
+    fn features(&self) -> Features {
+        Features { work: true, ..Features::SMOOTH }
     }
     fn acceleration_tangents(&self, at: &State<2, 0>, (): &(), _: f64) -> Option<AccelerationTangents<2>> {
         self.tangents.map(|tangents| tangents(&at.q, &at.v))

@@ -32,7 +32,7 @@ pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Res
     let model = simulation.model();
     let system = FiveBar::<false>::new(model, inputs, &[0; 4]);
     let q = simulation.state().core.q;
-    let forces = system.forces(&q, &system.pose(&q), &Vector::ZERO);
+    let forces = system.forces(&q, &system.pose(&q), &Vector::ZERO).0;
     let motions: [_; 4] = std::array::from_fn(|i| unit_motion(&parameters.geometry, vertex.theta, i));
     let product = |x: &[f64; 12], y: &[f64; 12]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
     let load: [f64; 4] = std::array::from_fn(|i| product(&motions[i], &forces));

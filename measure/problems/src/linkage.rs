@@ -146,13 +146,11 @@ impl Spring {
 
 impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N, M, W> {
     type Pose = Pose<M>;
-    type TrigBase = ();
     type Mass = Factor<N, M, W>;
 
     fn pose(&self, q: &Vector<N>) -> Pose<M> {
         Pose::new(&self.joints, &q[..])
     }
-    fn trig_base(&self, _: &Pose<M>) {}
     fn phi(&self, q: &Vector<N>, pose: &Pose<M>) -> Vector<M> {
         Vector::from_fn(|row| {
             let point = |end: &End, side: &Option<Side>| match (end, side) {
@@ -177,7 +175,7 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
             x[i] * if i % 3 == 2 { body.inertia } else { body.mass }
         })
     }
-    fn forces(&self, q: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> Vector<N> {
+    fn forces(&self, q: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> (Vector<N>, Work) {
         let mut forces = Vector::from_fn(|i| {
             let body = &self.bodies[i / 3];
             if i % 3 == 2 { body.torque } else { body.mass * self.gravity[i % 3] }
@@ -188,7 +186,7 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
                 *sum += force;
             }
         }
-        forces
+        (forces, Work::default())
     }
     fn factor_mass(&self, pose: &Pose<M>, regularization: f64) -> Factor<N, M, W> {
         let inverses = std::array::from_fn(|i| {
@@ -198,12 +196,6 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
             row
         });
         Factor::new(pose, inverses, regularization)
-    }
-    fn follows_work(&self) -> bool {
-        false
-    }
-    fn power(&self, _: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> Work {
-        Work::default()
     }
     fn error_norm(&self, x: &Vector<N>) -> f64 {
         x.iter().skip(2).step_by(3).fold(0.0, |largest, x| largest.max(x.abs()))

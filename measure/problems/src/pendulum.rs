@@ -51,13 +51,11 @@ impl Kkt<2, 1> for Factor {
 
 impl System<2, 1> for Pendulum {
     type Pose = Vector<2>;
-    type TrigBase = ();
     type Mass = Factor;
 
     fn pose(&self, q: &Vector<2>) -> Vector<2> {
         *q
     }
-    fn trig_base(&self, _: &Vector<2>) {}
     fn phi(&self, q: &Vector<2>, _: &Vector<2>) -> Vector<1> {
         [(q.dot(q) - 1.0) / 2.0].into()
     }
@@ -70,17 +68,11 @@ impl System<2, 1> for Pendulum {
     fn mass_times(&self, _: &Vector<2>, x: &Vector<2>) -> Vector<2> {
         *x
     }
-    fn forces(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> Vector<2> {
-        [0.0, -G].into()
+    fn forces(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> (Vector<2>, Work) {
+        ([0.0, -G].into(), Work::default())
     }
     fn factor_mass(&self, q: &Vector<2>, regularization: f64) -> Factor {
         Factor { a: 1.0, q: *q, regularization }
-    }
-    fn follows_work(&self) -> bool {
-        false
-    }
-    fn power(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> Work {
-        Work::default()
     }
     fn error_norm(&self, x: &Vector<2>) -> f64 {
         x[0].abs().max(x[1].abs())

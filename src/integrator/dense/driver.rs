@@ -11,7 +11,7 @@ use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::locator::{self, EventCheck, EventTrials, SHORTEST};
 use crate::integrator::{
-    Approach, EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, System, Transit, Work,
+    Approach, EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, Stuck, System, Transit, Work,
 };
 use crate::vector::Vector;
 
@@ -82,10 +82,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.probe_stiffness(system, settings, horizon.limit);
-        let longest = if system.has_stick_slip() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
+        let longest = if system.features().stick_slip { longest.min(self.longest_at_rest(system, settings)) } else { longest };
         // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
         // round-off.
-        let scheme = if system.has_stick_slip() || near && !system.can_project(&self.start.q) {
+        let scheme = if system.features().stick_slip || near && !system.can_project(&self.start.q) {
             Scheme::Dop853
         } else {
             settings.schemes.next(&self.memory.stiffness_switch, settings.error_tolerance, horizon.limit)
@@ -98,7 +98,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             _ => settings.first_step,
         };
         let h = wanted.min(longest).min(LONGEST).min(lasting);
-        if system.has_stick_slip() && system.on(self.mode).borrow().is_at_rest() {
+        if system.on(self.mode).borrow().stuck() == Stuck::Wholly {
             self.length = longest.min(LONGEST);
             self.end = self.start;
             self.end.counters.substeps += 1;
@@ -118,10 +118,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let at_start = self.start.counters.substeps == 0;
         // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
-            && !system.has_stick_slip()
+            && !system.features().stick_slip
             && (at_start || self.memory.stiffness_switch.is_probing());
         if asks
-            && system.has_stiff_forces()
+            && system.features().stiff
             && let Some(linearization) =
                 Linearization::about(system.on(self.mode).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
         {
@@ -140,11 +140,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        // Two calls instead of one reference to a pose, because stages need little of a pose and keep it in registers.
-        let origin = match plan.pose {
-            Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
-            None => Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization),
+        let fresh;
+        let pose = match plan.pose {
+            Some(pose) => pose,
+            None => {
+                fresh = system.pose(&self.start.q);
+                &fresh
+            }
         };
+        let origin = Origin { q: self.start.q, pose, regularization: settings.regularization };
         let mut in_mode = system.on(self.mode);
         let mut linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
         let mut this = Try::of(plan.h);
@@ -185,17 +189,17 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         on: &S,
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
-        (basis, origin): (&T::Linearization, &Origin<S::TrigBase, N>),
+        (basis, origin): (&T::Linearization, &Origin<'_, S::Pose, N>),
         Try { h, rejected, event_trials }: &Try,
     ) -> Outcome {
         let (&Plan { wanted, near, horizon, .. }, h) = (plan, *h);
         let energy_target = if near { self.energy_target(on, h) } else { None };
         let mut trial = T::new(on, basis, (&self.start, origin), h);
-        let (error, step_result) = trial.conclude(on, settings, origin, &ErrorWeights::of(settings, on), energy_target);
+        let (error, step_result) = trial.conclude(on, settings, origin, &ErrorWeights::of(settings, on.features()), energy_target);
         let Some(step_result) = step_result else { return Outcome::Rejected(error) };
         self.accept(&step_result, h, T::SCHEME);
         let mut longest_next = f64::INFINITY;
-        if on.has_events() {
+        if on.features().events {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
             match self.check_events(on, settings, &mut dense, event_trials.count) {
@@ -212,8 +216,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let interpolated = horizon.output < OUTPUT_MARGIN * h;
         // Event location has computed the coefficients already.
-        let is_truncated = on.has_events() && self.truncated_from > 0.0;
-        if interpolated && !(is_truncated || on.has_events() && self.dense != [StageDerivative::NONE; 4]) {
+        let is_truncated = on.features().events && self.truncated_from > 0.0;
+        if interpolated && !(is_truncated || on.features().events && self.dense != [StageDerivative::NONE; 4]) {
             self.dense = trial.dense(on, settings.regularization, [&self.start, &self.evaluated_end(on, settings)]);
         }
         self.end.error_estimate = error * settings.error_tolerance;
@@ -223,7 +227,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
         // no stage at their end.
         let chooses = settings.schemes == Schemes::Automatic;
-        if chooses && !on.has_stick_slip() && !is_truncated {
+        if chooses && !on.features().stick_slip && !is_truncated {
             let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_length::<T>());
             self.memory.stiffness_switch.learn(&AcceptedStep {
                 scheme: T::SCHEME,
@@ -231,7 +235,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 product,
                 wanted,
                 limit: horizon.limit,
-                stiff_forces: on.has_stiff_forces(),
+                stiff_forces: on.features().stiff,
             });
         } else if !chooses && !is_truncated && self.memory.stiffness.is_due(self.end.counters.substeps) {
             self.memory.stiffness.check(h * trial.fastest_rate(&self.end));

@@ -142,7 +142,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
 
     /// Evaluates the stages of the step in place, which avoids copies of returned values.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<'_, S::Pose, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
@@ -196,12 +196,12 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     type Linearization = ();
     const CONTROLLER: StepSizeController = T::CONTROLLER;
 
-    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
+    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<'_, S::Pose, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::TrigBase, N>), h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
         let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };
         stages.slopes[0] = StageDerivative { q: from.v, v: from.a, power: from.power };
         Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
@@ -212,7 +212,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::TrigBase, N>,
+        origin: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>) {
@@ -225,7 +225,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
             return (error, None);
         }
         let work = || Work::default().plus(*h, self.stages.power(&T::END));
-        match weights.work(settings, system.follows_work(), work) {
+        match weights.work(settings, system.features().work, work) {
             Ok(work) => {
                 (error, trial::end_step(settings, T::EVALUATES_END, system, (origin, end[0] - *q), end, energy_target, work))
             }

@@ -71,7 +71,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step with the dense output that is shown: its own, or, where that contradicts itself, the quintic of both ends.
     fn shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> Self {
-        if !system.has_stiff_forces() || self.is_linear || self.interpolant_is_consistent(settings) {
+        if !system.features().stiff || self.is_linear || self.interpolant_is_consistent(settings) {
             return *self;
         }
         let (Self { start, end, .. }, h) = (self, self.length);
@@ -109,11 +109,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
         let [q, v] = self.interpolated_state(part);
-        let work = if system.follows_work() {
+        let work = if system.features().work {
             let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
             // The loss of separated springs is known at every state.
             let mut separation_energy = 0.0;
-            if system.has_events() {
+            if system.features().events {
                 end.work.dissipated -= self.separation_energy(system, [&end.q, &end.v]);
                 separation_energy = self.separation_energy(system, [&q, &v]);
             }
@@ -260,7 +260,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             Work::of_pair(defect)
         };
         let rates = [&self.start.v, &end_state.v];
-        let sum = ErrorWeights::of(settings, system).mean_square(defects, rates, power);
+        let sum = ErrorWeights::of(settings, system.features()).mean_square(defects, rates, power);
         if sum.is_nan() || sum > GREATEST_DEFECT * GREATEST_DEFECT {
             return false;
         }
@@ -307,7 +307,7 @@ fn work_coefficient<const N: usize, const M: usize>(
     let cubic = work_interpolant([from, to], h, [Vector::ZERO; 4]);
     let missing = |part: f64| {
         let (q, v) = (positions.at(part), (1.0 / h) * positions.rate_at(part));
-        h * system.power(&q, &system.pose(&q), &v).pair() - cubic.rate_at(part)
+        h * system.forces(&q, &system.pose(&q), &v).1.pair() - cubic.rate_at(part)
     };
     /// Derivative of θ²(1−θ)² at the first node; at the other node it has the opposite sign.
     const SLOPE: f64 = 2.0 * NODE * (1.0 - NODE) * (1.0 - 2.0 * NODE);

@@ -118,7 +118,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         }
         let power_at = |part: f64| {
             let [q, v] = [0, 1].map(|i| self.start[i] + part * direction[i]);
-            system.power(&q, &system.pose(&q), &v)
+            system.forces(&q, &system.pose(&q), &v).1
         };
         let along = power_at(DIFFERENCE_STEP).plus(-1.0, power_at(-DIFFERENCE_STEP));
         Work::default().plus(self.h, mean.plus(0.5 / DIFFERENCE_STEP, along))
@@ -198,15 +198,15 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     fn linearize<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
+        (from, origin): (&State<N, M>, &Origin<'_, S::Pose, N>),
     ) -> Option<Linearization<N>> {
-        Linearization::about(system, settings, (from, &origin.pose_at(system, &Vector::ZERO)))
+        Linearization::about(system, settings, (from, origin.pose))
     }
 
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         linearization: &Linearization<N>,
-        (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
+        (from, origin): (&State<N, M>, &Origin<'_, S::Pose, N>),
         h: f64,
     ) -> Self {
         let Linearization { tangents, fastest_rate } = linearization;
@@ -243,7 +243,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::TrigBase, N>,
+        origin: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>) {
@@ -253,7 +253,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = match weights.work(settings, system.follows_work(), || self.work(system, const { &T::QUADRATURE })) {
+        let work = match weights.work(settings, system.features().work, || self.work(system, const { &T::QUADRATURE })) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };

@@ -10,7 +10,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::rosenbrock::Linearization;
 use super::{DenseStep, Settings};
-use crate::integrator::{Events, System};
+use crate::integrator::{Events, Stuck, System};
 
 /// Scheme of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
@@ -272,7 +272,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let on = system.on(self.mode);
         let rate = &mut self.memory.stiffness.rate_at_rest;
         // Nothing oscillates where everything sticks.
-        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
+        if on.borrow().stuck() == Stuck::Wholly || system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
             *rate = None;
             return f64::INFINITY;
         }

@@ -7,7 +7,7 @@ use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
 use crate::integrator::state::StepEnd;
-use crate::integrator::{EnergyBalance, Events, Passage, Projection, State, StepError, System, Work, velocity_correction};
+use crate::integrator::{EnergyBalance, Features, Passage, Projection, State, StepError, Stuck, System, Work, velocity_correction};
 use crate::vector::Vector;
 use wide::f64x2;
 
@@ -32,14 +32,14 @@ pub(super) trait Trial<const N: usize>: Sized {
     fn linearize<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        from: (&State<N, M>, &Origin<S::TrigBase, N>),
+        from: (&State<N, M>, &Origin<'_, S::Pose, N>),
     ) -> Option<Self::Linearization>;
 
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         linearization: &Self::Linearization,
-        from: (&State<N, M>, &Origin<S::TrigBase, N>),
+        from: (&State<N, M>, &Origin<'_, S::Pose, N>),
         h: f64,
     ) -> Self;
 
@@ -49,7 +49,7 @@ pub(super) trait Trial<const N: usize>: Sized {
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::TrigBase, N>,
+        origin: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>);
@@ -102,14 +102,15 @@ pub(super) const RATE: f64 = 10.0;
 impl ErrorWeights {
     /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, whose error the motion does not
     /// show.
-    pub(super) fn of<const N: usize>(settings: &Settings, system: &impl Events<N>) -> Self {
+    pub(super) fn of(settings: &Settings, features: Features) -> Self {
         /// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
         const SLOW_RATE_PART: f64 = 0.3;
+        let Features { events, sharp, regularization_velocity, .. } = features;
         Self {
             coordinate: settings.error_tolerance,
-            rate: RATE.min(SLOW_RATE_PART * system.regularization_velocity() / settings.error_tolerance),
-            work: system.has_events().then_some(settings.error_tolerance * settings.energy_scale),
-            has_sharp_nonlinearity: system.has_sharp_nonlinearity(),
+            rate: RATE.min(SLOW_RATE_PART * regularization_velocity / settings.error_tolerance),
+            work: events.then_some(settings.error_tolerance * settings.energy_scale),
+            has_sharp_nonlinearity: sharp,
         }
     }
 
@@ -162,7 +163,7 @@ pub(super) fn end_step<const N: usize, const M: usize, S: System<N, M> + Passage
     settings: &Settings,
     evaluated: bool,
     system: &S,
-    (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
+    (origin, by): (&Origin<'_, S::Pose, N>, Vector<N>),
     [mut q, mut v]: [Vector<N>; 2],
     energy_target: Option<(EnergyBalance, f64)>,
     work: Work,
@@ -194,7 +195,7 @@ pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<
     let iterations = projection.position_from(system, pose, q)?;
     let mass = system.factor_mass(pose, settings.regularization);
     *v += velocity_correction(system, pose, &mass, v);
-    if system.has_sticking() {
+    if system.stuck() != Stuck::Nothing {
         *v = project_sticking(system, (q, pose, v), &mass);
     }
     Ok((iterations, mass))
@@ -232,37 +233,27 @@ impl<const N: usize> StageDerivative<N> {
     pub(super) fn evaluate_acceleration<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        origin: &Origin<S::TrigBase, N>,
+        origin: &Origin<'_, S::Pose, N>,
         by: &Vector<N>,
     ) {
-        let Origin { q, trig_base, regularization } = origin;
-        (self.v, self.power) = acceleration_near(system, (q, trig_base), by, &self.q, *regularization);
+        let Origin { q, pose, regularization } = origin;
+        (self.v, self.power) = acceleration_near(system, (q, pose), by, &self.q, *regularization);
     }
 }
 
-/// Beginning of a step as base of small-angle updates for the poses of its stages.
-pub(super) struct Origin<P, const N: usize> {
-    q: Vector<N>,
-    trig_base: P,
+/// Beginning of a step, near which the poses of its stages are.
+pub(super) struct Origin<'a, P, const N: usize> {
+    pub(super) q: Vector<N>,
+    pub(super) pose: &'a P,
     /// Regularisation e of the saddle-point systems, 1/kg.
-    regularization: f64,
+    pub(super) regularization: f64,
 }
 
-impl<P, const N: usize> Origin<P, N> {
-    #[inline(always)]
-    pub(super) fn new<const M: usize, S: System<N, M, TrigBase = P>>(
-        system: &S,
-        q: &Vector<N>,
-        pose: &S::Pose,
-        regularization: f64,
-    ) -> Self {
-        Self { q: *q, trig_base: system.trig_base(pose), regularization }
-    }
-
+impl<P, const N: usize> Origin<'_, P, N> {
     /// Pose at an increment from the origin.
     #[inline(always)]
-    pub(super) fn pose_at<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
-        system.pose_from_base((&self.q, &self.trig_base), by)
+    pub(super) fn pose_at<const M: usize, S: System<N, M, Pose = P>>(&self, system: &S, by: &Vector<N>) -> P {
+        system.pose_near((&self.q, self.pose), by)
     }
 }
 

@@ -13,7 +13,7 @@
 
 use super::Settings;
 use super::stiff_forces::rate_error;
-use crate::integrator::{Implicit, State, StepEnd, TangentPoint};
+use crate::integrator::{Implicit, State, StepEnd, Stuck, TangentPoint};
 use crate::vector::Vector;
 
 /// Exponent of 1 − P.
@@ -34,7 +34,8 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     end: StepEnd<N, M>,
 ) -> StepEnd<N, M> {
     let unpredicted = end.a - from.a - h * from.jerk;
-    if system.has_sticking() || rate_error(system, h, &unpredicted, &end.v) <= EXAMINED_ERROR * settings.error_tolerance {
+    if system.stuck() != Stuck::Nothing || rate_error(system, h, &unpredicted, &end.v) <= EXAMINED_ERROR * settings.error_tolerance
+    {
         return end;
     }
     let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };

@@ -54,7 +54,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         counters.iterations += 1;
         let phi = system.phi(&q, &pose);
         let v = step.velocity();
-        let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
+        let b = beta * system.forces(&q, &pose, &v).0 - system.mass_times(&pose, &step.acceleration());
         let c = -phi - regularization * beta * step.lambda;
         let total = step.lambda + alpha * phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &total, h: step.h };

@@ -3,7 +3,7 @@
 use super::stiff_forces::RATE;
 use super::{Settings, controls_rates};
 use crate::integrator::convergence::Convergence;
-use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, TangentPoint};
+use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, Stuck, TangentPoint};
 use crate::vector::Vector;
 
 /// Step length, s, at which [`Settings::tolerance`] holds: multiplier noise is Φ/β, so the tolerance is proportional to h².
@@ -114,11 +114,11 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         counters.iterations += 1;
         let v = step.velocity();
         // Right-hand side of (9), then its solution: the correction Δq and y = β λ.
-        let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
+        let b = beta * system.forces(&q, &pose, &v).0 - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
-        if system.has_sticking() {
+        if system.stuck() != Stuck::Nothing {
             let (found, force) = keep_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
         }
@@ -165,7 +165,7 @@ fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
     const PART: f64 = 0.1;
     let v = step.velocity();
     let joint_forces = system.phi_q_transposed_times(pose, &step.lambda);
-    let left = system.forces(q, pose, &v) + held.unwrap_or(Vector::ZERO)
+    let left = system.forces(q, pose, &v).0 + held.unwrap_or(Vector::ZERO)
         - joint_forces
         - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));

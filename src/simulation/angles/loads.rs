@@ -22,7 +22,7 @@ impl AngleSystem<'_> {
         let pose = self.mechanism.pose_along(directions);
         let (torques, power) = self.five_bar.torques_and_power(&pose, &self.motion(&pose, &q, &v));
         let forces = self.inertia.with_centripetal(torques, &pose, &v);
-        (forces, if self.five_bar.follows_work() { power } else { Work::default() })
+        (forces, if self.features().work { power } else { Work::default() })
     }
 
     /// Motion of joints and tip.

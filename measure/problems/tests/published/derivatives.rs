@@ -52,8 +52,8 @@ fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: us
 
         // M + h/2 C + β K, and with ∂(Φ_qᵀλ)/∂q the tangent.
         let weighed = |x: &Vector<N>| {
-            let damping = along(&v, x, |v| system.forces(&q, &pose, v));
-            let stiffness = along(&q, x, |q| system.forces(q, &system.pose(q), &v));
+            let damping = along(&v, x, |v| system.forces(&q, &pose, v).0);
+            let stiffness = along(&q, x, |q| system.forces(q, &system.pose(q), &v).0);
             system.mass_times(&pose, x) - h / 2.0 * damping - beta * stiffness
         };
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &lambda, h };

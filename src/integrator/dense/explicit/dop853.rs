@@ -68,7 +68,7 @@ impl Tableau for Dop853 {
         let mut slopes = [StageDerivative::NONE; ALL];
         slopes[..END].copy_from_slice(&stages.slopes);
         slopes[END] = StageDerivative { q: end.v, v: end.a, power: end.power };
-        let origin = Origin::new(system, &stages.q, &system.pose(&stages.q), regularization);
+        let origin = Origin { q: stages.q, pose: &system.pose(&stages.q), regularization };
         for stage in END + 1..ALL {
             let increment = weighted_sum(stages.h, &slopes, A[stage]);
             slopes[stage].q = slopes[0].q + increment.v;
