@@ -309,11 +309,14 @@ impl FrictionGuard {
         let StickSlip::Slips(direction) = stick_slip.at(self.place) else { return true };
         let [from, to] = [self.rate, to.rate].map(|rate| direction.sign() * rate);
         let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * of(link)).sum::<f64>();
-        let most = along(&|link| accelerations[link] + rates[link] * rates[link]);
+        // The sliding rate of a joint is a difference of link rates; the arms of the tip turn with the links.
+        let turning = if self.place == TIP_FRICTION { 1.0 } else { 0.0 };
+        let most = along(&|link| accelerations[link] + turning * rates[link] * rates[link]);
         if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
             return true;
         }
-        let curvature = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
+        let curvature =
+            along(&|link| jerks[link] + turning * rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
         from.min(to) - curvature * duration * duration / 8.0 >= -stick_velocity(tolerance)
     }
 }

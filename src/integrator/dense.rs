@@ -10,11 +10,11 @@
 //! `docs/explicit.md` and `docs/automatic.md` derive the methods.
 
 mod consistency;
-mod driver;
 mod explicit;
 mod inside;
 mod rosenbrock;
 mod scheme;
+mod step;
 mod trial;
 
 use std::borrow::Borrow;

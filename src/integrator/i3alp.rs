@@ -21,11 +21,11 @@ use std::borrow::Borrow;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::{Interpolant, Quintic};
+use super::driver::{self, End, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
-use super::locator::{self, EventCheck, EventTrials, Path, SHORTEST};
+use super::locator::{self, EventCheck, Path};
 use super::{
-    Approach, Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, System, Transit,
-    velocity_correction,
+    Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, System, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
@@ -67,9 +67,11 @@ const CONTROLLER: StepSizeController =
 pub struct MacroStep {
     /// Time left, s.
     rest: f64,
-    /// Work done: passes of the loop, because a transit through a vertex takes no iteration, and weighted iterations.
+    /// Work done: sub-steps, tried or through a vertex, and weighted iterations.
     work: u64,
-    /// Length of the next sub-step if a blocked one is to be tried again, s.
+    /// Length, s, and error, rad, of the last sub-step tried.
+    last: [f64; 2],
+    /// Longest sub-step after the last rejected one, s.
     shorter: f64,
 }
 
@@ -85,10 +87,11 @@ pub enum Progress {
 impl MacroStep {
     /// Macro step of `h` seconds.
     pub fn of(h: f64) -> Self {
-        Self { rest: h, work: 0, shorter: h }
+        Self { rest: h, work: 0, last: [h, f64::INFINITY], shorter: h }
     }
 
-    /// Goes on from `mode`, in one step or in sub-steps. On failure `state` and `mode` are undefined, so the caller keeps a copy.
+    /// Goes on from `mode`, in one step or in error-controlled sub-steps. On failure `state` and `mode` are undefined, so the caller keeps
+    /// a copy.
     #[inline(never)]
     pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
@@ -97,11 +100,19 @@ impl MacroStep {
         state: &mut State<N, M>,
         mode: &mut S::Mode,
     ) -> Result<Progress, StepError> {
-        if settings.adaptive {
-            return self.in_substeps(system, settings, (state, mode));
+        if !settings.adaptive {
+            let h = self.rest;
+            attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
+            return Ok(Progress::Done);
         }
-        let h = self.rest;
-        attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
+        let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
+        while self.rest > 0.0 {
+            self.check_work(settings)?;
+            let mut substep = Substep { of: self, settings, state, mode, limits: StepLimits::NONE };
+            if let End::Blocked(h) = driver::step(&mut substep, system, (&passage, settings.error_tolerance))? {
+                return Ok(Progress::Blocked(h));
+            }
+        }
         Ok(Progress::Done)
     }
 
@@ -116,129 +127,119 @@ impl MacroStep {
     ) -> Result<Progress, StepError> {
         if let Some(transit) = transit {
             state.counters.rescued += 1;
-            self.pass(system, settings, state, (mode, transit))?;
+            *mode = state.pass_through(system, transit, settings.regularization)?;
+            self.rest -= transit.duration;
         } else {
             state.substep = self.shorter;
             state.counters.rejected += 1;
         }
-        if self.rest <= 0.0 { Ok(Progress::Done) } else { self.advance(system, settings, state, mode) }
+        self.advance(system, settings, state, mode)
     }
 
-    /// Error-controlled sub-steps; the rest of the macro step is divided into equal parts again after each. A sub-step begins in
-    /// the mode of its start, is tried until its error is admissible, and ends early at an event.
-    fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
-        &mut self,
-        base_system: &S,
-        settings: &Settings,
-        (state, mode): (&mut State<N, M>, &mut S::Mode),
-    ) -> Result<Progress, StepError> {
-        let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
-        let (mut h, mut error) = (self.rest, f64::INFINITY);
-        let (mut trials, mut lasting) = (EventTrials::NONE, f64::INFINITY);
-        while self.work <= u64::from(settings.max_work) {
-            if base_system.features().events && trials.end.is_none() {
-                let (next, longest) = locator::mode_at(base_system, *mode, [&state.q, &state.v], settings.error_tolerance);
-                lasting = longest;
-                enter(base_system, settings, state, (mode, next));
-            }
-            let in_mode = base_system.on(*mode);
-            let system: &S = in_mode.borrow();
-            if system.stuck() == Stuck::Wholly {
-                state.counters.substeps += 1;
-                return Ok(Progress::Done);
-            }
-            let limits = match system.approach(&passage, &state.departure(self.rest)) {
-                Approach::Clear => StepLimits::NONE,
-                Approach::Limited(limits) => limits,
-                Approach::Passed(transit) => {
-                    self.work += 1;
-                    self.pass(base_system, settings, state, (mode, &transit))?;
-                    if self.rest <= 0.0 {
-                        return Ok(Progress::Done);
-                    }
-                    continue;
-                }
-            };
-            let tolerance = settings.error_tolerance.max(limits.round_off);
-            let longest = state.substep.min(limits.longest).min(lasting);
-            h = trials.end.unwrap_or_else(|| self.rest / (self.rest / longest).ceil().max(1.0));
-            let iterations = state.counters.iterations;
-            let attempt = attempt(system, settings, state, h, &limits);
-            self.work += 1 + base_system.iteration_work() * (state.counters.iterations - iterations);
-            error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
-            match attempt {
-                Ok(attempt) if error <= tolerance => {
-                    let event = if locates_events(settings, system) {
-                        attempt.check_events(system, settings, state, h, trials.count)
-                    } else {
-                        EventCheck::Clear
-                    };
-                    if let EventCheck::Before(when) = event {
-                        state.counters.rejected += 1;
-                        if when < SHORTEST {
-                            let next = system.next_mode(&state.q, &state.v, settings.error_tolerance);
-                            enter(base_system, settings, state, (mode, next));
-                        }
-                        trials.repeat(h, when.min(self.rest));
-                        continue;
-                    }
-                    let last = h >= self.rest;
-                    let wanted = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
-                    if controls_rates(settings, system) {
-                        state.work.input += drive_work(system, h, state, &attempt.end);
-                    }
-                    state.substep = wanted.min(trials.longest_next(&event, h));
-                    attempt.accept(system, state, h);
-                    if let EventCheck::AtEnd = event {
-                        let next = system.next_mode(&state.q, &state.v, settings.error_tolerance);
-                        enter(base_system, settings, state, (mode, next));
-                    }
-                    if last {
-                        return Ok(Progress::Done);
-                    }
-                    self.rest -= h;
-                }
-                _ => {
-                    self.shorter = h * CONTROLLER.reduction(error / tolerance);
-                    if system.is_near_bifurcation(&state.q, &state.v, h) {
-                        return Ok(Progress::Blocked(h));
-                    }
-                    state.substep = self.shorter;
-                    state.counters.rejected += 1;
-                }
-            }
-            trials = EventTrials::NONE;
-        }
+    /// Part of the time left, s, that divides it equally into sub-steps of at most `longest` seconds.
+    fn divided(&self, longest: f64) -> f64 {
+        self.rest / (self.rest / longest).ceil().max(1.0)
+    }
+
+    /// Checks the work limit.
+    fn check_work(&self, &Settings { max_work, .. }: &Settings) -> Result<(), StepError> {
+        let [substep, error] = self.last;
         let error = if error.is_nan() { f64::INFINITY } else { error };
-        Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
-    }
-
-    /// Applies a transit through a vertex or bifurcation.
-    #[cold]
-    fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
-        &mut self,
-        base_system: &S,
-        settings: &Settings,
-        state: &mut State<N, M>,
-        (mode, transit): (&mut S::Mode, &Transit<N>),
-    ) -> Result<(), StepError> {
-        *mode = state.pass_through(base_system, transit, settings.regularization)?;
-        self.rest -= transit.duration;
-        Ok(())
+        if self.work <= u64::from(max_work) { Ok(()) } else { Err(StepError::TooMuchWork { most: max_work, substep, error }) }
     }
 }
 
-/// Sets the mode; if it changes, the rates are projected onto its sticking constraints, and accelerations are evaluated again.
-fn enter<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
-    base_system: &S,
-    settings: &Settings,
-    state: &mut State<N, M>,
-    (mode, next): (&mut S::Mode, S::Mode),
-) {
-    if next != *mode {
-        *mode = next;
-        let in_mode = base_system.on(next);
-        state.reinitialize(in_mode.borrow(), &base_system.pose(&state.q), settings.regularization);
+/// A sub-step under trial. Sub-steps divide the rest of the macro step into equal parts, anew for each.
+struct Substep<'a, S: Events<N>, const N: usize, const M: usize> {
+    of: &'a mut MacroStep,
+    settings: &'a Settings,
+    state: &'a mut State<N, M>,
+    mode: &'a mut S::Mode,
+    limits: StepLimits,
+}
+
+impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Substep<'_, S, N, M> {
+    fn start(&self) -> &State<N, M> {
+        self.state
+    }
+
+    fn initial_mode(&self) -> S::Mode {
+        *self.mode
+    }
+
+    fn longest(&self) -> f64 {
+        self.of.rest
+    }
+
+    fn enter(&mut self, system: &S, mode: S::Mode) {
+        if mode != *self.mode {
+            *self.mode = mode;
+            self.state.reinitialize(system.on(mode).borrow(), &system.pose(&self.state.q), self.settings.regularization);
+        }
+    }
+
+    fn rest(&mut self) {
+        self.state.counters.substeps += 1;
+        self.of.rest = 0.0;
+    }
+
+    #[cold]
+    fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError> {
+        *self.mode = self.state.pass_through(system, transit, self.settings.regularization)?;
+        self.of.work += 1;
+        self.of.rest -= transit.duration;
+        Ok(())
+    }
+
+    fn plan(&mut self, _: &S, near: Option<&StepLimits>, lasting: f64) -> f64 {
+        self.limits = near.copied().unwrap_or(StepLimits::NONE);
+        self.of.divided(self.state.substep.min(self.limits.longest).min(lasting))
+    }
+
+    fn attempt(&mut self, system: &S, &Trials { h, ref events, .. }: &Trials) -> Result<Outcome, StepError> {
+        let Self { of, settings, state, limits, .. } = self;
+        of.check_work(settings)?;
+        let tolerance = settings.error_tolerance.max(limits.round_off);
+        let iterations = state.counters.iterations;
+        let attempt = attempt(system, settings, state, h, limits);
+        of.work += 1 + system.iteration_work() * (state.counters.iterations - iterations);
+        of.last = [h, attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error)];
+        let attempt = match attempt {
+            Ok(attempt) if attempt.error <= tolerance => attempt,
+            _ => {
+                let error = of.last[1] / tolerance;
+                of.shorter = h * CONTROLLER.reduction(error);
+                return Ok(Outcome::Rejected(error));
+            }
+        };
+        let event = match locates_events(settings, system) {
+            true => attempt.check_events(system, settings, state, h, events.count),
+            false => EventCheck::Clear,
+        };
+        if let EventCheck::Before(when) = event {
+            return Ok(Outcome::EventAt(when));
+        }
+        let wanted = next_step(h, CONTROLLER.growth(ln(attempt.error / tolerance), LEAST_LOG_ERROR), state.substep);
+        if controls_rates(settings, system) {
+            state.work.input += drive_work(system, h, state, &attempt.end);
+        }
+        state.substep = wanted.min(events.longest_next(&event, h));
+        attempt.accept(system, state, h);
+        of.rest = if h >= of.rest { 0.0 } else { of.rest - h };
+        if let EventCheck::AtEnd = event {
+            let next = system.next_mode(&state.q, &state.v, settings.error_tolerance);
+            self.enter(system, next);
+        }
+        Ok(Outcome::Accepted)
+    }
+
+    fn discard(&mut self) {
+        self.state.counters.rejected += 1;
+    }
+
+    fn shorten(&mut self, _: &Trials, _: f64) -> Result<f64, StepError> {
+        self.state.substep = self.of.shorter;
+        Ok(self.of.divided(self.state.substep))
     }
 }
 

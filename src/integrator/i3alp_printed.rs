@@ -5,7 +5,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::convergence::Convergence;
+use super::convergence::{Convergence, LastCorrection};
 use super::i3alp::local_error;
 use super::{Implicit, State, StepEnd, StepError, TangentPoint};
 use crate::vector::Vector;
@@ -44,7 +44,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Newton (2), (3): A Δq = −f with f = β [M q̈ + Φ_qᵀ(αΦ + λ*) − Q]; λ* ← λ* + αΦ after every iteration.
     let mut pose = system.pose(&q);
     let mut phi = system.phi(&q, &pose);
-    let mut convergence = Convergence::new(tolerance, 0.0, Some(tolerance));
+    let mut convergence = Convergence::new(tolerance, 0.0, LastCorrection::below(tolerance));
     loop {
         state.counters.iterations += 1;
         let v = velocity(q);

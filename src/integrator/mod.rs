@@ -9,6 +9,7 @@ mod convergence;
 pub mod dense;
 mod dense_output;
 mod discrete;
+mod driver;
 mod equilibrium;
 mod error;
 mod events;

@@ -1,6 +1,6 @@
 //! Projection onto the position and velocity constraints in the mass metric (`docs/method.md`, (15) and (21)).
 
-use super::convergence::Convergence;
+use super::convergence::{Convergence, LastCorrection};
 use super::{Kkt, StepError, System};
 use crate::vector::Vector;
 
@@ -54,7 +54,7 @@ impl Projection {
         q: &mut Vector<N>,
         mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
     ) -> Result<u32, StepError> {
-        let mut convergence = Convergence::new(self.tolerance, system.length_scale(), None);
+        let mut convergence = Convergence::new(self.tolerance, system.length_scale(), LastCorrection::ANY);
         loop {
             let phi = system.phi(q, pose);
             if convergence.is_met(phi.max_norm()) {

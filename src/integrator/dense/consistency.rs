@@ -2,7 +2,7 @@
 
 use std::borrow::Borrow;
 
-use super::driver::LONGEST;
+use super::step::LONGEST;
 use super::trial::StageDerivative;
 use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};

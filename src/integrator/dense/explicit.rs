@@ -196,10 +196,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     type Linearization = ();
     const CONTROLLER: StepSizeController = T::CONTROLLER;
 
-    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<'_, S::Pose, N>)) -> Option<()> {
-        Some(())
-    }
-
     #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
         let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };

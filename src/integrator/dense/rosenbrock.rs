@@ -195,14 +195,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         failed: 0.2,
     };
 
-    fn linearize<const M: usize, S: System<N, M>>(
-        system: &S,
-        settings: &Settings,
-        (from, origin): (&State<N, M>, &Origin<'_, S::Pose, N>),
-    ) -> Option<Linearization<N>> {
-        Linearization::about(system, settings, (from, origin.pose))
-    }
-
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         linearization: &Linearization<N>,

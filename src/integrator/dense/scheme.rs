@@ -4,13 +4,11 @@
 //! advantage to order 8: then Tsit5. Where stability limits the step instead of the error, a Rosenbrock method is used until its
 //! own error asks for steps that an explicit method could make. `docs/automatic.md`.
 
-use std::borrow::Borrow;
-
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::rosenbrock::Linearization;
 use super::{DenseStep, Settings};
-use crate::integrator::{Events, Stuck, System};
+use crate::integrator::System;
 
 /// Scheme of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
@@ -23,13 +21,6 @@ pub enum Scheme {
     Rodas4,
     /// Rodas5P: linearly implicit, of order 5.
     Rodas5p,
-}
-
-impl Scheme {
-    /// Whether the scheme is linearly implicit.
-    pub(super) const fn is_implicit(self) -> bool {
-        matches!(self, Self::Rodas4 | Self::Rodas5p)
-    }
 }
 
 /// Schemes that a run may use.
@@ -268,16 +259,14 @@ impl StiffnessDetector {
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Longest step, s, in which oscillations of springs decay while friction holds everything else.
     #[cold]
-    pub(super) fn longest_at_rest<S: System<N, M> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
-        let on = system.on(self.mode);
+    pub(super) fn longest_at_rest<S: System<N, M>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) -> f64 {
         let rate = &mut self.memory.stiffness.rate_at_rest;
-        // Nothing oscillates where everything sticks.
-        if on.borrow().stuck() == Stuck::Wholly || system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
+        if system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
             *rate = None;
             return f64::INFINITY;
         }
         let by_tangents = || {
-            let linearization = Linearization::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
+            let linearization = Linearization::about(system, settings, (&self.start, pose));
             linearization.map(|linearization| linearization.fastest_rate).filter(|rate| rate.is_finite()).unwrap_or_default()
         };
         STABILITY_LIMIT_AT_REST / *rate.get_or_insert_with(by_tangents)

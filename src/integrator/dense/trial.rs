@@ -28,13 +28,6 @@ pub(super) trait Trial<const N: usize>: Sized {
     /// Step-size controller of the scheme.
     const CONTROLLER: StepSizeController;
 
-    /// Data shared by all trials from a state; `None` where a step of this scheme cannot begin.
-    fn linearize<const M: usize, S: System<N, M>>(
-        system: &S,
-        settings: &Settings,
-        from: (&State<N, M>, &Origin<'_, S::Pose, N>),
-    ) -> Option<Self::Linearization>;
-
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,

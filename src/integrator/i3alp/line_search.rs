@@ -11,6 +11,7 @@
 
 use super::Settings;
 use super::newton::{LAST_CORRECTION, Solution, Step};
+use crate::integrator::convergence::Convergence;
 use crate::integrator::{Counters, Implicit, TangentPoint};
 use crate::vector::Vector;
 
@@ -50,6 +51,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         system.potential(&q, &pose).map(|potential| inertia + potential + constraint)
     };
 
+    let mut convergence = Convergence::new(step.tolerance, 0.0, LAST_CORRECTION);
     for _ in 0..MOST_ITERATIONS {
         counters.iterations += 1;
         let phi = system.phi(&q, &pose);
@@ -79,7 +81,9 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         q = step.q();
         pose = system.pose(&q);
-        if system.phi(&q, &pose).max_norm() < step.tolerance && part == 1.0 && direction.max_norm() < LAST_CORRECTION {
+        // Only a full step tells how near the root is.
+        convergence.corrected(if part == 1.0 { direction.max_norm() } else { f64::INFINITY });
+        if convergence.is_met(system.phi(&q, &pose).max_norm()) {
             counters.rescued += 1;
             return Some(Solution { q, pose, v: step.velocity() });
         }

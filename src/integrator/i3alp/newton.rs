@@ -2,7 +2,7 @@
 
 use super::stiff_forces::RATE;
 use super::{Settings, controls_rates};
-use crate::integrator::convergence::Convergence;
+use crate::integrator::convergence::{Convergence, LastCorrection};
 use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, Stuck, TangentPoint};
 use crate::vector::Vector;
 
@@ -11,7 +11,7 @@ const TOLERANCE_STEP: f64 = 1e-3;
 /// Lower limit of the bound on |Φ|, relative to the system's size.
 const LEAST_TOLERANCE: f64 = 16.0 * f64::EPSILON;
 /// Bound on the last correction, m and rad: by quadratic convergence the error left is below round-off.
-pub(super) const LAST_CORRECTION: f64 = 1e-5;
+pub(super) const LAST_CORRECTION: LastCorrection = LastCorrection::below(1e-5);
 
 /// Unknowns of a step with their constant data.
 pub(super) struct Step<const N: usize, const M: usize> {
@@ -96,7 +96,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 ) -> Result<Solution<N, S::Pose>, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
-    let mut convergence = Convergence::new(step.tolerance, system.length_scale(), Some(LAST_CORRECTION));
+    let mut convergence = Convergence::new(step.tolerance, system.length_scale(), LAST_CORRECTION);
     let mut held = None;
     let (mut q, mut pose);
     loop {

@@ -1,6 +1,7 @@
 //! Newton's method for a conserving step: staggered, Λ and ν in turn with the loops cut; or full, all unknowns with the whole
 //! tangent.
 
+use crate::integrator::convergence::{Convergence, LastCorrection};
 use crate::integrator::{Counters, CutStep, Discrete};
 use crate::vector::Vector;
 
@@ -47,10 +48,12 @@ impl Bounds {
         Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
-    /// Whether the largest elements of M⁻¹f, Φ and J₁w/2 are admissible.
+    /// Largest element of M⁻¹f, Φ and J₁w/2, each relative to its bound.
     #[inline(always)]
-    fn are_met(&self, offset: f64, phi: f64, rate: f64) -> bool {
-        offset < self.offset && phi < self.phi && rate < self.rate
+    fn violation(&self, [offset, phi, rate]: [f64; 3]) -> f64 {
+        // A sum would be NaN where one of them is; a maximum would not.
+        let most = (offset / self.offset).max(phi / self.phi).max(rate / self.rate);
+        if (offset + phi + rate).is_nan() { f64::NAN } else { most }
     }
 }
 
@@ -87,16 +90,18 @@ pub(super) fn staggered_newton<const N: usize, C: CutStep<N>, T>(
     (regularization, most): (f64, u32),
     accept_root: impl FnOnce(&C::Motion, u32) -> T,
 ) -> Result<T, (Option<C::Unknowns>, u32)> {
+    let mut convergence = Convergence::new(1.0, 0.0, LastCorrection::ANY);
     let mut before = f64::INFINITY;
     let mut factor: Option<C::Factor> = None;
     for iteration in 0..=most {
         let motion = cut.motion(&x, regularization);
         let balance = cut.balance(&motion);
-        let [offset, gap, rate] = cut.residuals(&motion, &balance);
-        if bounds.are_met(offset, gap, rate) {
+        let residuals = cut.residuals(&motion, &balance);
+        if convergence.is_met(bounds.violation(residuals)) {
             let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
             return Ok(accept_root(&cut.with_rates(&motion, &balance, factor), iteration));
         }
+        let [offset, ..] = residuals;
         let promising = LARGEST_OFFSETS.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
         if offset > promising || iteration == most {
             return Err(((offset < LARGEST_OFFSET_OF_GUESS).then(|| C::unknowns(&motion)), iteration));
@@ -132,29 +137,26 @@ pub(super) fn full_newton<const N: usize, const K: usize, C: CutStep<N, Unknowns
     (regularization, most, stop_rule): (f64, u32, StopRule),
     budget: &mut IterationBudget<'_>,
 ) -> Option<C::Motion> {
-    let (mut correction, mut before) = (f64::INFINITY, f64::INFINITY);
-    for iteration in 0..=most {
+    let (tolerance, small) = match stop_rule {
+        StopRule::Solved => (1.0, LAST_CORRECTION),
+        StopRule::Corrected(bound) => (f64::INFINITY, bound),
+    };
+    let mut convergence = Convergence::new(tolerance, 0.0, LastCorrection { small, stagnant: STAGNATION });
+    loop {
         let motion = cut.free_motion(x);
         let balance = cut.balance(&motion);
-        let [offset, gap, rate] = cut.residuals(&motion, &balance);
-        let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
-        let done = match stop_rule {
-            StopRule::Solved => no_further && bounds.are_met(offset, gap, rate),
-            StopRule::Corrected(bound) => correction < bound || no_further,
-        };
-        if iteration > 0 && done {
+        if convergence.is_met(bounds.violation(cut.residuals(&motion, &balance))) {
             return Some(motion);
         }
-        if iteration == most {
+        if convergence.iterations == most {
             return None;
         }
         budget.take()?;
         let change = cut.whole_correction(&motion, &balance, regularization);
         *x += change;
-        (before, correction) = (correction, C::rotation_norm(&change));
+        convergence.corrected(C::rotation_norm(&change));
         if !(x.is_finite() && C::rotation_norm(x) < LARGEST_ROTATION) {
             return None;
         }
     }
-    None
 }

@@ -1,5 +1,5 @@
-//! The driver of all schemes: begin, try, accept, end at an event, pass a vertex. One accepted step after the other; what follows a step,
-//! past a communication point or made again up to one, is in `dense.rs`.
+//! One step with dense output, as the driver asks for it: begin, trial, events, length of the next step. What follows a step, past a
+//! communication point or made again up to one, is in `dense.rs`.
 
 use std::borrow::Borrow;
 
@@ -8,10 +8,11 @@ use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, checked_work};
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
-use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
-use crate::integrator::locator::{self, EventCheck, EventTrials, SHORTEST};
+use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, ln, next_step};
+use crate::integrator::driver::{self, Method, Outcome, Trials};
+use crate::integrator::locator::{self, EventCheck, SHORTEST};
 use crate::integrator::{
-    Approach, EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, Stuck, System, Transit, Work,
+    EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work,
 };
 use crate::vector::Vector;
 
@@ -20,47 +21,146 @@ pub(super) const LONGEST: f64 = 10.0;
 /// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
 /// steps.
 const OUTPUT_MARGIN: f64 = 1.000_001;
-/// Plan of the next step.
-struct Plan<'a, P> {
-    /// Step length, s.
-    h: f64,
+
+/// A step under trial, with all that its trials share.
+struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
+    step: &'a mut DenseStep<N, M, S::Mode>,
+    settings: &'a Settings,
+    /// Time of the next output and limit of the step while inputs are constant.
+    horizon: Horizon,
+    /// Pose at the beginning of the step.
+    pose: &'a S::Pose,
+    basis: Basis<N>,
     /// Step length that the error control wants, s.
     wanted: f64,
-    /// Longest admissible step, s.
-    longest: f64,
+    /// Whether a vertex is near, where the energy may have to be conserved.
+    near: bool,
+}
+
+/// Scheme of a trial with what all trials from one state share.
+enum Basis<const N: usize> {
+    Dop853,
+    Tsit5,
+    Rodas4(Linearization<N>),
+    Rodas5p(Linearization<N>),
+}
+
+impl<const N: usize> Basis<N> {
+    /// Step-size controller of the scheme.
+    fn controller(&self) -> &'static StepSizeController {
+        match self {
+            Self::Dop853 => &<Explicit<Dop853, N> as Trial<N>>::CONTROLLER,
+            Self::Tsit5 => &<Explicit<Tsit5, N> as Trial<N>>::CONTROLLER,
+            Self::Rodas4(_) => &<Rosenbrock<Rodas4, N> as Trial<N>>::CONTROLLER,
+            Self::Rodas5p(_) => &<Rosenbrock<Rodas5p, N> as Trial<N>>::CONTROLLER,
+        }
+    }
+}
+
+impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
+    /// Basis of an implicit scheme for a system in the mode of the step; DOP853 where an implicit step cannot begin.
+    #[inline(never)]
+    fn linearized(&self, system: &S, basis: fn(Linearization<N>) -> Basis<N>) -> Basis<N> {
+        Linearization::about(system, self.settings, (&self.step.start, self.pose)).map_or(Basis::Dop853, basis)
+    }
+}
+
+impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Attempt<'_, S, N, M> {
+    fn start(&self) -> &State<N, M> {
+        &self.step.start
+    }
+
+    fn initial_mode(&self) -> S::Mode {
+        self.step.next_mode_at_end
+    }
+
+    fn longest(&self) -> f64 {
+        self.horizon.limit.min(LONGEST)
+    }
+
+    fn enter(&mut self, system: &S, mode: S::Mode) {
+        self.step.set_mode(system, self.settings, (mode, self.pose));
+    }
+
+    fn rest(&mut self) {
+        self.step.length = self.longest();
+        self.step.end = self.step.start;
+        self.step.end.counters.substeps += 1;
+    }
+
+    #[cold]
+    fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError> {
+        self.step.next_mode_at_end = self.step.end.pass_through(system, transit, self.settings.regularization)?;
+        (self.step.length, self.step.is_linear) = (transit.duration, true);
+        Ok(())
+    }
+
+    fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64 {
+        let &mut Self { settings, horizon, .. } = self;
+        self.near = near.is_some();
+        self.step.probe_stiffness(system, settings, (horizon.limit, self.pose));
+        let sticks = system.features().stick_slip;
+        let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
+        let longest = if sticks { longest.min(self.step.longest_at_rest(system, settings, self.pose)) } else { longest };
+        // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
+        // round-off.
+        let stiffness_switch = &self.step.memory.stiffness_switch;
+        let scheme = if sticks || self.near && !system.can_project(&self.step.start.q) {
+            Scheme::Dop853
+        } else {
+            settings.schemes.next(stiffness_switch, settings.error_tolerance, horizon.limit)
+        };
+        self.wanted = match scheme {
+            Scheme::Tsit5 if stiffness_switch.tsit5_step.is_finite() => stiffness_switch.tsit5_step,
+            Scheme::Tsit5 => settings.first_step,
+            _ if self.step.start.substep.is_finite() => self.step.start.substep,
+            _ => settings.first_step,
+        };
+        self.basis = match scheme {
+            Scheme::Dop853 => Basis::Dop853,
+            Scheme::Tsit5 => Basis::Tsit5,
+            Scheme::Rodas4 => self.linearized(system, Basis::Rodas4),
+            Scheme::Rodas5p => self.linearized(system, Basis::Rodas5p),
+        };
+        self.wanted.min(longest)
+    }
+
+    fn attempt(&mut self, system: &S, trials: &Trials) -> Result<Outcome, StepError> {
+        let Self { step, settings, horizon, pose, basis, wanted, near, .. } = self;
+        let origin = Origin { q: step.start.q, pose: *pose, regularization: settings.regularization };
+        let plan = Plan { wanted: *wanted, near: *near, horizon: *horizon, trials };
+        Ok(match basis {
+            Basis::Dop853 => step.try_once::<Explicit<Dop853, N>, S>(system, settings, &plan, (&(), &origin)),
+            Basis::Tsit5 => step.try_once::<Explicit<Tsit5, N>, S>(system, settings, &plan, (&(), &origin)),
+            Basis::Rodas4(tangents) => step.try_once::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan, (tangents, &origin)),
+            Basis::Rodas5p(tangents) => step.try_once::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan, (tangents, &origin)),
+        })
+    }
+
+    fn discard(&mut self) {
+        self.step.reset_to_start();
+        self.step.end.counters.rejected += 1;
+    }
+
+    fn shorten(&mut self, &Trials { h, rejected, .. }: &Trials, error: f64) -> Result<f64, StepError> {
+        if h < SHORTEST {
+            return Err(StepError::StepTooShort { substep: h, error: error * self.settings.error_tolerance });
+        }
+        let is_implicit = matches!(self.basis, Basis::Rodas4(_) | Basis::Rodas5p(_));
+        let before = rejected.filter(|[_, worst]| is_implicit && worst.is_finite() && error > 1.0);
+        Ok(h * self.basis.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
+    }
+}
+
+/// Plan of a trial.
+struct Plan<'a> {
+    /// Step length that the error control wants, s.
+    wanted: f64,
     /// Whether a vertex is near, where the energy may have to be conserved.
     near: bool,
     /// Time of the next output and limit of the step while inputs are constant.
     horizon: Horizon,
-    /// Pose at the beginning of the step, if known.
-    pose: Option<&'a P>,
-}
-
-/// One trial of a step.
-struct Try {
-    /// Step length, s.
-    h: f64,
-    /// Length, s, and error of the last rejected trial.
-    rejected: Option<[f64; 2]>,
-    /// Trials that are to end at a guard.
-    event_trials: EventTrials,
-}
-
-impl Try {
-    /// First trial of a step, of `h` seconds.
-    fn of(h: f64) -> Self {
-        Self { h, rejected: None, event_trials: EventTrials::NONE }
-    }
-}
-
-/// Outcome of a trial.
-enum Outcome {
-    /// The step is accepted.
-    Accepted,
-    /// The error, in tolerances, is too large or NaN.
-    Rejected(f64),
-    /// The step has to end at an event, this many seconds after its beginning.
-    EventAt(f64),
+    trials: &'a Trials,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -72,49 +172,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
         pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
-        self.begin(system, settings, pose);
-        let (longest, near) = match system.approach(&passage_limits(settings), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => (horizon.limit, false),
-            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
-            Approach::Passed(transit) => {
-                self.pass_through(system, &transit, settings)?;
-                return Ok(());
+        let fresh;
+        let pose = match pose {
+            Some(pose) => pose,
+            None => {
+                fresh = system.pose(&self.end.q);
+                &fresh
             }
         };
-        self.probe_stiffness(system, settings, horizon.limit);
-        let longest = if system.features().stick_slip { longest.min(self.longest_at_rest(system, settings)) } else { longest };
-        // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
-        // round-off.
-        let scheme = if system.features().stick_slip || near && !system.can_project(&self.start.q) {
-            Scheme::Dop853
-        } else {
-            settings.schemes.next(&self.memory.stiffness_switch, settings.error_tolerance, horizon.limit)
-        };
-        let lasting = self.reinitialize(system, settings);
-        let wanted = match scheme {
-            Scheme::Tsit5 if self.memory.stiffness_switch.tsit5_step.is_finite() => self.memory.stiffness_switch.tsit5_step,
-            Scheme::Tsit5 => settings.first_step,
-            _ if self.start.substep.is_finite() => self.start.substep,
-            _ => settings.first_step,
-        };
-        let h = wanted.min(longest).min(LONGEST).min(lasting);
-        if system.on(self.mode).borrow().stuck() == Stuck::Wholly {
-            self.length = longest.min(LONGEST);
-            self.end = self.start;
-            self.end.counters.substeps += 1;
-            return Ok(());
-        }
-        let plan = Plan { h, wanted, longest, near, horizon, pose };
-        match scheme {
-            Scheme::Tsit5 => self.attempt::<Explicit<Tsit5, N>, S>(system, settings, &plan),
-            Scheme::Dop853 => self.attempt::<Explicit<Dop853, N>, S>(system, settings, &plan),
-            Scheme::Rodas4 => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
-            Scheme::Rodas5p => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
-        }
+        self.begin(system, settings, pose);
+        let (wanted, near) = (settings.first_step, false);
+        let mut attempt = Attempt { step: self, settings, horizon, pose, basis: Basis::Dop853, wanted, near };
+        driver::step(&mut attempt, system, (&passage_limits(settings), settings.error_tolerance)).map(drop)
     }
 
     /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.
-    fn probe_stiffness<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, limit: f64) {
+    fn probe_stiffness<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, (limit, pose): (f64, &S::Pose)) {
         let at_start = self.start.counters.substeps == 0;
         // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
@@ -122,8 +195,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             && (at_start || self.memory.stiffness_switch.is_probing());
         if asks
             && system.features().stiff
-            && let Some(linearization) =
-                Linearization::about(system.on(self.mode).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+            && let Some(linearization) = Linearization::about(system, settings, (&self.start, pose))
         {
             let stiffness_switch = &mut self.memory.stiffness_switch;
             match at_start {
@@ -133,66 +205,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Makes a step in scheme `T`, shortened until the error is admissible and events are met.
-    fn attempt<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        plan: &Plan<'_, S::Pose>,
-    ) -> Result<(), StepError> {
-        let fresh;
-        let pose = match plan.pose {
-            Some(pose) => pose,
-            None => {
-                fresh = system.pose(&self.start.q);
-                &fresh
-            }
-        };
-        let origin = Origin { q: self.start.q, pose, regularization: settings.regularization };
-        let mut in_mode = system.on(self.mode);
-        let mut linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
-        let mut this = Try::of(plan.h);
-        loop {
-            let Some(basis) = &linearization else { return self.attempt::<Explicit<Dop853, N>, S>(system, settings, plan) };
-            match self.try_once::<T, S>(in_mode.borrow(), settings, plan, (basis, &origin), &this) {
-                Outcome::Accepted => return Ok(()),
-                Outcome::EventAt(when) => {
-                    self.reset_to_start();
-                    self.end.counters.rejected += 1;
-                    this.event_trials.repeat(this.h, when.min(plan.longest));
-                    if let Some(end) = this.event_trials.end {
-                        this.h = end;
-                    } else {
-                        self.apply_transition(system, settings);
-                        in_mode = system.on(self.mode);
-                        linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
-                    }
-                }
-                Outcome::Rejected(error) => {
-                    self.end.counters.rejected += 1;
-                    let h = this.h;
-                    let before = this.rejected.replace([h, error]);
-                    let before = before.filter(|[_, worst]| T::SCHEME.is_implicit() && worst.is_finite() && error > 1.0);
-                    let before = before.map(|[length, worst]| [length / h, worst / error]);
-                    if h < SHORTEST {
-                        return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
-                    }
-                    this.h *= T::CONTROLLER.reduction_after(error, before);
-                }
-            }
-        }
-    }
-
-    /// Makes one trial of a step. A separate function, since most steps need one trial and prepare nothing for another.
+    /// Makes one trial of a step.
     fn try_once<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
-        plan: &Plan<'_, S::Pose>,
+        &Plan { wanted, near, horizon, trials: &Trials { h, rejected, events: ref event_trials, .. } }: &Plan<'_>,
         (basis, origin): (&T::Linearization, &Origin<'_, S::Pose, N>),
-        Try { h, rejected, event_trials }: &Try,
     ) -> Outcome {
-        let (&Plan { wanted, near, horizon, .. }, h) = (plan, *h);
         let energy_target = if near { self.energy_target(on, h) } else { None };
         let mut trial = T::new(on, basis, (&self.start, origin), h);
         let (error, step_result) = trial.conclude(on, settings, origin, &ErrorWeights::of(settings, on.features()), energy_target);
@@ -208,10 +228,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     longest_next = event_trials.longest_after(&event, (self.length, self.truncated_from));
                 }
                 Ok(event) => longest_next = event_trials.longest_next(&event, h),
-                Err(error) => {
-                    self.reset_to_start();
-                    return Outcome::Rejected(error);
-                }
+                Err(error) => return Outcome::Rejected(error),
             }
         }
         let interpolated = horizon.output < OUTPUT_MARGIN * h;
@@ -262,17 +279,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         end
     }
 
-    /// Begins a step at the end of the current one, whose pose may be known.
-    fn begin<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: Option<&S::Pose>) {
+    /// Begins a step at the end of the current one with its pose.
+    fn begin<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
         if self.end_is_unevaluated() {
-            let fresh = pose.is_none().then(|| system.pose(&self.end.q));
-            if let Some(pose) = pose.or(fresh.as_ref()) {
-                self.end.balance(system.on(self.mode).borrow(), pose, settings.regularization);
-            }
+            self.end.balance(system.on(self.mode).borrow(), pose, settings.regularization);
         }
         self.start = self.end;
         self.before = self.memory;
-        self.elapsed = 0.0;
+        (self.elapsed, self.truncated_from) = (0.0, 0.0);
         self.dense = [StageDerivative::NONE; 4];
         self.is_linear = false;
     }
@@ -310,27 +324,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if T::SCHEME == Scheme::Tsit5 { &mut self.memory.stiffness_switch.tsit5_step } else { &mut self.end.substep }
     }
 
-    /// Sets the mode at the beginning of a step, after all transitions due there, and returns the longest useful step in that mode,
-    /// s.
-    fn reinitialize<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
-        self.truncated_from = 0.0;
-        let (mode, lasting) =
-            locator::mode_at(system, self.next_mode_at_end, [&self.start.q, &self.start.v], settings.error_tolerance);
-        self.set_mode(system, settings, mode);
-        lasting
-    }
-
-    /// Applies the transition at a guard that the step crosses at its very beginning.
-    fn apply_transition<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
-        let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
-        self.set_mode(system, settings, mode);
-    }
-
     /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
-    fn set_mode<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
+    fn set_mode<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, (mode, pose): (K, &S::Pose)) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
-            self.start.reinitialize(next_mode.borrow(), &system.pose(&self.start.q), settings.regularization);
+            self.start.reinitialize(next_mode.borrow(), pose, settings.regularization);
             if before.borrow().has_active_contact() != next_mode.borrow().has_active_contact() {
                 std::mem::swap(&mut self.start.substep, &mut self.memory.substep_in_other_mode);
                 self.before = self.memory;
@@ -378,19 +376,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     pub(super) fn separation_energy<S: Events<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
         let shown = system.separation_energy(&system.guard_values(&self.start.q, &self.start.v));
         if shown > 0.0 { (shown - system.separation_energy(&system.guard_values(q, v))).max(0.0) } else { 0.0 }
-    }
-
-    /// Makes a straight step through a vertex.
-    #[cold]
-    fn pass_through<S: Mechanics<N, M, Mode = K>>(
-        &mut self,
-        system: &S,
-        transit: &Transit<N>,
-        settings: &Settings,
-    ) -> Result<(), StepError> {
-        self.next_mode_at_end = self.end.pass_through(system, transit, settings.regularization)?;
-        (self.length, self.is_linear) = (transit.duration, true);
-        Ok(())
     }
 }
 

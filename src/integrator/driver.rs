@@ -1,0 +1,144 @@
+//! The driver of error-controlled steps, one for all methods: a step begins, is tried until its error is admissible, ends at an event if
+//! one occurs, and is accepted.
+//!
+//! | state of a step | what happens | leads to |
+//! | --- | --- | --- |
+//! | begin | the mode is that after all transitions due; vertices are looked for; the step is planned | try, or the end: at rest, past a vertex |
+//! | try | the method makes a trial; the locator looks for events on its dense output | accept, end at an event, a shorter trial |
+//! | end at an event | the step is tried up to the event, or, if that lies at its beginning, begins again in the next mode | try, begin |
+//! | accept | the method takes the trial over, and its next step is as long as error and events allow | the end |
+//!
+//! A step past a communication point, and one made again up to it, belong to the methods with dense output (`dense.rs`).
+
+use std::borrow::Borrow;
+
+use super::locator::{self, EventTrials};
+use super::{Approach, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
+
+/// Trials of one step.
+pub(super) struct Trials {
+    /// Length of the present trial, s.
+    pub(super) h: f64,
+    /// Length, s, and error of the last trial that was rejected for its error.
+    pub(super) rejected: Option<[f64; 2]>,
+    /// Trials that are to end at a guard.
+    pub(super) events: EventTrials,
+    /// Longest trial that the errors of rejected ones allow, s.
+    longest: f64,
+}
+
+/// Outcome of a trial.
+pub(super) enum Outcome {
+    /// The step is accepted.
+    Accepted,
+    /// The error, in tolerances, is too large, or NaN where there is no estimate.
+    Rejected(f64),
+    /// The step has to end at an event, this many seconds after its beginning.
+    EventAt(f64),
+}
+
+/// End of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum End {
+    /// The method has taken over a trial.
+    Accepted,
+    /// Sticking friction holds everything: nothing moves as long as the forces stay constant.
+    AtRest,
+    /// The system has passed a vertex.
+    Passed,
+    /// A trial of this length, s, was rejected next to a bifurcation of the constraints; the caller decides.
+    Blocked(f64),
+}
+
+/// A step by a method, as the driver asks for it.
+pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
+    /// State at the beginning of the step.
+    fn start(&self) -> &State<N, M>;
+    /// Mode at the beginning of the step.
+    fn initial_mode(&self) -> S::Mode;
+    /// Longest step, s.
+    fn longest(&self) -> f64;
+    /// Changes the mode, in which forces and accelerations are evaluated again.
+    fn enter(&mut self, system: &S, mode: S::Mode);
+    /// Stays at rest over the longest step.
+    fn rest(&mut self);
+    /// Moves to the end of a transit.
+    fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError>;
+    /// Length of the first trial, s, by `system` in the mode of the step, which lasts for `lasting` seconds; within limits if a vertex is
+    /// near.
+    fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64;
+    /// Makes a trial, `system` being in the mode of the step, and takes it over if its error is admissible and no event occurs earlier.
+    fn attempt(&mut self, system: &S, trials: &Trials) -> Result<Outcome, StepError>;
+    /// Discards a trial.
+    fn discard(&mut self);
+    /// Length of the next trial, s, after one that was rejected with an error.
+    fn shorten(&mut self, trials: &Trials, error: f64) -> Result<f64, StepError>;
+}
+
+/// Makes the next step at an error tolerance, rad. On failure the state of the method is undefined.
+pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
+    method: &mut impl Method<N, M, S>,
+    system: &S,
+    (passage, tolerance): (&PassageLimits, f64),
+) -> Result<End, StepError> {
+    let mut trials = Trials { h: f64::INFINITY, rejected: None, events: EventTrials::NONE, longest: f64::INFINITY };
+    loop {
+        let State { q, v, .. } = method.start();
+        let (mode, lasting) = locator::mode_at(system, method.initial_mode(), [q, v], tolerance);
+        method.enter(system, mode);
+        let in_mode = system.on(mode);
+        if in_mode.borrow().stuck() == Stuck::Wholly {
+            method.rest();
+            return Ok(End::AtRest);
+        }
+        // A passage goes by the forces of its states, whatever the mode.
+        let near = match system.approach(passage, &method.start().departure(method.longest())) {
+            Approach::Clear => None,
+            Approach::Limited(limits) => Some(limits),
+            Approach::Passed(transit) => {
+                method.pass(system, &transit)?;
+                return Ok(End::Passed);
+            }
+        };
+        trials.h = method.plan(in_mode.borrow(), near.as_ref(), lasting).min(trials.longest);
+        let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
+        if let Some(end) = in_one_mode(method, in_mode.borrow(), longest, &mut trials)? {
+            return Ok(end);
+        }
+        let State { q, v, .. } = method.start();
+        let next = in_mode.borrow().next_mode(q, v, tolerance);
+        method.enter(system, next);
+    }
+}
+
+/// Makes trials of a step, of at most `longest` seconds, by the system in one mode; returns nothing where an event at the very beginning
+/// ends the mode.
+fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
+    method: &mut impl Method<N, M, S>,
+    system: &S,
+    longest: f64,
+    trials: &mut Trials,
+) -> Result<Option<End>, StepError> {
+    loop {
+        match method.attempt(system, trials)? {
+            Outcome::Accepted => return Ok(Some(End::Accepted)),
+            Outcome::EventAt(when) => {
+                method.discard();
+                trials.events.repeat(trials.h, when.min(longest).min(method.longest()));
+                match trials.events.end {
+                    Some(end) => trials.h = end,
+                    None => return Ok(None),
+                }
+            }
+            Outcome::Rejected(error) => {
+                let (h, State { q, v, .. }) = (trials.h, method.start());
+                if system.is_near_bifurcation(q, v, h) {
+                    return Ok(Some(End::Blocked(h)));
+                }
+                method.discard();
+                let shorter = method.shorten(trials, error)?;
+                *trials = Trials { h: shorter, rejected: Some([h, error]), events: EventTrials::NONE, longest: shorter };
+            }
+        }
+    }
+}
