@@ -225,13 +225,13 @@ impl ForceLaw for Contact {
         ArrayVec::from_iter([self.guard(at)])
     }
 
-    fn sticks(&self) -> bool {
+    fn may_stick(&self) -> bool {
         self.law == Law::Stick && self.mu > 0.0
     }
 
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
         let (guard, mode) = (self.guard(at), &at.joints.mode);
-        if self.sticks() && guard.phase(mode).pushes() {
+        if self.may_stick() && guard.phase(mode).pushes() {
             elements.push(FrictionElement {
                 place: TIP_FRICTION,
                 wrench: Wrench::of_tip(self.tangent()),

@@ -129,8 +129,8 @@ pub trait ForceLaw {
         ArrayVec::new()
     }
 
-    /// Whether the effect has set-valued dry friction.
-    fn sticks(&self) -> bool {
+    /// Whether friction of the effect may stick, by its set-valued law.
+    fn may_stick(&self) -> bool {
         false
     }
 

@@ -158,19 +158,19 @@ impl ForceLaw for Friction {
     }
 
     fn has_sharp_nonlinearity(&self) -> bool {
-        !self.sticks()
+        !self.may_stick()
     }
 
     fn regularization_velocity(&self) -> f64 {
-        if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
+        if self.may_stick() { f64::INFINITY } else { self.coulomb_rate }
     }
 
-    fn sticks(&self) -> bool {
+    fn may_stick(&self) -> bool {
         self.law == Law::Stick
     }
 
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
-        if !self.sticks() {
+        if !self.may_stick() {
             return;
         }
         for (joint, curve) in self.curves.iter().enumerate() {

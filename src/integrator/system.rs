@@ -76,8 +76,8 @@ pub struct Features {
     pub stiff: bool,
     /// Whether there are events.
     pub events: bool,
-    /// Whether any event is a stick-slip transition, whose state only the run can remember.
-    pub stick_slip: bool,
+    /// Whether friction may stick: events are stick-slip transitions, whose state only the run can remember.
+    pub may_stick: bool,
     /// Whether any force has sharp nonlinearities without an event.
     pub sharp: bool,
     /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
@@ -87,7 +87,7 @@ pub struct Features {
 impl Features {
     /// Smooth forces whose work is of no interest.
     pub const SMOOTH: Self =
-        Self { work: false, stiff: false, events: false, stick_slip: false, sharp: false, regularization_velocity: f64::INFINITY };
+        Self { work: false, stiff: false, events: false, may_stick: false, sharp: false, regularization_velocity: f64::INFINITY };
 }
 
 /// Motion that sticking friction prevents.

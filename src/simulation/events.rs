@@ -144,7 +144,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
 
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let friction_guards = if self.features().stick_slip { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        let friction_guards = if self.features().may_stick { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
         self.five_bar().guards(&self.motion(&pose, q, v), friction_guards)
     }
 
@@ -153,7 +153,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         if self.features().events {
             mode = self.five_bar().guards(&self.motion(&self.pose(q), q, v), FrictionGuards::new()).mode(mode);
         }
-        if self.features().stick_slip { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
+        if self.features().may_stick { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
     fn select_branch(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
@@ -162,7 +162,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         }
         let closure_branch = self.five_bar().closure_branch([legs(q), legs(v)]);
         match closure_branch {
-            Some(closure_branch) if self.features().stick_slip => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
+            Some(closure_branch) if self.features().may_stick => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
             _ => mode,
         }
         .with_closure_branch(closure_branch)
@@ -179,7 +179,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
 
     fn next_mode(&self, q: &Angles, v: &Angles, tolerance: f64) -> Mode {
         let mode = self.guard_values(q, v).next_mode(self.five_bar().mode, tolerance);
-        if self.features().stick_slip { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
+        if self.features().may_stick { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
     fn has_active_contact(&self) -> bool {
@@ -205,7 +205,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
 
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
-        let friction_guards = if self.features().stick_slip { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
+        let friction_guards = if self.features().may_stick { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
         self.guards(&self.motion(q, &pose, v), friction_guards)
     }
 
@@ -246,7 +246,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     /// The mode with the stick-slip states that follow from the state. Coordinates know no closure branch, so the joints that one keeps
     /// still are found anew.
     fn with_resolved_friction(&self, mode: Mode, q: &Coordinates, v: &Coordinates) -> Mode {
-        if !self.features().stick_slip {
+        if !self.features().may_stick {
             return mode;
         }
         let still =

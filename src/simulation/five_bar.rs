@@ -192,7 +192,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     #[inline(always)]
     fn stuck(&self) -> Stuck {
         match &self.mode.stick_slip {
-            _ if BARE || !self.model.features.stick_slip => Stuck::Nothing,
+            _ if BARE || !self.model.features.may_stick => Stuck::Nothing,
             stick_slip if stick_slip.at_rest() => Stuck::Wholly,
             stick_slip if stick_slip.any_sticks() => Stuck::Partly,
             _ => Stuck::Nothing,

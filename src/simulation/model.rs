@@ -103,15 +103,15 @@ impl Model {
     /// Notes the properties of the active effects that methods ask for in every step.
     fn note_properties(&mut self) {
         let any = |property: &dyn Fn(&Effect) -> bool| self.effects.iter().any(property);
-        let (may_make_contact, stick_slip) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.sticks()));
+        let (may_make_contact, may_stick) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.may_stick()));
         let velocities = self.effects.iter().map(|effect| effect.regularization_velocity());
         self.conservative = !any(&|effect| !effect.conservative());
         self.features = Features {
             work: !self.conservative,
             stiff: any(&|effect| effect.has_stiff_forces()),
-            events: self.settings.follows_error() && (may_make_contact || stick_slip),
-            stick_slip,
-            sharp: !stick_slip && any(&|effect| effect.has_sharp_nonlinearity()),
+            events: self.settings.follows_error() && (may_make_contact || may_stick),
+            may_stick,
+            sharp: !may_stick && any(&|effect| effect.has_sharp_nonlinearity()),
             regularization_velocity: velocities.fold(f64::INFINITY, f64::min),
         };
         self.may_make_contact = may_make_contact;

@@ -45,11 +45,8 @@ pub(super) fn check_stick_slip(
     [q, v]: [&Coordinates; 2],
     just_stopped: bool,
 ) -> Result<(), Inconsistency> {
-    let possible = if model.features.stick_slip {
-        system.are_possible(q, v, just_stopped)
-    } else {
-        system.mode.stick_slip == StickSlips::OPEN
-    };
+    let possible =
+        if model.features.may_stick { system.are_possible(q, v, just_stopped) } else { system.mode.stick_slip == StickSlips::OPEN };
     if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 

@@ -99,7 +99,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         let &mut Self { settings, horizon, .. } = self;
         self.near = near.is_some();
         self.step.probe_stiffness(system, settings, (horizon.limit, self.pose));
-        let sticks = system.features().stick_slip;
+        let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
         let longest = if sticks { longest.min(self.step.longest_at_rest(system, settings, self.pose)) } else { longest };
         // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
@@ -191,7 +191,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let at_start = self.start.counters.substeps == 0;
         // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
-            && !system.features().stick_slip
+            && !system.features().may_stick
             && (at_start || self.memory.stiffness_switch.is_probing());
         if asks
             && system.features().stiff
@@ -244,7 +244,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
         // no stage at their end.
         let chooses = settings.schemes == Schemes::Automatic;
-        if chooses && !on.features().stick_slip && !is_truncated {
+        if chooses && !on.features().may_stick && !is_truncated {
             let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_length::<T>());
             self.memory.stiffness_switch.learn(&AcceptedStep {
                 scheme: T::SCHEME,
