@@ -195,7 +195,7 @@ impl Encoder {
     /// Standard deviation of the white noise of the last sample, rad, whose encoder has the noise `sigma`, rad, on an axis that turns at
     /// `rate`, rad/s, under a stamp that errs.
     pub(super) fn white_sigma(&self, sigma: f64, rate: f64) -> f64 {
-        if self.timing == 0.0 { sigma } else { sigma.hypot(self.timing * rate) }
+        if self.timing == 0.0 { sigma } else { libm::hypot(sigma, self.timing * rate) }
     }
 
     /// Whether the encoder is silent: no sample for longer than its sampling interval allows.
