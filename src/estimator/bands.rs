@@ -2,10 +2,26 @@
 
 use nalgebra::{Matrix2, Vector4};
 
-use super::bank::FORCE;
+use super::bank::{FORCE, Member};
 use super::constants::LEAST_TORQUE_DETERMINANT;
-use super::tangent::{LinkState, Links, wrapped};
+use super::tangent::{LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};
+
+/// Squares of cosine and sine of eight angles evenly over a quarter turn.
+const DIRECTIONS: [[f64; 2]; 8] = [
+    [0.9903926402016152, 0.009607359798384785],
+    [0.9157348061512726, 0.08426519384872737],
+    [0.7777851165098011, 0.22221488349019888],
+    [0.5975451610080642, 0.4024548389919359],
+    [0.4024548389919359, 0.5975451610080642],
+    [0.22221488349019888, 0.7777851165098011],
+    [0.08426519384872737, 0.9157348061512726],
+    [0.009607359798384785, 0.9903926402016152],
+];
+/// Radius beyond which 5 % never lie, in standard deviations of the widest model along its widest axis: √(−2 ln 0.05) and more.
+const WIDEST: f64 = 2.5;
+/// Bisections of the radius: to a part in 1e9 of the widest.
+const BISECTIONS: usize = 30;
 
 impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion.
@@ -40,6 +56,20 @@ impl Estimator {
         known + frame.tip_by_geometry(&constants.parameters)
     }
 
+    /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal.
+    pub fn tip_radius(&self, constants: &Constants, motion: &LinkState) -> f64 {
+        let frame = constants.linkage.frame(&motion.theta);
+        let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
+        let models = self.belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
+            let off: Pair = tip * error.fixed_rows::<2>(0);
+            let about = tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + by_geometry;
+            let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
+            let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
+            (*weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
+        });
+        radius_of_95_percent(&models)
+    }
+
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where
     /// motors cannot exert it.
     pub fn motor_torques(&self, constants: &Constants, motion: &LinkState) -> Option<([f64; 2], [f64; 2])> {
@@ -50,5 +80,52 @@ impl Estimator {
         let covariance = inverse * self.belief.bank.covariance().fixed_view::<2, 2>(FORCE, FORCE) * inverse.transpose();
         let sigma = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
         Some(((inverse * self.belief.tangent_force(&frame)).into(), sigma.into()))
+    }
+}
+
+/// Radius that holds 95 % of a mixture of normal distributions about one centre, m, by probability and variances along both axes, m².
+fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
+    // Over directions of the whitened error, along each of which its square is exponential.
+    let within = |radius: f64| -> f64 {
+        let part = |(weight, variances): &(f64, Pair)| {
+            let beyond = DIRECTIONS.map(|direction| {
+                let variance = variances.dot(&Pair::from(direction)).max(f64::MIN_POSITIVE);
+                libm::exp(-radius * radius / (2.0 * variance))
+            });
+            weight * (1.0 - beyond.iter().sum::<f64>() / beyond.len() as f64)
+        };
+        models.iter().map(part).sum()
+    };
+    let largest = models.iter().map(|(_, variances)| variances[0]).fold(0.0, f64::max);
+    let [mut low, mut high] = [0.0, WIDEST * largest.sqrt()];
+    for _ in 0..BISECTIONS {
+        let middle = (low + high) / 2.0;
+        if within(middle) < 0.95 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Circles, lines, and a loud model that is less probable than 5 % hardly widens the radius.
+    #[test]
+    fn radii_hold_95_percent() {
+        let radius = |models: &[(f64, [f64; 2])]| {
+            radius_of_95_percent(&models.iter().map(|(weight, variances)| (*weight, (*variances).into())).collect::<Vec<_>>())
+        };
+        // Quantiles of the Rayleigh, half-normal and Rayleigh distributions; tolerances: bisection, and eight directions of a line.
+        for (models, expected, tolerance) in [
+            (&[(1.0, [4.0, 4.0])][..], 2.0 * (-2.0 * 0.05_f64.ln()).sqrt(), 1e-8),
+            (&[(1.0, [1.0, 0.0])], 1.959964, 1e-3),
+            (&[(0.99, [1.0, 1.0]), (0.01, [1e12, 1e12])], (-2.0 * (0.04_f64 / 0.99).ln()).sqrt(), 1e-2),
+        ] {
+            assert!((radius(models) / expected - 1.0).abs() < tolerance, "{models:?}: {} {expected}", radius(models));
+        }
     }
 }

@@ -135,13 +135,14 @@ impl Bank {
     }
 
     /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
-    /// N·m. A model persists for `switch_time`, s, before one drawn from `priors` replaces it.
+    /// N·m, and by how much more the unknown force walks, N·m/√s. A model persists for `switch_time`, s, before one drawn from `priors`
+    /// replaces it.
     #[inline(never)]
     pub fn predict(
         &mut self,
         f: &Matrix,
         noise: &ProcessNoise,
-        [scale, inertia]: [f64; 2],
+        [scale, inertia, further]: [f64; 3],
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
@@ -158,7 +159,7 @@ impl Bank {
             let off = member.error - mean;
             let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
             let white = scale * scale * WHITE_TORQUE[j];
-            let walk = scale * scale * FORCE_WALK[j] + inertia * inertia * MASS_WALK[j];
+            let walk = scale * scale * FORCE_WALK[j] + inertia * inertia * MASS_WALK[j] + further * further;
             member.error = f * (member.error * own + mean * any);
             member.covariance = transformed(f, &mixed) + noise.white * white + noise.walk * walk;
             bound(&mut member.covariance);

@@ -213,6 +213,9 @@ pub(super) const LONGEST_SAMPLE_TIME: f64 = 0.02;
 /// Variance rate of the unknown force by errors of masses in a forecast, 1/s, relative to the squared inertia torques: samples have revealed
 /// only the mass errors that mattered until now. Chosen by the coverage of falls with masses 5 % off.
 pub(super) const FORECAST_MASS_WALK: f64 = 0.2;
+/// Variance rate of the unknown force in a forecast, 1/s, relative to its square: what acts changes as the machine moves. Chosen by the
+/// coverage of the forecasts of every scene.
+pub(super) const CARRIED_WALK: f64 = 1.0;
 /// Sudden alarm: change of the unknown force, in torque scales, and probability of the loud models above which it counts.
 pub(super) const SUDDEN_CHANGE: (f64, f64) = (0.25, 0.999);
 /// Sudden alarm of lower probability: probability of the loud models, and normalised change in standard deviations.

@@ -377,7 +377,7 @@ impl Hypothesis {
             (end, Propagation::along(&flow, scene.mass(&self.motion.theta), &from, (&end, &to), h))
         };
         let (scale, timing) = (rules.force_scale * constants.torque_scale(), (h, constants.parameters.switch_time));
-        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0], timing, &rules.models);
+        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, &rules.models);
         self.motion = end;
         Some(())
     }

@@ -41,7 +41,8 @@ pub use alarm::Alarm;
 pub use bank::Innovation;
 pub use belief::Belief;
 use constants::{
-    BY_INTERVALS, BY_NOISE, DIVERGED_INNOVATION, LARGEST_NIS, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, LARGEST_NIS, LIKELY_MODELS, LONGEST_SAMPLE_TIME,
+    MODELS, NEAR_SINGULARITY,
 };
 use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
@@ -324,10 +325,17 @@ impl Estimator {
         self.hypotheses.open_after_vertex(constants, (from, &self.belief), scene, &step, to);
         self.history.step((from, &frame), &step.f, h, parameters.max_delay);
         // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
-        let scales = [scale, if self.has_intervals(parameters) { inertia } else { 0.0 }];
-        let priors = if coasts { LIKELY_MODELS } else { models };
-        let (noise, timing) = (step.noise(h), (h, parameters.switch_time));
-        self.belief.bank.predict(&step.f, &noise, scales, timing, &priors);
+        let observable = if self.has_intervals(parameters) { inertia } else { 0.0 };
+        // Without samples each model goes on by itself: a quantile of their mixture shows what a covariance hides. What acts changes as the
+        // machine moves, and errors of masses appear that no sample has revealed yet.
+        let force = self.belief.tangent_force(&frame);
+        let (further, lasting) = if coasts {
+            ((force.norm_squared() * CARRIED_WALK + inertia * inertia * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
+        } else {
+            (0.0, parameters.switch_time)
+        };
+        let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
+        self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
         self.unaided.predict(&step, &noise, scales, timing);
         self.held = step.held;
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);

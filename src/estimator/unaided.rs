@@ -64,7 +64,7 @@ impl Unaided {
     }
 
     /// Time update by h seconds, as of the estimate's bank.
-    pub(super) fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, scales: [f64; 2], timing: (f64, f64)) {
+    pub(super) fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, scales: [f64; 3], timing: (f64, f64)) {
         if step.held {
             self.without = None;
         }

@@ -76,6 +76,7 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::EstimatedThetaSigma(i) => estimated(&|of| of.following.sigmas()[0][PROXIMAL_LINKS[i]]),
         V::EstimatedOmegaSigma(i) => estimated(&|of| of.following.sigmas()[1][PROXIMAL_LINKS[i]]),
         V::EstimatedTipCov(i) => estimated(&|of| of.following.tip_covariance()[i]),
+        V::EstimatedForecastRadius95 => estimated(&|of| of.following.tip_radius()),
         V::EstimatedInnovation(i) => estimated(&|of| of.following.estimator().innovation()[i]),
         V::EstimatedSingularProbability => estimated(&|of| of.singularity_probability()),
     })

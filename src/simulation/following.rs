@@ -157,6 +157,11 @@ impl Following {
         [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
+    /// Radius about the tip, m, that holds it with 95 % of probability.
+    pub fn tip_radius(&self) -> f64 {
+        self.estimate.estimator.tip_radius(&self.constants, &self.motion())
+    }
+
     /// Probability of a direct singularity within the horizon under held `held` inputs, the unknown force included: see
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {

@@ -93,7 +93,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "est": {"fields": {f"{n}[{i}]": 1.0 for n in ("theta", "passive.theta") for i in (1, 2)} | {"tip.x": 0.1, "tip.y": 0.3, "estimated.status": 2.0}}
     | {"after": -1, "inputs": [["meas", 1, 5], ["cmd", 2, 6]]},
     "forecast": {"fields": {"tip.x": 0.1}, "ahead": 0.5, "half_width": 0.01}
-    | {"path": {name: [0.1] * 10 for name in ("ahead", "tip.x", "tip.y", *(f"estimated.tip.cov[{i}]" for i in (1, 2, 3)))}}
+    | {"path": {name: [0.1] * 10 for name in ("ahead", "tip.x", "tip.y", "estimated.forecast.radius95")}}
     | {"singular": {"probability": 0.5, "time": None, "type": "none"}, "stop": {"probability": 0.0, "time": 5, "at": "lower[1]"}},
     "alarm": {"fields": {}, "state": "anomaly", "cause": "force", "figures": {"estimated.nis": 40.0}, "reason": "acknowledged"},
     "param": {"fields": {"servo.kp[1]": 20.0}},

@@ -1,6 +1,6 @@
-"""Forecasts: a stored state of the twin goes on without samples, along the plan of its drives; its covariance grows.
+"""Forecasts: a stored state of the twin goes on without samples, along the plan of its drives; its bands grow.
 
-Everything that is probable comes from the unit: the tip's covariance along the path, and the probability of a singularity within the
+Everything that is probable comes from the unit: the radius that holds the tip along the path, and the probability of a singularity within the
 horizon. Here only the path is looked at: where it meets a singularity (a determinant changes its sign) or an end stop.
 """
 
@@ -22,6 +22,9 @@ POINTS: Final = 10
 LEVEL: Final = 5.991464547107979
 """Squared radius, in standard deviations, of the ellipse that holds 95 % of a normal distribution in the plane: -2 ln 0.05."""
 
+RADIUS: Final = "estimated.forecast.radius95"
+"""Radius about the forecast tip, m, that holds the tip with 95 %: the unit's quantile of its models."""
+
 COVARIANCE: Final = tuple(f"estimated.tip.cov[{i}]" for i in (1, 2, 3))
 ANGLES: Final = ("theta[1]", "theta[2]", "estimated.theta.sigma[1]", "estimated.theta.sigma[2]")
 PROBABILITY: Final = "estimated.singular.probability"
@@ -33,13 +36,6 @@ def half_width(cov: tuple[float, float, float]) -> float:
     xx, xy, yy = cov
     largest = (xx + yy) / 2 + math.hypot((xx - yy) / 2, xy)
     return math.sqrt(LEVEL * max(largest, 0.0))
-
-
-def inside(cov: tuple[float, float, float], dx: float, dy: float) -> bool:
-    """Whether a point so far from the centre, m, lies in the 95 % ellipse."""
-    xx, xy, yy = cov
-    det = xx * yy - xy * xy
-    return det > 0 and (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / det <= LEVEL
 
 
 def crossing(before: float, after: float) -> float | None:
@@ -54,7 +50,7 @@ class Forecaster(Rider):
 
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
-        self.path = Reader(self.unit, ("tip.x", "tip.y", *COVARIANCE))
+        self.path = Reader(self.unit, ("tip.x", "tip.y", RADIUS))
         self.seen = Reader(self.unit, (*DETERMINANTS.values(), *ANGLES))
         self.probability = Reader(self.unit, (PROBABILITY,))
         self.stops: dict[str, tuple[str, float, float]] = {}
@@ -99,7 +95,7 @@ class Forecaster(Rider):
         if not all(math.isfinite(x) for values in path.values() for x in values) or not math.isfinite(probability):
             return None
         time = book.time + setup.step_ns
-        extra = {"ahead": setup.horizon, "path": path, "singular": singular, "stop": stop, "half_width": half_width(covariance(fields))}
+        extra = {"ahead": setup.horizon, "path": path, "singular": singular, "stop": stop, "half_width": fields[RADIUS]}
         return Message("forecast", "", time, book.seq, fields, extra)
 
     def _meets(

@@ -185,7 +185,7 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     hits = [judged.inside[w] for w in where]
     share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
     share.axhline(95, color=MACHINE, linewidth=0.6)
-    share.set(ylim=(0, 105), ylabel="inside the 95 % ellipse (%, dotted; line: 95)")
+    share.set(ylim=(0, 105), ylabel="inside the 95 % circle (%, dotted; line: 95)")
     share.grid(visible=False)
     return figure
 
@@ -276,7 +276,7 @@ def _cards(content: dict[str, Any]) -> str:
             card(content["latency_ms"]["p99"], ".1f", "ms", "sample to estimate, p99"),
             card(content["tip_error_mm"]["rms"], ".3f", "mm", "tip error, rms"),
             card(forecasts["halfwidth_mm"]["median"], ".1f", "mm", f"forecast {forecasts['ahead_s']:g} s, half-width"),
-            card(None if covered is None else 100 * covered, ".1f", "%", "inside the 95 % ellipse"),
+            card(None if covered is None else 100 * covered, ".1f", "%", "inside the 95 % circle"),
         )
     )
 

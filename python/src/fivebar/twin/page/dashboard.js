@@ -81,7 +81,7 @@ function remember(message) {
   state.history.push({
     t: seconds,
     error: machine ? Math.hypot(machine.tip[0] - back[0], machine.tip[1] - back[1]) : NaN,
-    band: halfAxes([1, 2, 3].map((i) => fields[`estimated.tip.cov[${i}]`]))[0],
+    band: halfWidth([1, 2, 3].map((i) => fields[`estimated.tip.cov[${i}]`])),
     tau: [1, 2].map((i) => fields[`estimated.tau[${i}]`]),
     sigma: [1, 2].map((i) => fields[`estimated.tau.sigma[${i}]`]),
     nis: fields["estimated.nis"],
@@ -152,10 +152,9 @@ function machinePose(sample) {
   return { left, right, tip: [left[0] + (along * dx - height * dy) / d, left[1] + (along * dy + height * dx) / d] };
 }
 
-/** Half-axes of the 95 % ellipse, m, and its direction, of a covariance xx, xy, yy. */
-function halfAxes([xx, xy, yy]) {
-  const middle = (xx + yy) / 2, radius = Math.hypot((xx - yy) / 2, xy);
-  return [Math.sqrt(LEVEL * Math.max(middle + radius, 0)), Math.sqrt(LEVEL * Math.max(middle - radius, 0)), Math.atan2(2 * xy, xx - yy) / 2];
+/** The larger half-axis of the 95 % ellipse, m, of a covariance xx, xy, yy. */
+function halfWidth([xx, xy, yy]) {
+  return Math.sqrt(LEVEL * Math.max((xx + yy) / 2 + Math.hypot((xx - yy) / 2, xy), 0));
 }
 
 // --- the drawing ------------------------------------------------------------------------------------------------------
@@ -271,15 +270,15 @@ function drawGround(pen, width, height, at, stroke) {
   stroke([[0, 0], [base, 0]], colours.line, 2);
 }
 
-/** The fan: where the tip will be, and the ellipses that hold it with 95 %. */
+/** The fan: where the tip will be, and the circles that hold it with 95 %. */
 function drawForecast(pen, at, stroke, twin) {
   const forecast = state.forecast;
   if (!forecast || Math.abs(state.est.time - forecast.time) > 0.3e9) return;
   const { path } = forecast, points = path["tip.x"].map((x, i) => [x, path["tip.y"][i]]);
   points.forEach((p, i) => {
-    const [a, b, angle] = halfAxes([1, 2, 3].map((k) => path[`estimated.tip.cov[${k}]`]?.[i]));
-    if (!Number.isFinite(a)) return;
-    pen.beginPath(); pen.ellipse(...at(p), Math.max(a * view.scale, 1.5), Math.max(b * view.scale, 1.5), -angle, 0, 2 * Math.PI);
+    const radius = path["estimated.forecast.radius95"]?.[i];
+    if (!Number.isFinite(radius)) return;
+    pen.beginPath(); pen.arc(...at(p), Math.max(radius * view.scale, 1.5), 0, 2 * Math.PI);
     pen.fillStyle = colours.tip; pen.globalAlpha = 0.13; pen.fill();
     pen.strokeStyle = colours.tip; pen.globalAlpha = 0.45; pen.lineWidth = 1; pen.stroke(); pen.globalAlpha = 1;
   });
@@ -462,7 +461,7 @@ async function begin() {
   document.title = `${unit} · five-bar twin`;
   byId("name").textContent = `${unit}: machine and twin`;
   byId("description").textContent = `${scene}: ${description}`;
-  byId("note").textContent = `Topics fivebar/${unit}/…; ellipses and bands hold 95 %; the forecast looks ${horizon} s ahead along the plan of the drives.`;
+  byId("note").textContent = `Topics fivebar/${unit}/…; circles and bands hold 95 %; the forecast looks ${horizon} s ahead along the plan of the drives.`;
   legend("Twin, left leg", "--left");
   legend("Twin, right leg", "--right", "core");
   legend("Machine", "--ink", "dash");
