@@ -21,7 +21,7 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M> {
 
     /// Mean forces Q̄, N and N·m, whose work Q̄ᵀd is the loss of their potentials plus the work of inputs minus dissipation.
     fn mean_forces(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Vector<N>;
-    /// Work of inputs and dissipation over the step, J. Called only if [`System::follows_work`].
+    /// Work of inputs and dissipation over the step, J. Called only if [`System::features`] ask for work.
     fn work_over(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Work;
 
     /// The step of `h` seconds from q₀ and q̇₀ with its loops cut: joint coordinates meet all joints but the cut ones, and forces
