@@ -233,8 +233,8 @@ fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     };
     let mut command = venv::python(packages)?;
     command
-        // Three files of tests at a time, on two cores: many tests wait for a twin's clock or for packages.
-        .args(["-m", "pytest", "tests/python", "--numprocesses", "3", "--dist", "loadfile"])
+        // Two files of tests at a time: a third one makes browsers late.
+        .args(["-m", "pytest", "tests/python", "--numprocesses", "2", "--dist", "loadfile"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
