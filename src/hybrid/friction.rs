@@ -348,9 +348,10 @@ impl FrictionProblem {
         self.places.len()
     }
 
-    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s².
+    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s². The mobility of a place that the linkage keeps from
+    /// moving is round-off, of either sign.
     fn scale(&self, i: usize) -> f64 {
-        self.mobility[i][i] * self.bounds[i]
+        self.mobility[i][i].max(0.0) * self.bounds[i]
     }
 
     /// Whether friction can keep all places at rest, and that stops the whole mechanism.

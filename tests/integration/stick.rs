@@ -241,6 +241,22 @@ fn places_of_one_motion_hold_one_motion() {
     assert!(balance.can_rest());
 }
 
+/// Past a turning point a joint slips the way the links drive it, though friction there moves nothing: its mobility is round-off, whose
+/// sign does not decide. The numbers are those of the left elbow of coaxial motors as the right arm stretches.
+#[test]
+fn a_place_that_friction_cannot_move_slips_as_it_is_driven() {
+    for (change, direction) in [(668.0, SlipDirection::Forward), (-668.0, SlipDirection::Backward)] {
+        for mobility in [-4.5e-13, 0.0, 4.5e-13] {
+            let mut balance = FrictionProblem::default();
+            balance.places.push(1);
+            (balance.mobility[0][0], balance.change[0], balance.bounds[0]) = (mobility, change, 1.2e-3);
+            let mut stick_slip = StickSlips::OPEN;
+            balance.resolve_motion(&mut stick_slip);
+            assert_eq!(stick_slip.at(1), StickSlip::Slips(direction), "{change} rad/s², {mobility:e}");
+        }
+    }
+}
+
 /// With coaxial motors the inner joints turn by the same angle: they stop together and hold together, whichever of them is strong, and the
 /// arm then turns about its motors as one piece.
 #[test]
