@@ -20,7 +20,9 @@ use arrayvec::ArrayVec;
 use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::ForceLaw;
 use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
-use crate::hybrid::{CONTACT, FRICTION_PLACES, Law, MeanReaction, Mode, SPRINGS, TIP_FRICTION, UnilateralGuard, UnilateralSpring};
+use crate::hybrid::{
+    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, SPRINGS, TIP_FRICTION, UnilateralGuard, UnilateralSpring,
+};
 use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
@@ -232,12 +234,9 @@ impl ForceLaw for Contact {
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
         let (guard, mode) = (self.guard(at), &at.joints.mode);
         if self.may_stick() && guard.phase(mode).pushes() {
-            elements.push(FrictionElement {
-                place: TIP_FRICTION,
-                wrench: Wrench::of_tip(self.tangent()),
-                rate: self.slip(at),
-                bound: self.mu * guard.force(mode),
-            });
+            let (rate, bound) = (self.slip(at), self.mu * guard.force(mode));
+            let place = FrictionPlace { place: TIP_FRICTION, rate, bound, arms: self.arms };
+            elements.push(FrictionElement { at: place, wrench: Wrench::of_tip(self.tangent()) });
         }
     }
 }

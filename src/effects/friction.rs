@@ -24,9 +24,9 @@
 
 use super::force_law::{ForceLaw, PowerFlow};
 use super::wrench::{FrictionElement, FrictionElements, JOINTS, JointMotion, Motion, Wrench};
-use crate::hybrid::Law;
+use crate::hybrid::{FrictionPlace, Law};
 use crate::mechanism::exponential::gaussian_and_tanh;
-use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{LINKS, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,6 +52,8 @@ struct Curve {
     breakaway: f64,
     /// Amplitude √(2e) (T_brk − T_c) of the Stribeck term, N·m.
     stribeck: f64,
+    /// Lever arms of the joint: |∂w/∂θ̇| of its rate by the rate of each link.
+    arms: [f64; LINKS],
 }
 
 /// Dry friction, made ready from its parameters.
@@ -67,7 +69,7 @@ pub struct Friction {
 
 impl Friction {
     /// Makes the friction ready; refuses torques that are negative, or below the Coulomb torque at breakaway.
-    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    pub(super) fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
@@ -81,7 +83,8 @@ impl Friction {
             }
             if breakaway > 0.0 {
                 let stribeck = (2.0 * std::f64::consts::E).sqrt() * (breakaway - coulomb);
-                *curve = Some(Curve { coulomb, breakaway, stribeck });
+                let arms = Wrench::of_joint(joint).lever_arms(&mechanism.geometry);
+                *curve = Some(Curve { coulomb, breakaway, stribeck, arms });
             }
         }
         let velocity = parameters.breakaway_velocity;
@@ -175,12 +178,9 @@ impl ForceLaw for Friction {
         }
         for (joint, curve) in self.curves.iter().enumerate() {
             if let Some(curve) = curve {
-                elements.push(FrictionElement {
-                    place: joint,
-                    wrench: Wrench::of_joint(joint),
-                    rate: at.joints.rates[joint],
-                    bound: curve.breakaway,
-                });
+                let &Curve { breakaway: bound, arms, .. } = curve;
+                let place = FrictionPlace { place: joint, rate: at.joints.rates[joint], bound, arms };
+                elements.push(FrictionElement { at: place, wrench: Wrench::of_joint(joint) });
             }
         }
     }

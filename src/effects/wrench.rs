@@ -6,7 +6,7 @@
 use arrayvec::ArrayVec;
 
 use super::Inputs;
-use crate::hybrid::{FRICTION_PLACES, Mode};
+use crate::hybrid::{FRICTION_PLACES, FrictionPlace, Mode};
 use crate::mechanism::{Geometry, LINKS};
 
 /// Number of joints: left base, left elbow, tip, right elbow, right base.
@@ -81,14 +81,10 @@ pub struct Wrench {
 /// Friction place of an effect at a state, whose sliding rate friction may hold at 0.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionElement {
-    /// Index of the place in [`crate::hybrid::StickSlips`].
-    pub place: usize,
+    /// The place with its sliding rate.
+    pub at: FrictionPlace,
     /// Wrench of a friction torque of 1 N·m, or of a friction force of 1 N; its power is the sliding rate.
     pub wrench: Wrench,
-    /// Sliding rate, rad/s or m/s.
-    pub rate: f64,
-    /// Largest friction torque or force while sticking, N·m or N.
-    pub bound: f64,
 }
 
 /// Friction places that are active at a state.

@@ -27,15 +27,27 @@ pub enum Law {
     Stick,
 }
 
-/// Active friction place at a state, as a constraint on the sliding rate w = row·q̇ that friction may hold at 0.
+/// Active friction place at a state.
 #[derive(Clone, Copy, Debug)]
-pub struct FrictionConstraint<const N: usize> {
+pub struct FrictionPlace {
     /// Index of the place in [`StickSlips`].
     pub place: usize,
     /// Sliding rate, rad/s or m/s.
     pub rate: f64,
     /// Largest friction torque or force while sticking, N·m or N.
     pub bound: f64,
+    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
+    pub arms: [f64; LINKS],
+}
+
+/// Friction places that are active at a state.
+pub type FrictionPlaces = ArrayVec<FrictionPlace, FRICTION_PLACES>;
+
+/// Friction place as a constraint on the sliding rate w = row·q̇ that friction may hold at 0.
+#[derive(Clone, Copy, Debug)]
+pub struct FrictionConstraint<const N: usize> {
+    /// The place with its sliding rate.
+    pub at: FrictionPlace,
     /// Generalised force of a friction torque of 1 N·m, or of a friction force of 1 N, which is the row of the constraint.
     pub row: Vector<N>,
     /// Part of ẇ that depends on the rates alone: ẇ = row·q̈ + drift.
@@ -61,8 +73,6 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn regularization(&self) -> f64;
     /// Sliding rate below which a friction place counts as at rest, rad/s or m/s.
     fn stick_velocity(&self) -> f64;
-    /// Lever arms of a place: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
-    fn lever_arms(&self, place: usize) -> [f64; LINKS];
 
     /// Stick-slip states that follow from a state without history.
     fn resolved(&self, q: &Vector<N>, v: &Vector<N>) -> StickSlips {
@@ -74,7 +84,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             }
         }
         let mut stick_slip = self.slipping(&constraints);
-        let rests = |constraint: &FrictionConstraint<N>| constraint.rate.abs() <= STICKING_RATE * self.stick_velocity();
+        let rests = |constraint: &FrictionConstraint<N>| constraint.at.rate.abs() <= STICKING_RATE * self.stick_velocity();
         if constraints.iter().any(rests) {
             self.friction_problem(q, v, &rests).resolve_motion(&mut stick_slip);
         }
@@ -84,15 +94,17 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// All places slip but those that the closure branch keeps still.
     fn slipping(&self, constraints: &FrictionConstraints<N>) -> StickSlips {
         let mut stick_slip = self.stick_slip().opened();
-        for constraint in constraints.iter().filter(|constraint| !self.stick_slip().is_still(constraint.place)) {
-            stick_slip.set(constraint.place, StickSlip::Slips(SlipDirection::of(constraint.rate)));
+        for FrictionConstraint { at, .. } in
+            constraints.iter().filter(|constraint| !self.stick_slip().is_still(constraint.at.place))
+        {
+            stick_slip.set(at.place, StickSlip::Slips(SlipDirection::of(at.rate)));
         }
         stick_slip
     }
 
     /// Whether a place can stick: its bound is positive and the closure branch lets it move.
     fn is_able(&self, constraint: &FrictionConstraint<N>) -> bool {
-        constraint.bound > 0.0 && !self.stick_slip().is_still(constraint.place)
+        constraint.at.bound > 0.0 && !self.stick_slip().is_still(constraint.at.place)
     }
 
     /// Friction problem of the places that may stick, while the others slip.
@@ -103,7 +115,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             constraints.iter().filter(|constraint| self.is_able(constraint) && rests(constraint)).copied().collect();
         let mut stick_slip = self.slipping(&constraints);
         for constraint in &resting {
-            stick_slip.set(constraint.place, StickSlip::Sticks(SlipDirection::Forward));
+            stick_slip.set(constraint.at.place, StickSlip::Sticks(SlipDirection::Forward));
         }
         let mass = self.factor_mass(&pose, self.regularization());
         let forces = self.with_stick_slip(stick_slip).forces(q, &pose, v).0;
@@ -111,8 +123,8 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let mut friction_problem = FrictionProblem::default();
         for (i, constraint) in resting.iter().enumerate() {
             let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
-            friction_problem.places.push(constraint.place);
-            friction_problem.bounds[i] = constraint.bound;
+            friction_problem.places.push(constraint.at.place);
+            friction_problem.bounds[i] = constraint.at.bound;
             friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
             for (j, other) in resting.iter().enumerate() {
                 friction_problem.mobility[j][i] = other.row.dot(&by_torque);
@@ -153,24 +165,22 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let (a, _) = mass.solve(&self.forces(q, &pose, v).0, &-self.phi_q_dot_times(&pose, v));
         let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
         for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), sticks)) {
-            holding[constraint.place] = part * share;
+            holding[constraint.at.place] = part * share;
         }
         holding
     }
 
-    /// Friction guards at a state, for event location.
-    fn friction_guards(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> FrictionGuards {
+    /// Friction guards at a state with its active places, for event location.
+    fn friction_guards(&self, places: impl Iterator<Item = FrictionPlace>, [q, v]: [&Vector<N>; 2]) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
         let first = (0..FRICTION_PLACES).find(|place| watched && sticks(self.stick_slip().at(*place)));
-        let guard = |FrictionConstraint { place, rate, bound, .. }: FrictionConstraint<N>| FrictionGuard {
-            place,
-            rate,
-            load: [holding[place], bound],
-            carried: first.is_some_and(|first| first < place) && sticks(self.stick_slip().at(place)),
-            arms: self.lever_arms(place),
+        let guard = |at: FrictionPlace| FrictionGuard {
+            at,
+            reaction: holding[at.place],
+            carried: first.is_some_and(|first| first < at.place) && sticks(self.stick_slip().at(at.place)),
         };
-        self.friction_constraints((q, pose, v), all).into_iter().map(guard).collect()
+        places.map(guard).collect()
     }
 
     /// Directional derivative of q̈ and λ with sticking joints, from those without friction: accelerations of sticking places stay 0.
@@ -204,15 +214,16 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             let slowest = if just_stopped { REST_RATE * self.stick_velocity() } else { 0.0 };
             return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
         }
-        let guards = self.friction_guards(q, &self.pose(q), v);
+        let constraints = self.friction_constraints((q, &self.pose(q), v), all);
+        let guards = self.friction_guards(constraints.into_iter().map(|constraint| constraint.at), [q, v]);
         let far = LARGEST_CONTRADICTION * self.stick_velocity();
-        let there = |place: usize| guards.iter().any(|guard| guard.place == place);
+        let there = |place: usize| guards.iter().any(|guard| guard.at.place == place);
         (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
-            && guards.iter().all(|guard| match stick_slip.at(guard.place) {
+            && guards.iter().all(|FrictionGuard { at, reaction, .. }| match stick_slip.at(at.place) {
                 StickSlip::Inactive => false,
-                StickSlip::Still => guard.rate.abs() <= far,
-                StickSlip::Slips(way) => way.sign() * guard.rate >= -far,
-                StickSlip::Sticks(_) => guard.rate.abs() <= far && guard.load[0].abs() <= (1.0 + 1e-3) * guard.load[1].abs() + 1e-9,
+                StickSlip::Still => at.rate.abs() <= far,
+                StickSlip::Slips(way) => way.sign() * at.rate >= -far,
+                StickSlip::Sticks(_) => at.rate.abs() <= far && reaction.abs() <= (1.0 + 1e-3) * at.bound.abs() + 1e-9,
             })
     }
 }
@@ -245,9 +256,9 @@ fn shares<'a, const N: usize>(
 ) -> impl Iterator<Item = (&'a FrictionConstraint<N>, f64)> {
     let first = constraints.first();
     constraints.iter().filter_map(move |constraint| {
-        let StickSlip::Sticks(way) = stick_slip.at(constraint.place) else { return None };
+        let StickSlip::Sticks(way) = stick_slip.at(constraint.at.place) else { return None };
         let leader = first?;
-        let share = if constraint.place == leader.place { 1.0 } else { way.sign() * constraint.bound / leader.bound };
+        let share = if constraint.at.place == leader.at.place { 1.0 } else { way.sign() * constraint.at.bound / leader.at.bound };
         Some((constraint, share))
     })
 }
@@ -255,16 +266,12 @@ fn shares<'a, const N: usize>(
 /// A friction place at a state, with its distance from the next transition between stick and slip.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionGuard {
-    /// Index in [`StickSlips`].
-    pub place: usize,
-    /// Rate, rad/s or m/s.
-    pub rate: f64,
-    /// Friction torque or force while sticking, and its bound, N·m or N; 0 while slipping.
-    pub load: [f64; 2],
+    /// The place with its sliding rate.
+    pub at: FrictionPlace,
+    /// Friction torque or force while sticking, N·m or N; 0 while slipping.
+    pub reaction: f64,
     /// Whether the place sticks by the constraint of another, which holds one motion with it until a singularity is left behind.
     pub carried: bool,
-    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
-    pub arms: [f64; LINKS],
 }
 
 /// Guards of all friction places that are active at a state.
@@ -281,19 +288,17 @@ impl FrictionGuard {
     /// Guard value in units of the event tolerance, positive past the guard: reversed rate while slipping, load above its bound while
     /// sticking.
     pub fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
-        match stick_slip.at(self.place) {
+        let FrictionPlace { place, rate, bound, .. } = self.at;
+        match stick_slip.at(place) {
             StickSlip::Inactive | StickSlip::Still => f64::NEG_INFINITY,
-            StickSlip::Slips(direction) => -direction.sign() * self.rate / stick_velocity(tolerance),
-            StickSlip::Sticks(_) => {
-                let [load, bound] = self.load;
-                (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
-            }
+            StickSlip::Slips(direction) => -direction.sign() * rate / stick_velocity(tolerance),
+            StickSlip::Sticks(_) => (self.reaction.abs() - bound) / (1e-7 * bound.abs() + 1e-12),
         }
     }
 
     /// Rate at which the place is carried along though it sticks, above the largest that errors explain, in units of the event tolerance.
     pub fn carried_residual(&self, tolerance: f64) -> f64 {
-        if self.carried { self.rate.abs() / stick_velocity(tolerance) - CARRIED_RATE } else { f64::NEG_INFINITY }
+        if self.carried { self.at.rate.abs() / stick_velocity(tolerance) - CARRIED_RATE } else { f64::NEG_INFINITY }
     }
 
     /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
@@ -306,11 +311,12 @@ impl FrictionGuard {
         Extremes { rates, accelerations, jerks, .. }: &Extremes,
         tolerance: f64,
     ) -> bool {
-        let StickSlip::Slips(direction) = stick_slip.at(self.place) else { return true };
-        let [from, to] = [self.rate, to.rate].map(|rate| direction.sign() * rate);
-        let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * of(link)).sum::<f64>();
+        let FrictionPlace { place, rate, arms, .. } = self.at;
+        let StickSlip::Slips(direction) = stick_slip.at(place) else { return true };
+        let [from, to] = [rate, to.at.rate].map(|rate| direction.sign() * rate);
+        let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| arms[link] * of(link)).sum::<f64>();
         // The sliding rate of a joint is a difference of link rates; the arms of the tip turn with the links.
-        let turning = if self.place == TIP_FRICTION { 1.0 } else { 0.0 };
+        let turning = if place == TIP_FRICTION { 1.0 } else { 0.0 };
         let most = along(&|link| accelerations[link] + turning * rates[link] * rates[link]);
         if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
             return true;

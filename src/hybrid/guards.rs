@@ -49,7 +49,7 @@ impl<'a> GuardValues<'a> {
         let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
         self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
             let residual = guard.guard_residual(&mode.stick_slip, tolerance);
-            let sticks = !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.place), StickSlip::Sticks(_));
+            let sticks = !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.at.place), StickSlip::Sticks(_));
             Residuals {
                 largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
                 breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },

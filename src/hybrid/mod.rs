@@ -8,7 +8,10 @@ mod guards;
 mod mode;
 pub mod unilateral;
 
-pub use friction::{FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, Frictional, Law, stick_velocity};
+pub use friction::{
+    FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, FrictionPlaces, Frictional, Law,
+    stick_velocity,
+};
 pub use guards::{Extremes, GuardValues};
 pub use mode::{CONTACT, FRICTION_PLACES, INDICATORS, Mode, SPRINGS, STOPS, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 pub use unilateral::{MeanReaction, UnilateralGuard, UnilateralSpring};

@@ -7,8 +7,8 @@ use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles,
 use super::five_bar::FiveBar;
 use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
-    self, FrictionConstraint, FrictionConstraints, FrictionGuards, Frictional, GuardValues, Mode, StickSlip, StickSlips,
-    TIP_FRICTION, stick_velocity,
+    self, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
+    StickSlips, stick_velocity,
 };
 use crate::integrator::{Events, Extremes, Residuals, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
@@ -36,29 +36,33 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(at)), friction_guards)
     }
 
+    /// Friction places that are active at a motion, with their wrenches.
+    fn friction_elements(&self, at: &Motion) -> FrictionElements {
+        let mut elements = FrictionElements::new();
+        for effect in &self.model.effects {
+            effect.add_friction(at, &mut elements);
+        }
+        elements
+    }
+
+    /// Friction places that are active at a motion.
+    fn friction_places(&self, at: &Motion) -> impl Iterator<Item = FrictionPlace> {
+        self.friction_elements(at).into_iter().map(|element| element.at)
+    }
+
     /// Friction places that are active at a motion, as constraints.
     fn friction<const N: usize>(
         &self,
         at: &Motion,
         wanted: impl Fn(StickSlip) -> bool,
-        constraint: impl Fn(&FrictionElement) -> (Vector<N>, f64),
+        constraint: impl Fn(&Wrench) -> (Vector<N>, f64),
     ) -> FrictionConstraints<N> {
-        let mut elements = FrictionElements::new();
-        for effect in &self.model.effects {
-            effect.add_friction(at, &mut elements);
-        }
-        let carried = |element: FrictionElement| {
-            let (row, drift) = constraint(&element);
-            let FrictionElement { place, rate, bound, .. } = element;
-            FrictionConstraint { place, rate, bound, row, drift }
+        let carried = |FrictionElement { at, wrench }| {
+            let (row, drift) = constraint(&wrench);
+            FrictionConstraint { at, row, drift }
         };
-        elements.into_iter().filter(|element| wanted(self.mode.stick_slip.at(element.place))).map(carried).collect()
-    }
-
-    /// Lever arms of a friction place.
-    fn arms_of(&self, place: usize) -> [f64; LINKS] {
-        let unit = if place == TIP_FRICTION { Wrench::of_tip([1.0, 0.0]) } else { Wrench::of_joint(place) };
-        unit.lever_arms(&self.model.mechanism.geometry)
+        let elements = self.friction_elements(at).into_iter();
+        elements.filter(|element| wanted(self.mode.stick_slip.at(element.at.place))).map(carried).collect()
     }
 
     /// Closure branch of a state with coaxial motors.
@@ -88,7 +92,7 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
         (q, pose, v): (&Angles, &Pose, &Angles),
         wanted: impl Fn(StickSlip) -> bool,
     ) -> FrictionConstraints<ANGLES> {
-        self.five_bar().friction(&self.motion(pose, q, v), wanted, |FrictionElement { wrench, .. }| {
+        self.five_bar().friction(&self.motion(pose, q, v), wanted, |wrench| {
             (angles(wrench.torques_in_angles(pose)), wrench.drift_in_angles(pose, legs(v)))
         })
     }
@@ -99,10 +103,6 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     fn stick_velocity(&self) -> f64 {
         stick_velocity(self.model().settings.error_tolerance)
-    }
-
-    fn lever_arms(&self, place: usize) -> [f64; LINKS] {
-        self.five_bar().arms_of(place)
     }
 }
 
@@ -120,7 +120,7 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
         (q, pose, v): (&Coordinates, &Pose, &Coordinates),
         wanted: impl Fn(StickSlip) -> bool,
     ) -> FrictionConstraints<COORDINATES> {
-        self.friction(&self.motion(q, pose, v), wanted, |FrictionElement { wrench, .. }| {
+        self.friction(&self.motion(q, pose, v), wanted, |wrench| {
             (wrench.in_coordinates(pose), wrench.drift_in_coordinates(pose, v))
         })
     }
@@ -132,10 +132,6 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
     fn stick_velocity(&self) -> f64 {
         stick_velocity(self.model.settings.error_tolerance)
     }
-
-    fn lever_arms(&self, place: usize) -> [f64; LINKS] {
-        self.arms_of(place)
-    }
 }
 
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
@@ -143,9 +139,9 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type GuardValues = GuardValues<'a>;
 
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
-        let pose = self.pose(q);
-        let friction_guards = if self.features().may_stick { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
-        self.five_bar().guards(&self.motion(&pose, q, v), friction_guards)
+        let motion = self.motion(&self.pose(q), q, v);
+        let friction_guards = self.friction_guards(self.five_bar().friction_places(&motion), [q, v]);
+        self.five_bar().guards(&motion, friction_guards)
     }
 
     fn mode_of(&self, q: &Angles, v: &Angles) -> Mode {
@@ -204,9 +200,9 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     type GuardValues = GuardValues<'a>;
 
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
-        let pose = self.pose(q);
-        let friction_guards = if self.features().may_stick { self.friction_guards(q, &pose, v) } else { FrictionGuards::new() };
-        self.guards(&self.motion(q, &pose, v), friction_guards)
+        let motion = self.motion(q, &self.pose(q), v);
+        let friction_guards = self.friction_guards(self.friction_places(&motion), [q, v]);
+        self.guards(&motion, friction_guards)
     }
 
     fn mode_of(&self, q: &Coordinates, v: &Coordinates) -> Mode {
