@@ -92,7 +92,8 @@ impl Contact {
             return Err(SceneError("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));
         }
         let spring = UnilateralSpring { stiffness: k, damping: d, width };
-        let arms = Wrench::of_tip([1.0, 0.0]).lever_arms(&mechanism.geometry);
+        let [proximal, distal, ..] = mechanism.geometry.links;
+        let arms = [proximal.length, distal.length, 0.0, 0.0];
         Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, law: parameters.law, arms })
     }
 

@@ -23,10 +23,10 @@
 //! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
 
 use super::force_law::{ForceLaw, PowerFlow};
-use super::wrench::{FrictionElement, FrictionElements, JOINTS, JointMotion, Motion, Wrench};
+use super::wrench::{FrictionElement, FrictionElements, JOINT_ARMS, JOINTS, JointMotion, Motion, Wrench};
 use crate::hybrid::{FrictionPlace, Law};
 use crate::mechanism::exponential::gaussian_and_tanh;
-use crate::mechanism::{LINKS, Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,8 +52,6 @@ struct Curve {
     breakaway: f64,
     /// Amplitude √(2e) (T_brk − T_c) of the Stribeck term, N·m.
     stribeck: f64,
-    /// Lever arms of the joint: |∂w/∂θ̇| of its rate by the rate of each link.
-    arms: [f64; LINKS],
 }
 
 /// Dry friction, made ready from its parameters.
@@ -69,7 +67,7 @@ pub struct Friction {
 
 impl Friction {
     /// Makes the friction ready; refuses torques that are negative, or below the Coulomb torque at breakaway.
-    pub(super) fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
@@ -83,8 +81,7 @@ impl Friction {
             }
             if breakaway > 0.0 {
                 let stribeck = (2.0 * std::f64::consts::E).sqrt() * (breakaway - coulomb);
-                let arms = Wrench::of_joint(joint).lever_arms(&mechanism.geometry);
-                *curve = Some(Curve { coulomb, breakaway, stribeck, arms });
+                *curve = Some(Curve { coulomb, breakaway, stribeck });
             }
         }
         let velocity = parameters.breakaway_velocity;
@@ -178,8 +175,8 @@ impl ForceLaw for Friction {
         }
         for (joint, curve) in self.curves.iter().enumerate() {
             if let Some(curve) = curve {
-                let &Curve { breakaway: bound, arms, .. } = curve;
-                let place = FrictionPlace { place: joint, rate: at.joints.rates[joint], bound, arms };
+                let rate = at.joints.rates[joint];
+                let place = FrictionPlace { place: joint, rate, bound: curve.breakaway, arms: JOINT_ARMS[joint] };
                 elements.push(FrictionElement { at: place, wrench: Wrench::of_joint(joint) });
             }
         }

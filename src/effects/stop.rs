@@ -9,9 +9,9 @@ use arrayvec::ArrayVec;
 
 use super::finite_motion::FiniteMotion;
 use super::force_law::ForceLaw;
-use super::wrench::{MOTOR_ANGLES, Motion, Slopes, Wrench};
+use super::wrench::{JOINT_ARMS, MOTOR_ANGLES, Motion, Slopes, Wrench};
 use crate::hybrid::{MeanReaction, SPRINGS, STOPS, UnilateralGuard, UnilateralSpring};
-use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,9 +37,6 @@ pub struct Stop {
     upper: [f64; 2],
     spring: UnilateralSpring,
 }
-
-/// Lever arms |∂d/∂θ| of the penetrations of a motor's stops by the angle of each link.
-const ARMS: [[f64; LINKS]; 2] = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// Directions of an axis into its lower and its upper stop.
 const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
@@ -72,7 +69,13 @@ impl Stop {
         let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
         [0, 1].map(|i| {
             let rate = DIRECTIONS[i] * rate;
-            UnilateralGuard { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
+            UnilateralGuard {
+                place: STOPS[motor][i],
+                spring: &self.spring,
+                depth: depths[i],
+                rate,
+                arms: &JOINT_ARMS[MOTOR_ANGLES[motor]],
+            }
         })
     }
 

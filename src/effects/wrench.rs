@@ -7,7 +7,7 @@ use arrayvec::ArrayVec;
 
 use super::Inputs;
 use crate::hybrid::{FRICTION_PLACES, FrictionPlace, Mode};
-use crate::mechanism::{Geometry, LINKS};
+use crate::mechanism::LINKS;
 
 /// Number of joints: left base, left elbow, tip, right elbow, right base.
 pub const JOINTS: usize = 5;
@@ -18,6 +18,20 @@ pub const MOTOR_ANGLES: [usize; 2] = [0, 4];
 /// Links of each joint, first and second. The rate of a joint is the rate of its first link minus the rate of its second link, if any; a
 /// joint torque acts with + on the first and with − on the second.
 pub const JOINT_LINKS: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+
+/// Magnitudes |∂w/∂θ̇| of each joint's rate by the rate of each link.
+pub(super) static JOINT_ARMS: [[f64; LINKS]; JOINTS] = {
+    let (mut arms, mut joint) = ([[0.0; LINKS]; JOINTS], 0);
+    while joint < JOINTS {
+        let (first, second) = JOINT_LINKS[joint];
+        arms[joint][first] = 1.0;
+        if let Some(second) = second {
+            arms[joint][second] = 1.0;
+        }
+        joint += 1;
+    }
+    arms
+};
 
 /// A vector in the plane.
 pub type Planar = [f64; 2];
@@ -139,15 +153,6 @@ impl Wrench {
         }
         self.force = [0, 1].map(|i| self.force[i] + factor * other.force[i]);
         self
-    }
-
-    /// Lever arms of a unit wrench: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
-    pub fn lever_arms(&self, geometry: &Geometry) -> [f64; LINKS] {
-        let reach = dot(self.force, self.force).sqrt();
-        let [proximal, distal, ..] = geometry.links;
-        let [left, right] = [reach * proximal.length, reach * distal.length];
-        let torques = self.on_links().map(f64::abs);
-        [torques[0] + left, torques[1] + right, torques[2], torques[3]]
     }
 
     /// Sums of the joint torques on links 1 to 4, N·m.

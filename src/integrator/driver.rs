@@ -12,7 +12,7 @@
 
 use std::borrow::Borrow;
 
-use super::locator::{self, EventTrials};
+use super::locator::{EventTrials, Probe};
 use super::{Approach, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
 
 /// Trials of one step.
@@ -67,8 +67,9 @@ pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
     /// Length of the first trial, s, by `system` in the mode of the step, which lasts for `lasting` seconds; within limits if a vertex is
     /// near.
     fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64;
-    /// Makes a trial, `system` being in the mode of the step, and takes it over if its error is admissible and no event occurs earlier.
-    fn attempt(&mut self, system: &S, trials: &Trials) -> Result<Outcome, StepError>;
+    /// Makes a trial, `system` being in the mode of the step, and takes it over if its error is admissible and no event occurs earlier;
+    /// `from` is the beginning among the guards, where there are any.
+    fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError>;
     /// Discards a trial.
     fn discard(&mut self);
     /// Length of the next trial, s, after one that was rejected with an error.
@@ -81,12 +82,12 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     system: &S,
     (passage, tolerance): (&PassageLimits, f64),
 ) -> Result<End, StepError> {
+    /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
+    const DWELL_MARGIN: f64 = 1.2;
     let mut trials = Trials { h: f64::INFINITY, rejected: None, events: EventTrials::NONE, longest: f64::INFINITY };
     loop {
-        let State { q, v, .. } = method.start();
-        let (mode, lasting) = locator::mode_at(system, method.initial_mode(), [q, v], tolerance);
-        method.enter(system, mode);
-        let in_mode = system.on(mode);
+        let from = begin(method, system, tolerance);
+        let in_mode = system.on(method.initial_mode());
         if in_mode.borrow().stuck() == Stuck::Wholly {
             method.rest();
             return Ok(End::AtRest);
@@ -100,9 +101,10 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
                 return Ok(End::Passed);
             }
         };
+        let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * in_mode.borrow().dwell_time(&from.guard_values));
         trials.h = method.plan(in_mode.borrow(), near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
-        if let Some(end) = in_one_mode(method, in_mode.borrow(), longest, &mut trials)? {
+        if let Some(end) = in_one_mode(method, in_mode.borrow(), (from.as_ref(), longest), &mut trials)? {
             return Ok(end);
         }
         let State { q, v, .. } = method.start();
@@ -111,16 +113,43 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     }
 }
 
+/// Enters the mode in which a step begins, after all transitions due at its beginning; returns the beginning among the guards, where there
+/// are any.
+fn begin<const N: usize, const M: usize, S: Mechanics<N, M>>(
+    method: &mut impl Method<N, M, S>,
+    system: &S,
+    tolerance: f64,
+) -> Option<Probe<S::GuardValues>> {
+    /// Largest number of transitions at the beginning of a step.
+    const MOST_TRANSITIONS: u32 = 8;
+    let State { q, v, .. } = method.start();
+    let mut mode = system.select_branch(method.initial_mode(), q, v);
+    let mut transitions = 0;
+    loop {
+        method.enter(system, mode);
+        if !system.features().events {
+            return None;
+        }
+        let (in_mode, State { q, v, .. }) = (system.on(mode), method.start());
+        let from = Probe::new(in_mode.borrow(), (0.0, [q, v]), tolerance);
+        if !from.is_past_guard() || transitions == MOST_TRANSITIONS {
+            return Some(from);
+        }
+        mode = in_mode.borrow().next_mode(q, v, tolerance);
+        transitions += 1;
+    }
+}
+
 /// Makes trials of a step, of at most `longest` seconds, by the system in one mode; returns nothing where an event at the very beginning
-/// ends the mode.
+/// ends the mode. `from` is the beginning among the guards.
 fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,
-    longest: f64,
+    (from, longest): (Option<&Probe<S::GuardValues>>, f64),
     trials: &mut Trials,
 ) -> Result<Option<End>, StepError> {
     loop {
-        match method.attempt(system, trials)? {
+        match method.attempt(system, trials, from)? {
             Outcome::Accepted => return Ok(Some(End::Accepted)),
             Outcome::EventAt(when) => {
                 method.discard();

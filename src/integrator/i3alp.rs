@@ -23,9 +23,9 @@ use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::{Interpolant, Quintic};
 use super::driver::{self, End, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
-use super::locator::{self, EventCheck, Path};
+use super::locator::{self, EventCheck, Path, Probe};
 use super::{
-    Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, System, Transit, velocity_correction,
+    Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
@@ -102,7 +102,7 @@ impl MacroStep {
     ) -> Result<Progress, StepError> {
         if !settings.adaptive {
             let h = self.rest;
-            attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
+            attempt(system, settings, state, h, (&StepLimits::NONE, None))?.accept(system, state, h);
             return Ok(Progress::Done);
         }
         let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
@@ -196,12 +196,17 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
         self.of.divided(self.state.substep.min(self.limits.longest).min(lasting))
     }
 
-    fn attempt(&mut self, system: &S, &Trials { h, ref events, .. }: &Trials) -> Result<Outcome, StepError> {
+    fn attempt(
+        &mut self,
+        system: &S,
+        &Trials { h, ref events, .. }: &Trials,
+        from: Option<&Probe<S::GuardValues>>,
+    ) -> Result<Outcome, StepError> {
         let Self { of, settings, state, limits, .. } = self;
         of.check_work(settings)?;
         let tolerance = settings.error_tolerance.max(limits.round_off);
         let iterations = state.counters.iterations;
-        let attempt = attempt(system, settings, state, h, limits);
+        let attempt = attempt(system, settings, state, h, (limits, from.map(|from| &from.guard_values)));
         of.work += 1 + system.iteration_work() * (state.counters.iterations - iterations);
         of.last = [h, attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error)];
         let attempt = match attempt {
@@ -212,10 +217,7 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
                 return Ok(Outcome::Rejected(error));
             }
         };
-        let event = match locates_events(settings, system) {
-            true => attempt.check_events(system, settings, state, h, events.count),
-            false => EventCheck::Clear,
-        };
+        let event = from.map_or(EventCheck::Clear, |from| attempt.check_events(system, settings, (state, from), h, events.count));
         if let EventCheck::Before(when) = event {
             return Ok(Outcome::EventAt(when));
         }
@@ -253,14 +255,15 @@ struct Attempt<const N: usize, const M: usize> {
 }
 
 /// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
-/// (15); acceleration and multipliers from equilibrium (16); local error (18).
+/// (15); acceleration and multipliers from equilibrium (16); local error (18). `from` are the guard values at the beginning, where
+/// events are located.
 #[inline(never)] // one shared copy for fixed steps and sub-steps saves 33 kB and costs 1.5 % of the instructions of a bare step
 fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
-    limits: &StepLimits,
+    (limits, from): (&StepLimits, Option<&S::GuardValues>),
 ) -> Result<Attempt<N, M>, StepError> {
     if h < SHORTEST_FOR_NEWTON {
         return taylor_step(system, state, h, settings.regularization);
@@ -298,7 +301,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
-    let separated = if locates_events(&settings, system) { separation_loss(system, state, &end) } else { 0.0 };
+    let separated = from.map_or(0.0, |from| separation_loss(system, from, &end));
     if controls_rates(&settings, system) {
         error = error.max(stiff_error(system, &settings, state, h, (&pose, &end, separated)));
     }
@@ -308,11 +311,6 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
 /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost constant angles.
 fn controls_rates<const N: usize, const M: usize>(settings: &Settings, system: &impl Implicit<N, M>) -> bool {
     settings.adaptive && system.features().stiff
-}
-
-/// Whether sub-steps end at events.
-fn locates_events<const N: usize, const M: usize>(settings: &Settings, system: &impl System<N, M>) -> bool {
-    settings.adaptive && system.features().events
 }
 
 /// A step so short that q̈ and λ change by round-off only.
@@ -336,7 +334,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         &self,
         system: &S,
         settings: &Settings,
-        from: &State<N, M>,
+        (from, at_start): (&State<N, M>, &Probe<S::GuardValues>),
         h: f64,
         tries: u32,
     ) -> EventCheck {
@@ -345,7 +343,6 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         let ends = Quintic::SecondDerivatives([h * h * from.a, h * h * to.a]);
         let increment = Interpolant::quintic([Vector::ZERO, displacement], [h * from.v, h * to.v], &ends);
         let path = Path { origin: from.q, increment, length: h };
-        let at_start = system.guard_values(&from.q, &from.v);
         locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, path, |_| false)
     }
 

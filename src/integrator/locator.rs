@@ -2,11 +2,10 @@
 //! otherwise it is halved; crossings are refined by false position. Reactions of sticking friction have no such bounds, so their maxima
 //! are located. Events are data here: guard values, their residual and their bounds come from the system.
 
-use std::borrow::Borrow;
 use std::cell::Cell;
 
 use super::dense_output::Interpolant;
-use super::{Events, Extremes, Residuals, System};
+use super::{Events, Extremes, Residuals};
 use crate::vector::Vector;
 
 /// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
@@ -41,33 +40,6 @@ const ROUNDS: u32 = 60;
 /// Largest number of evaluations per step; a step that needs more is too long for its interpolant and is halved.
 const MOST_EVALUATIONS: u32 = 200;
 
-/// Mode in which a step from q and q̇ begins that the last one has left in `mode`, after all transitions due there; and the longest useful
-/// step in that mode, s.
-pub(super) fn mode_at<const N: usize, const M: usize, S: System<N, M> + Events<N>>(
-    system: &S,
-    mode: S::Mode,
-    [q, v]: [&Vector<N>; 2],
-    tolerance: f64,
-) -> (S::Mode, f64) {
-    /// Largest number of transitions at one state.
-    const MOST_TRANSITIONS: u32 = 8;
-    /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
-    const DWELL_MARGIN: f64 = 1.2;
-    let mut mode = system.select_branch(mode, q, v);
-    if !system.features().events {
-        return (mode, f64::INFINITY);
-    }
-    let guard_values = system.guard_values(q, v);
-    for _ in 0..MOST_TRANSITIONS {
-        let in_mode = system.on(mode);
-        if in_mode.borrow().residuals(&guard_values, tolerance).largest <= CROSSING_RESIDUAL {
-            break;
-        }
-        mode = in_mode.borrow().next_mode(q, v, tolerance);
-    }
-    (mode, DWELL_MARGIN * system.on(mode).borrow().dwell_time(&guard_values))
-}
-
 /// Decision about a step with an admissible error.
 pub(super) enum EventCheck {
     /// No event occurs.
@@ -78,12 +50,12 @@ pub(super) enum EventCheck {
     Before(f64),
 }
 
-/// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` are the guard values at its
-/// beginning, `end` q, q̇ and q̈ at its end; `path` is its dense output; `truncate` may end the step at a time inside it, s, so that
+/// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` is its beginning, `end` q, q̇ and q̈ at
+/// its end; `path` is its dense output; `truncate` may end the step at a time inside it, s, so that
 /// it need not be made again.
 pub(super) fn check<const N: usize, S: Events<N>>(
     (system, tolerance): (&S, f64),
-    from: S::GuardValues,
+    from: &Probe<S::GuardValues>,
     (end, length): ([&Vector<N>; 3], f64),
     tries: u32,
     path: Path<N>,
@@ -99,7 +71,7 @@ pub(super) fn check<const N: usize, S: Events<N>>(
             EventWindow::Outside(None) => {}
         }
     }
-    match path.first_crossing(system, tolerance, [from, system.guard_values(end[0], end[1])]) {
+    match path.first_crossing(system, tolerance, from, Probe::new(system, (1.0, [end[0], end[1]]), tolerance)) {
         Found::Nothing => seen,
         Found::Crossing(when) if when >= SHORTEST && truncate(when) => EventCheck::AtEnd,
         Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
@@ -199,10 +171,16 @@ impl<const N: usize> Path<N> {
         Extremes { rates, accelerations, jerks, snaps }
     }
 
-    /// Time of the first event, s from the beginning, between the guard values at both ends.
-    fn first_crossing<S: Events<N>>(&self, system: &S, tolerance: f64, [from, to]: [S::GuardValues; 2]) -> Found {
+    /// Time of the first event, s from the beginning, between both ends.
+    fn first_crossing<S: Events<N>>(
+        &self,
+        system: &S,
+        tolerance: f64,
+        from: &Probe<S::GuardValues>,
+        to: Probe<S::GuardValues>,
+    ) -> Found {
         let search = Search { path: self, system, tolerance, extremes: self.extremes(), left: Cell::new(MOST_EVALUATIONS) };
-        match search.first(&search.probe(0.0, from), &search.probe(1.0, to)) {
+        match search.first(from, &to) {
             _ if search.left.get() == 0 => Found::TooMuch,
             Some(part) => Found::Crossing(self.length * part),
             None => Found::Nothing,
@@ -221,12 +199,30 @@ enum Found {
 }
 
 /// Evaluated place on the interpolant.
-struct Probe<T> {
+pub(super) struct Probe<T> {
     /// Place, as a part of the step.
     part: f64,
     /// Guard values at the place.
-    guard_values: T,
+    pub(super) guard_values: T,
     residuals: Residuals,
+}
+
+impl<T> Probe<T> {
+    /// Evaluates a place, given as a part of the step, where the state is q and q̇.
+    pub(super) fn new<const N: usize, S: Events<N, GuardValues = T>>(
+        system: &S,
+        (part, [q, v]): (f64, [&Vector<N>; 2]),
+        tolerance: f64,
+    ) -> Self {
+        let guard_values = system.guard_values(q, v);
+        let residuals = system.residuals(&guard_values, tolerance);
+        Self { part, guard_values, residuals }
+    }
+
+    /// Whether an event has occurred: the place is past a guard of the mode.
+    pub(super) fn is_past_guard(&self) -> bool {
+        self.residuals.largest > CROSSING_RESIDUAL
+    }
 }
 
 /// Location of the first event on a path.
@@ -242,23 +238,18 @@ struct Search<'a, S, const N: usize> {
 }
 
 impl<S: Events<N>, const N: usize> Search<'_, S, N> {
-    fn probe(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
-        let residuals = self.system.residuals(&guard_values, self.tolerance);
-        Probe { part, guard_values, residuals }
-    }
-
     fn at(&self, part: f64) -> Probe<S::GuardValues> {
         self.left.set(self.left.get().saturating_sub(1));
         let [q, v] = self.path.at(part);
-        self.probe(part, self.system.guard_values(&q, &v))
+        Probe::new(self.system, (part, [&q, &v]), self.tolerance)
     }
 
     /// Part of the step at which the first guard is crossed between two places; the first place is within all guards.
     fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
-        if to.residuals.largest > CROSSING_RESIDUAL {
+        if to.is_past_guard() {
             // A crossing lies in between; the stretch before it is searched for earlier ones.
             let at = self.crossing_between(from, to);
-            let before = if at.residuals.largest <= CROSSING_RESIDUAL { self.first(from, &at) } else { None };
+            let before = if at.is_past_guard() { None } else { self.first(from, &at) };
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
@@ -271,7 +262,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
-        if stays && middle.residuals.largest <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
+        if stays && !middle.is_past_guard() && stretch <= LONGEST_PARABOLA {
             let probes = [from, &middle, to].map(|probe| [probe.part, probe.residuals.breakaway]);
             if maximum_is_below(probes) {
                 return None;
@@ -294,7 +285,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
                 return None;
             }
             let probe = self.at(part);
-            if probe.residuals.largest > CROSSING_RESIDUAL {
+            if probe.is_past_guard() {
                 return self.first(from, &probe);
             }
             let maximum = [part, probe.residuals.breakaway];

@@ -10,7 +10,7 @@ use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, che
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, ln, next_step};
 use crate::integrator::driver::{self, Method, Outcome, Trials};
-use crate::integrator::locator::{self, EventCheck, SHORTEST};
+use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
 use crate::integrator::{
     EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work,
 };
@@ -125,10 +125,10 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         self.wanted.min(longest)
     }
 
-    fn attempt(&mut self, system: &S, trials: &Trials) -> Result<Outcome, StepError> {
+    fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError> {
         let Self { step, settings, horizon, pose, basis, wanted, near, .. } = self;
         let origin = Origin { q: step.start.q, pose: *pose, regularization: settings.regularization };
-        let plan = Plan { wanted: *wanted, near: *near, horizon: *horizon, trials };
+        let plan = Plan { wanted: *wanted, near: *near, horizon: *horizon, trials, from };
         Ok(match basis {
             Basis::Dop853 => step.try_once::<Explicit<Dop853, N>, S>(system, settings, &plan, (&(), &origin)),
             Basis::Tsit5 => step.try_once::<Explicit<Tsit5, N>, S>(system, settings, &plan, (&(), &origin)),
@@ -153,7 +153,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
 }
 
 /// Plan of a trial.
-struct Plan<'a> {
+struct Plan<'a, G> {
     /// Step length that the error control wants, s.
     wanted: f64,
     /// Whether a vertex is near, where the energy may have to be conserved.
@@ -161,6 +161,8 @@ struct Plan<'a> {
     /// Time of the next output and limit of the step while inputs are constant.
     horizon: Horizon,
     trials: &'a Trials,
+    /// The beginning among the guards, where there are any.
+    from: Option<&'a Probe<G>>,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -210,7 +212,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         on: &S,
         settings: &Settings,
-        &Plan { wanted, near, horizon, trials: &Trials { h, rejected, events: ref event_trials, .. } }: &Plan<'_>,
+        &Plan { wanted, near, horizon, trials: &Trials { h, rejected, events: ref event_trials, .. }, from }: &Plan<
+            '_,
+            S::GuardValues,
+        >,
         (basis, origin): (&T::Linearization, &Origin<'_, S::Pose, N>),
     ) -> Outcome {
         let energy_target = if near { self.energy_target(on, h) } else { None };
@@ -219,10 +224,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Some(step_result) = step_result else { return Outcome::Rejected(error) };
         self.accept(&step_result, h, T::SCHEME);
         let mut longest_next = f64::INFINITY;
-        if on.features().events {
+        if let Some(from) = from {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.check_events(on, settings, &mut dense, event_trials.count) {
+            match self.check_events(on, settings, (from, event_trials.count), &mut dense) {
                 Ok(EventCheck::Before(when)) => return Outcome::EventAt(when),
                 Ok(event) if self.truncated_from > 0.0 => {
                     longest_next = event_trials.longest_after(&event, (self.length, self.truncated_from));
@@ -233,8 +238,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let interpolated = horizon.output < OUTPUT_MARGIN * h;
         // Event location has computed the coefficients already.
-        let is_truncated = on.features().events && self.truncated_from > 0.0;
-        if interpolated && !(is_truncated || on.features().events && self.dense != [StageDerivative::NONE; 4]) {
+        let is_truncated = from.is_some() && self.truncated_from > 0.0;
+        if interpolated && !(is_truncated || from.is_some() && self.dense != [StageDerivative::NONE; 4]) {
             self.dense = trial.dense(on, settings.regularization, [&self.start, &self.evaluated_end(on, settings)]);
         }
         self.end.error_estimate = error * settings.error_tolerance;
@@ -339,16 +344,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard; or refuses it with the error
-    /// of its work, in tolerances. `system` is in the mode of the step, and `dense` evaluates the interpolant's coefficients.
+    /// of its work, in tolerances. `system` is in the mode of the step, `from` is its beginning, and `dense` evaluates the interpolant's
+    /// coefficients.
     fn check_events<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
+        (from, tries): (&Probe<S::GuardValues>, u32),
         dense: &mut dyn FnMut(&State<N, M>) -> [StageDerivative<N>; 4],
-        tries: u32,
     ) -> Result<EventCheck, f64> {
-        let from = system.guard_values(&self.start.q, &self.start.v);
-        let (shown, length) = (system.separation_energy(&from), self.length);
+        let (shown, length) = (system.separation_energy(&from.guard_values), self.length);
         let end = self.evaluated_end(system, settings);
         self.dense = dense(&end);
         let (of, path) = ((system, settings.error_tolerance), self.path());

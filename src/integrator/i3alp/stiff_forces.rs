@@ -85,13 +85,13 @@ pub(super) fn rate_error<const N: usize, const M: usize>(
     h / 12.0 * system.error_norm(unpredicted) / (RATE + system.error_norm(v))
 }
 
-/// Energy that separated springs dissipate between two states, J.
-pub(super) fn separation_loss<const N: usize, const M: usize>(
-    system: &impl Events<N>,
-    from: &State<N, M>,
+/// Energy that separated springs dissipate from the guard values at a step's beginning to its end, J.
+pub(super) fn separation_loss<const N: usize, const M: usize, S: Events<N>>(
+    system: &S,
+    from: &S::GuardValues,
     to: &StepEnd<N, M>,
 ) -> f64 {
-    let stored = |q: &Vector<N>, v: &Vector<N>| system.separation_energy(&system.guard_values(q, v));
-    let before = stored(&from.q, &from.v);
-    if before > 0.0 { (before - stored(&to.q, &to.v)).max(0.0) } else { 0.0 }
+    let before = system.separation_energy(from);
+    let after = || system.separation_energy(&system.guard_values(&to.q, &to.v));
+    if before > 0.0 { (before - after()).max(0.0) } else { 0.0 }
 }
