@@ -8,7 +8,7 @@ use super::constants::{
     REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE,
 };
 use super::stored;
-use super::tangent::{Frame, Links};
+use super::tangent::{Frame, Links, Pair};
 
 /// State of the alarm.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -56,6 +56,11 @@ impl Alarm {
         let share = 1.0 - libm::exp(-self.time_since_sample / REFERENCE_TIME_CONSTANT);
         self.reference_force += change * share;
         self.time_since_sample = 0.0;
+    }
+
+    /// Mean unknown force of the last 0.3 s on the tangent basis, N·m.
+    pub(super) fn reference_force(&self, at: &Frame) -> Pair {
+        on_basis(at, &self.reference_force)
     }
 
     /// Whether the alarm is raised.

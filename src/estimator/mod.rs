@@ -164,7 +164,7 @@ impl Estimator {
                 }
             }
         }
-        let Update { readings, likelihood, fit } = self.update(constants, &motion, persistent, &samples);
+        let Update { readings, likelihood, fit } = self.update(constants, (&motion, &frame), persistent, &samples);
         let used = readings.iter().flatten().count();
         if used == 0 {
             return favoured.map(|_| motion);
@@ -217,7 +217,13 @@ impl Estimator {
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
-    fn update(&mut self, constants: &Constants, motion: &LinkState, persistent: [f64; 2], samples: &[Option<Sample>; 2]) -> Update {
+    fn update(
+        &mut self,
+        constants: &Constants,
+        (motion, frame): (&LinkState, &Frame),
+        persistent: [f64; 2],
+        samples: &[Option<Sample>; 2],
+    ) -> Update {
         let Parameters { sigma, quantum, .. } = constants.parameters;
         let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
@@ -226,7 +232,8 @@ impl Estimator {
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
             let sigma = self.encoders[i].white_sigma(sigma[i], rate);
-            self.unaided.receive(i, &self.encoders, &self.belief.bank, &models);
+            let force = || self.alarm.reference_force(frame).norm();
+            self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), &models);
             let overdue = self.unaided.contradicts(i, &innovation, (sigma, quantum[i]));
             let encoder = &mut self.encoders[i];
             self.innovation[i] = innovation.residual;
@@ -334,9 +341,9 @@ impl Estimator {
         } else {
             (0.0, parameters.switch_time)
         };
-        let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
-        self.unaided.predict(&step, &noise, scales, timing);
+        let noise = step.noise(h);
+        self.belief.bank.predict(&step.f, &noise, [scale, observable, further], (h, lasting), &models);
+        self.unaided.predict(&step, &noise, [scale, observable], (h, lasting));
         self.held = step.held;
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));

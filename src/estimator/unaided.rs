@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::bank::{Bank, Error, Innovation};
-use super::constants::{GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
+use super::constants::{CARRIED_WALK, GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault};
 use super::propagation::{ProcessNoise, Propagation};
 
@@ -17,20 +17,28 @@ pub(super) struct Unaided {
     without: Option<(u8, Bank)>,
     /// Duration, s.
     time: f64,
+    /// Size of the mean unknown force at its begin, N·m.
+    force: f64,
 }
 
 impl Unaided {
     /// Begins with the estimate where a reading of encoder i repeats while the other's has changed, and ends where the reading changes or the
     /// other encoder is silent.
-    /// `models`: prior probabilities of the estimate's models.
-    pub(super) fn receive(&mut self, i: usize, encoders: &[Encoder; 2], bank: &Bank, models: &[f64; MODELS]) {
+    /// `force`: size of the mean unknown force of late, N·m; `models`: prior probabilities of the estimate's models.
+    pub(super) fn receive(
+        &mut self,
+        i: usize,
+        encoders: &[Encoder; 2],
+        (bank, force): (&Bank, impl FnOnce() -> f64),
+        models: &[f64; MODELS],
+    ) {
         match self.without {
             _ if encoders[1 - i].is_silent() => self.without = None,
             Some((encoder, _)) if usize::from(encoder) == i && !encoders[i].repeats() => self.without = None,
             None if encoders[i].repeats() && !encoders[1 - i].repeats() && encoders[i].fault != Fault::Stuck => {
                 let mut bank = *bank;
                 bank.reset_priors(models);
-                *self = Self { without: Some((i as u8, bank)), time: 0.0 };
+                *self = Self { without: Some((i as u8, bank)), time: 0.0, force: force() };
             }
             _ => (),
         }
@@ -63,14 +71,15 @@ impl Unaided {
         }
     }
 
-    /// Time update by h seconds, as of the estimate's bank.
-    pub(super) fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, scales: [f64; 3], timing: (f64, f64)) {
+    /// Time update by h seconds, as of the estimate's bank, with an unknown force that changes as in a forecast: one encoder does not tell
+    /// all of it.
+    pub(super) fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], timing: (f64, f64)) {
         if step.held {
             self.without = None;
         }
         if let Some((_, bank)) = &mut self.without {
             self.time += timing.0;
-            bank.predict(&step.f, noise, scales, timing, &LIKELY_MODELS);
+            bank.predict(&step.f, noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], timing, &LIKELY_MODELS);
         }
     }
 
@@ -83,7 +92,6 @@ impl Unaided {
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
         self.without.as_ref().is_none_or(|(encoder, bank)| *encoder < 2 && bank.is_sound())
-            && self.time >= 0.0
-            && self.time.is_finite()
+            && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
     }
 }

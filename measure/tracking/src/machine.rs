@@ -100,6 +100,8 @@ pub struct Plan {
     pub push: [f64; 2],
     /// Time from which the push acts, s.
     pub from: f64,
+    /// A hand as of `scenes/haptic.json`, again every 2 s, by how much stronger and how much faster; 0: none.
+    pub hand: [f64; 2],
     /// Systematic errors of the encoders that the twin does not know.
     pub systematic: [Systematic; 2],
     /// Both encoders are silent between these times, s.
@@ -133,7 +135,9 @@ impl Scenario {
     pub fn acting(&self, time: f64) -> Inputs {
         let inputs = self.inputs(time);
         let [x, y] = if time >= self.plan.from { self.plan.push } else { [0.0; 2] };
-        Inputs { tip_force: [inputs.tip_force[0] + x, inputs.tip_force[1] + y], ..inputs }
+        let [stronger, faster] = self.plan.hand;
+        let [along, onto] = hand(faster * time % 2.0).map(|force| stronger * force);
+        Inputs { tip_force: [inputs.tip_force[0] + x + along, inputs.tip_force[1] + y + onto], ..inputs }
     }
 
     /// The machine.
@@ -178,6 +182,23 @@ pub fn start_off(model: &mut Parameters, random: &mut Random, [theta, omega]: [f
         model.start.theta[i] += theta * random.normal();
         model.start.omega[i] += omega * random.normal();
     }
+}
+
+/// Minimum jerk from 0 to 1: value and slope.
+pub fn minimum_jerk(part: f64) -> (f64, f64) {
+    let s = part.clamp(0.0, 1.0);
+    (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) * (1.0 - s))
+}
+
+/// Force of the hand of `scenes/haptic.json` along the wall and onto it, N.
+fn hand(time: f64) -> [f64; 2] {
+    let along = [(0.8, 0.0), (0.9, 1.2), (1.0, 1.2), (1.1, 0.0)];
+    let onto = [(0.0, 0.0), (0.2, -0.5), (0.6, -3.0), (1.2, -3.0), (1.4, 0.1), (1.8, 0.0)];
+    let between = |at: &[(f64, f64)]| {
+        let rise = |pair: &[(f64, f64)]| (pair[1].1 - pair[0].1) * minimum_jerk((time - pair[0].0) / (pair[1].0 - pair[0].0)).0;
+        at.windows(2).map(rise).sum()
+    };
+    [between(&along), between(&onto)]
 }
 
 /// Nothing.

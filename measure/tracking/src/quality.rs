@@ -5,19 +5,15 @@ use fivebar::estimator::Status;
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::{Method, Parameters};
 
-use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, follow, no_inputs, side, start_off};
+use crate::machine::{
+    COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, follow, minimum_jerk, no_inputs, side, start_off,
+};
 use crate::report::{Figure, Table, median};
 
 /// Errors of the twin's start, rad and rad/s.
 const START: [f64; 2] = [0.02, 0.2];
 /// Time left out at the beginning, s.
 pub const SETTLED: f64 = 0.1;
-
-/// Minimum jerk from 0 to 1.
-fn minimum_jerk(part: f64) -> (f64, f64) {
-    let s = part.clamp(0.0, 1.0);
-    (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) * (1.0 - s))
-}
 
 /// The pick of `scenes/pick_and_place.json`.
 pub fn pick_course(time: f64, _: &Plan) -> Inputs {
