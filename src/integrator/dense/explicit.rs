@@ -8,10 +8,10 @@ mod tsit5;
 
 use std::marker::PhantomData;
 
-use super::trial::{self, ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
-use super::{Scheme, Settings};
+use super::Scheme;
+use super::trial::{ErrorWeights, Origin, StageDerivative, Trial, for_each, rate_between};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{EnergyBalance, Passage, State, System, Work};
+use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
 pub(super) use dop853::Dop853;
 pub(super) use tsit5::Tsit5;
@@ -195,6 +195,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     const SCHEME: Scheme = T::SCHEME;
     type Linearization = ();
     const CONTROLLER: StepSizeController = T::CONTROLLER;
+    const EVALUATES_END: bool = T::EVALUATES_END;
 
     #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
@@ -204,29 +205,22 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     }
 
     #[inline(always)]
-    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
+    fn judge<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        settings: &Settings,
         origin: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
-        energy_target: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<StepResult<N, M>>) {
+    ) -> (f64, [Vector<N>; 2]) {
         self.evaluate_all(system, origin);
         let ([mean_q, fine_q, coarse_q], [mean_v, fine_v, coarse_v]) = (self.end_sums(false), self.end_sums(true));
         let Stages { q, h, slopes } = &self.stages;
         let end = [*q + *h * mean_q, slopes[0].q + *h * mean_v];
-        let error = self.error(weights, [[fine_q, fine_v], [coarse_q, coarse_v]], &end[1]);
-        if error.is_nan() || error > 1.0 {
-            return (error, None);
-        }
-        let work = || Work::default().plus(*h, self.stages.power(&T::END));
-        match weights.work(settings, system.features().work, work) {
-            Ok(work) => {
-                (error, trial::end_step(settings, T::EVALUATES_END, system, (origin, end[0] - *q), end, energy_target, work))
-            }
-            Err(error) => (error, None),
-        }
+        (self.error(weights, [[fine_q, fine_v], [coarse_q, coarse_v]], &end[1]), end)
+    }
+
+    #[inline(always)]
+    fn work<const M: usize>(&self, _: &impl System<N, M>) -> Work {
+        Work::default().plus(self.stages.h, self.stages.power(&T::END))
     }
 
     /// Fastest rate from the difference between two evaluations at nearly the same time: the last stage and the end of the step, or the

@@ -62,7 +62,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let projected = if self.is_linear {
             None
         } else {
-            project(settings, system.on(self.mode).borrow(), &mut pose, &mut on_q, &mut on_v).ok()
+            project(settings, system.on(self.mode).borrow(), &mut pose, [&mut on_q, &mut on_v]).ok()
         };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |_| (on_q, on_v, pose));
         let configuration_signs = system.configuration_signs(&pose);
@@ -233,7 +233,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let [mut q, mut v] = self.interpolated_state(when / self.length);
         let mut pose = system.pose(&q);
-        let (iterations, mass) = project(settings, system, &mut pose, &mut q, &mut v).ok()?;
+        let (iterations, mass) = project(settings, system, &mut pose, [&mut q, &mut v]).ok()?;
         Some((iterations, [q, v], pose, mass))
     }
 

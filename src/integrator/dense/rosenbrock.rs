@@ -16,14 +16,11 @@ mod tableau;
 
 use std::marker::PhantomData;
 
-use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, project_to_energy};
+use super::trial::{self, ErrorWeights, Origin, StageDerivative, Trial, for_each};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::{Interpolant, Quintic};
-use crate::integrator::state::StepEnd;
-use crate::integrator::{
-    AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
-};
+use crate::integrator::{AccelerationTangents, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction};
 use crate::matrix::{Inverse, combination};
 use crate::vector::Vector;
 use tableau::{MAX_STAGES, Tableau};
@@ -110,7 +107,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 
     /// Work of the step by given weights of the stages, J.
-    fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MAX_STAGES]) -> Work {
+    fn work_by<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MAX_STAGES]) -> Work {
         let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
         for ((weight, power), u) in weights.iter().zip(&self.power).zip(&self.u) {
             mean = mean.plus(*weight, *power);
@@ -132,45 +129,27 @@ struct StiffProjection<'a, const N: usize> {
 }
 
 impl<const N: usize> StiffProjection<'_, N> {
-    /// End of a step with its pose, projected, in equilibrium, and scaled to the energy to be conserved, if any.
-    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-        ([mut q, mut v], pose): ([Vector<N>; 2], S::Pose),
-        energy_target: Option<(EnergyBalance, f64)>,
-    ) -> Option<StepResult<N, M>> {
-        let (iterations, pose, mass) = if system.can_project(&q) {
-            self.project(system, settings, pose, [&mut q, &mut v]).ok()?
-        } else {
-            let mass = system.factor_mass(&pose, settings.regularization);
-            (0, pose, mass)
-        };
-        v = project_to_energy(system, [&q, &v], energy_target).ok()?;
-        StepResult::finite(Work::default(), iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
-    }
-
     /// Projects q and q̇ onto the constraints in the metric of the implicit step: corrections are (1 − hγ C − (hγ)² K)⁻¹ times
-    /// those of the mass metric, which would leave stiff forces out of balance. Returns iterations, pose and mass factor.
+    /// those of the mass metric, which would leave stiff forces out of balance. Returns iterations and mass factor.
     fn project<const M: usize, S: System<N, M>>(
         &self,
         system: &S,
         settings: &Settings,
-        mut pose: S::Pose,
+        pose: &mut S::Pose,
         [q, v]: [&mut Vector<N>; 2],
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+    ) -> Result<(u32, S::Mass), StepError> {
         let mut directions = None;
         let along = |pose: &S::Pose, missing| {
             combination(directions.get_or_insert_with(|| self.directions(system, settings, pose)), &missing)
         };
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let iterations = projection.position_along(system, &mut pose, q, along)?;
+        let iterations = projection.position_along(system, pose, q, along)?;
         if let Some(directions) = &directions {
-            *v += combination(directions, &-system.phi_q_times(&pose, v));
+            *v += combination(directions, &-system.phi_q_times(pose, v));
         }
-        let mass = system.factor_mass(&pose, settings.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
-        Ok((iterations, pose, mass))
+        let mass = system.factor_mass(pose, settings.regularization);
+        *v += velocity_correction(system, pose, &mass, v);
+        Ok((iterations, mass))
     }
 
     /// Corrections of q or q̇ per unit of each constraint residual.
@@ -194,6 +173,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         rejected: [0.1, 0.85],
         failed: 0.2,
     };
+    const EVALUATES_END: bool = true;
 
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
@@ -231,28 +211,32 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         step
     }
 
-    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
+    fn judge<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        settings: &Settings,
-        origin: &Origin<'_, S::Pose, N>,
+        _: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
-        energy_target: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<StepResult<N, M>>) {
+    ) -> (f64, [Vector<N>; 2]) {
         let end = self.at::<MAX_STAGES>();
-        let judged = if weights.work.is_some() { self.work(system, const { &T::QUADRATURE_ERROR }) } else { Work::default() };
-        let error = weights.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
-        if error.is_nan() || error > 1.0 {
-            return (error, None);
+        let judged = if weights.work.is_some() { self.work_by(system, const { &T::QUADRATURE_ERROR }) } else { Work::default() };
+        (weights.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt(), end)
+    }
+
+    fn work<const M: usize>(&self, system: &impl System<N, M>) -> Work {
+        self.work_by(system, const { &T::QUADRATURE })
+    }
+
+    fn project<const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        settings: &Settings,
+        system: &S,
+        pose: &mut S::Pose,
+        [q, v]: [&mut Vector<N>; 2],
+    ) -> Result<(u32, S::Mass), StepError> {
+        if !system.can_project(q) {
+            return trial::project(settings, system, pose, [q, v]);
         }
-        let work = match weights.work(settings, system.features().work, || self.work(system, const { &T::QUADRATURE })) {
-            Ok(work) => work,
-            Err(error) => return (error, None),
-        };
-        let at_end = origin.pose_at(system, &(end[0] - self.start[0]));
-        let step_result =
-            StiffProjection { inverse: &self.inverse, h: self.h }.conclude(system, settings, (end, at_end), energy_target);
-        (error, step_result.map(|step_end| StepResult { work, ..step_end }))
+        StiffProjection { inverse: &self.inverse, h: self.h }.project(system, settings, pose, [q, v])
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {

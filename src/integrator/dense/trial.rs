@@ -27,6 +27,9 @@ pub(super) trait Trial<const N: usize>: Sized {
     type Linearization;
     /// Step-size controller of the scheme.
     const CONTROLLER: StepSizeController;
+    /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so where inputs are expected to
+    /// change there.
+    const EVALUATES_END: bool;
 
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
@@ -36,8 +39,32 @@ pub(super) trait Trial<const N: usize>: Sized {
         h: f64,
     ) -> Self;
 
+    /// Completes the stages: error of the step in tolerances, and q and q̇ at its end, not projected.
+    fn judge<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        origin: &Origin<'_, S::Pose, N>,
+        weights: &ErrorWeights,
+    ) -> (f64, [Vector<N>; 2]);
+
+    /// Work over the step, J.
+    fn work<const M: usize>(&self, system: &impl System<N, M>) -> Work;
+
+    /// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex; returns iterations and mass factor.
+    #[inline(always)]
+    fn project<const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        settings: &Settings,
+        system: &S,
+        pose: &mut S::Pose,
+        [q, v]: [&mut Vector<N>; 2],
+    ) -> Result<(u32, S::Mass), StepError> {
+        project(settings, system, pose, [q, v])
+    }
+
     /// Completes the step: its error in tolerances and, if that is at most 1, its projected end, scaled to `energy_target` (energy
     /// and time since, s) near a vertex.
+    #[inline(always)]
     fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
@@ -45,7 +72,39 @@ pub(super) trait Trial<const N: usize>: Sized {
         origin: &Origin<'_, S::Pose, N>,
         weights: &ErrorWeights,
         energy_target: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<StepResult<N, M>>);
+    ) -> (f64, Option<StepResult<N, M>>) {
+        let (error, end) = self.judge(system, origin, weights);
+        if error.is_nan() || error > 1.0 {
+            return (error, None);
+        }
+        match weights.work(settings, system.features().work, || self.work(system)) {
+            Ok(work) => (error, self.end(system, settings, (origin, end), energy_target, work)),
+            Err(error) => (error, None),
+        }
+    }
+
+    /// Ends the step at q and q̇: projects them onto the constraints and, where the scheme evaluates its ends, solves for q̈, λ and power
+    /// there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
+    #[inline(always)]
+    fn end<const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        (origin, [mut q, mut v]): (&Origin<'_, S::Pose, N>, [Vector<N>; 2]),
+        energy_target: Option<(EnergyBalance, f64)>,
+        work: Work,
+    ) -> Option<StepResult<N, M>> {
+        let mut pose = origin.pose_at(system, &(q - origin.q));
+        let (iterations, mass) = self.project(settings, system, &mut pose, [&mut q, &mut v]).ok()?;
+        if let Some((energy, h)) = &energy_target {
+            v = system.energy_scale(energy, &q, &v, *h).ok()? * v;
+        }
+        let end_state = match Self::EVALUATES_END {
+            true => StepEnd::in_balance(system, [q, v], &pose, &mass),
+            false => StepEnd::without_balance(system, [q, v], &pose),
+        };
+        end_state.is_finite().then_some(StepResult { iterations, end_state, work })
+    }
 
     /// Fastest rate of the step, 1/s, estimated from its stages.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
@@ -67,14 +126,6 @@ pub(super) struct StepResult<const N: usize, const M: usize> {
     pub(super) end_state: StepEnd<N, M>,
     /// Work over the step, J.
     pub(super) work: Work,
-}
-
-impl<const N: usize, const M: usize> StepResult<N, M> {
-    /// Result with the given work, J; `None` unless the end is finite.
-    #[inline(always)]
-    pub(super) fn finite(work: Work, iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
-        end_state.is_finite().then_some(Self { iterations, end_state, work })
-    }
 }
 
 /// Weights of the local error.
@@ -149,28 +200,6 @@ pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64>
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
 }
 
-/// Ends a step at q and q̇, given with the increment from the origin: projects it onto the constraints and, if `evaluated`, solves for
-/// q̈, λ and power there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
-#[inline(always)]
-pub(super) fn end_step<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-    settings: &Settings,
-    evaluated: bool,
-    system: &S,
-    (origin, by): (&Origin<'_, S::Pose, N>, Vector<N>),
-    [mut q, mut v]: [Vector<N>; 2],
-    energy_target: Option<(EnergyBalance, f64)>,
-    work: Work,
-) -> Option<StepResult<N, M>> {
-    let mut pose = origin.pose_at(system, &by);
-    let (iterations, mass) = project(settings, system, &mut pose, &mut q, &mut v).ok()?;
-    v = project_to_energy(system, [&q, &v], energy_target).ok()?;
-    let end_state = match evaluated {
-        true => StepEnd::in_balance(system, [q, v], &pose, &mass),
-        false => StepEnd::without_balance(system, [q, v], &pose),
-    };
-    StepResult::finite(work, iterations, end_state)
-}
-
 /// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; returns
 /// iterations and mass factor.
 #[inline(always)]
@@ -178,8 +207,7 @@ pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<
     settings: &Settings,
     system: &S,
     pose: &mut S::Pose,
-    q: &mut Vector<N>,
-    v: &mut Vector<N>,
+    [q, v]: [&mut Vector<N>; 2],
 ) -> Result<(u32, S::Mass), StepError> {
     if !system.can_project(q) {
         return Ok((0, system.factor_mass(pose, settings.regularization)));
@@ -192,16 +220,6 @@ pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<
         *v = project_sticking(system, (q, pose, v), &mass);
     }
     Ok((iterations, mass))
-}
-
-/// Velocity q̇ scaled to the energy that was there `h` seconds before, if one is to be conserved.
-pub(super) fn project_to_energy<const N: usize>(
-    system: &impl Passage<N>,
-    [q, v]: [&Vector<N>; 2],
-    energy_target: Option<(EnergyBalance, f64)>,
-) -> Result<Vector<N>, StepError> {
-    let Some((energy, h)) = &energy_target else { return Ok(*v) };
-    Ok(system.energy_scale(energy, q, v, *h)? * *v)
 }
 
 /// Derivatives of q, q̇ and work at a stage, or a weighted sum of them.
