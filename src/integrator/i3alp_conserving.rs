@@ -123,21 +123,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Full state with q̈, λ and power from equilibrium. None of these values is fed back.
     pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, configuration_signs, counters, .. } = self;
-        let mut state = State {
-            q,
-            v,
-            a: Vector::ZERO,
-            lambda: Vector::ZERO,
-            jerk: Vector::ZERO,
-            substep: f64::INFINITY,
-            error_estimate: 0.0,
-            work,
-            power: Work::default(),
-            configuration_signs,
-            on_ray: false,
-            alternatives: 0,
-            counters,
-        };
+        let mut state = State { work, counters, ..State::of_motion([q, v], configuration_signs) };
         state.balance(system, &system.pose(&state.q), regularization);
         state
     }

@@ -82,9 +82,9 @@ pub struct State<const N: usize, const M: usize> {
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// State at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
-    pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
-        let mut state = Self {
+    /// State at q and q̇ with these signs of the singularity determinants, before anything is known of its accelerations and its past.
+    pub fn of_motion([q, v]: [Vector<N>; 2], configuration_signs: u8) -> Self {
+        Self {
             q,
             v,
             a: Vector::ZERO,
@@ -94,11 +94,16 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
-            configuration_signs: system.configuration_signs(&system.pose(&q)),
+            configuration_signs,
             on_ray: false,
             alternatives: 0,
             counters: Counters::default(),
-        };
+        }
+    }
+
+    /// State at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
+    pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
+        let mut state = Self::of_motion([q, v], system.configuration_signs(&system.pose(&q)));
         state.reinitialize(system, &system.pose(&q), regularization);
         state
     }

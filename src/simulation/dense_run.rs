@@ -12,8 +12,7 @@ use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
 use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::dense::{DenseStep, Horizon, Settings};
-use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Stuck, System, Work};
-use crate::mechanism::{Coordinates, Multipliers};
+use crate::integrator::{Bounds, Inconsistency, StepError, Stuck, System, Work};
 
 /// Step under way, and durations for which inputs were held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -71,21 +70,7 @@ impl DenseRun {
         let system = AngleSystem::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, &self.settings);
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
-        let mut core = Core {
-            q,
-            v,
-            a: Coordinates::ZERO,
-            lambda: Multipliers::ZERO,
-            jerk: Coordinates::ZERO,
-            substep: 0.0,
-            error_estimate: 0.0,
-            work: Work::default(),
-            power: Work::default(),
-            configuration_signs: 0,
-            on_ray: false,
-            alternatives: 0,
-            counters: Counters::default(),
-        };
+        let mut core = Core::of_motion([q, v], 0);
         self.step.record(&sample, &mut core);
         let system = if held == inputs {
             FiveBar::<false>::new(model, inputs, turns).on(Mode::of_stick_slip(self.step.mode().stick_slip))
