@@ -17,8 +17,6 @@ mod scheme;
 mod step;
 mod trial;
 
-use std::borrow::Borrow;
-
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
@@ -121,7 +119,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<S: Mechanics<N, M, Mode = K>>(system: &S, q: Vector<N>, v: Vector<N>, settings: &Settings) -> Self {
         let mode = system.mode_of(&q, &v);
-        let state = State::start(system.on(mode).borrow(), q, v, settings.regularization);
+        let state = State::start(&*system.on(mode), q, v, settings.regularization);
         let memory = Memory {
             log_error: LEAST_LOG_ERROR,
             substep_in_other_mode: f64::INFINITY,
@@ -270,7 +268,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// comes before. `pose` is the pose at the present state.
     pub fn restart<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose, work: Work) {
         let mode = system.mode_of(&self.end.q, &self.end.v);
-        self.end.restart(system.on(mode).borrow(), pose, settings.regularization);
+        self.end.restart(&*system.on(mode), pose, settings.regularization);
         self.end.work += work;
         self.start = self.end;
         (self.mode, self.next_mode_at_end) = (mode, mode);

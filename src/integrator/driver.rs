@@ -10,8 +10,6 @@
 //!
 //! A step past a communication point, and one made again up to it, belong to the methods with dense output (`dense.rs`).
 
-use std::borrow::Borrow;
-
 use super::locator::{EventTrials, Probe};
 use super::{Approach, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
 
@@ -88,7 +86,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     loop {
         let from = begin(method, system, tolerance);
         let in_mode = system.on(method.initial_mode());
-        if in_mode.borrow().stuck() == Stuck::Wholly {
+        if in_mode.stuck() == Stuck::Wholly {
             method.rest();
             return Ok(End::AtRest);
         }
@@ -101,14 +99,14 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
                 return Ok(End::Passed);
             }
         };
-        let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * in_mode.borrow().dwell_time(&from.guard_values));
-        trials.h = method.plan(in_mode.borrow(), near.as_ref(), lasting).min(trials.longest);
+        let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * in_mode.dwell_time(&from.guard_values));
+        trials.h = method.plan(&*in_mode, near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
-        if let Some(end) = in_one_mode(method, in_mode.borrow(), (from.as_ref(), longest), &mut trials)? {
+        if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
             return Ok(end);
         }
         let State { q, v, .. } = method.start();
-        let next = in_mode.borrow().next_mode(q, v, tolerance);
+        let next = in_mode.next_mode(q, v, tolerance);
         method.enter(system, next);
     }
 }
@@ -131,11 +129,11 @@ fn begin<const N: usize, const M: usize, S: Mechanics<N, M>>(
             return None;
         }
         let (in_mode, State { q, v, .. }) = (system.on(mode), method.start());
-        let from = Probe::new(in_mode.borrow(), (0.0, [q, v]), tolerance);
+        let from = Probe::new(&*in_mode, (0.0, [q, v]), tolerance);
         if !from.is_past_guard() || transitions == MOST_TRANSITIONS {
             return Some(from);
         }
-        mode = in_mode.borrow().next_mode(q, v, tolerance);
+        mode = in_mode.next_mode(q, v, tolerance);
         transitions += 1;
     }
 }

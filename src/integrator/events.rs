@@ -4,7 +4,7 @@
 //! mode, so that all stages see smooth forces; where the motion crosses a guard the step ends, and the next one begins in the next
 //! mode. The order of the method is kept, and no contact between stages is missed.
 
-use std::borrow::Borrow;
+use std::borrow::Cow;
 use std::fmt::Debug;
 
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -35,7 +35,7 @@ pub struct Residuals {
 }
 
 /// A hybrid system. By default it has one mode and no events.
-pub trait Events<const N: usize>: Sized {
+pub trait Events<const N: usize>: Clone {
     /// Mode: the smooth formula in use for every force.
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
     /// Guard values at a state.
@@ -54,8 +54,8 @@ pub trait Events<const N: usize>: Sized {
     }
 
     /// The system with forces of a fixed mode.
-    fn on(&self, _mode: Self::Mode) -> impl Borrow<Self> {
-        self
+    fn on(&self, _mode: Self::Mode) -> Cow<'_, Self> {
+        Cow::Borrowed(self)
     }
 
     /// Distances of a state past the guards of the mode, in units of the event tolerance that belongs to `tolerance`.

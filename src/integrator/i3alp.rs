@@ -17,8 +17,6 @@ mod stiff_forces;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use std::borrow::Borrow;
-
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::{Interpolant, Quintic};
 use super::driver::{self, End, Method, Outcome, Trials};
@@ -174,7 +172,7 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
     fn enter(&mut self, system: &S, mode: S::Mode) {
         if mode != *self.mode {
             *self.mode = mode;
-            self.state.reinitialize(system.on(mode).borrow(), &system.pose(&self.state.q), self.settings.regularization);
+            self.state.reinitialize(&*system.on(mode), &system.pose(&self.state.q), self.settings.regularization);
         }
     }
 

@@ -3,8 +3,6 @@
 //! A method asks its system once per step, and the answer is one of three: no vertex is near, the step is limited, or the system
 //! has passed the vertex and gives the state behind it (`docs/vertices.md`).
 
-use std::borrow::Borrow;
-
 use super::{Events, State, StepEnd, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -174,7 +172,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         }
         let mode = system.mode_of(&self.q, &self.v);
         if system.features().events {
-            self.power = system.on(mode).borrow().forces(&self.q, &system.pose(&self.q), &self.v).1;
+            self.power = system.on(mode).forces(&self.q, &system.pose(&self.q), &self.v).1;
         }
         Ok(mode)
     }

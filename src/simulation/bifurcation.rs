@@ -1,8 +1,6 @@
 //! Crossing of a bifurcation of the closure with coaxial motors, where all links are in line: the twelve coordinates may fail there, while
 //! the link angles on a closure branch know no special configuration. A run whose method is blocked integrates one sub-step in them.
 
-use std::borrow::Borrow;
-
 use super::angles::{AngleSystem, Angles, LINK_INDICES, angles_of, legs};
 use super::five_bar::FiveBar;
 use super::model::Model;
@@ -50,7 +48,7 @@ pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Trans
     step.advance(&system, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
     let sample = step.sample(&system, &settings);
     let on_branch = system.on(step.mode());
-    let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
+    let (a, _) = equilibrium(&*on_branch, &sample.q, &sample.v, settings.regularization);
     let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
     let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
     Some(Transit { q, v, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })

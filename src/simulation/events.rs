@@ -1,7 +1,7 @@
 //! The five-bar as a hybrid system ([`Events`], [`Frictional`]), in the link angles and in the twelve coordinates: guards, modes and
 //! transitions, and the friction places with their rows.
 
-use std::borrow::Borrow;
+use std::borrow::Cow;
 
 use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
 use super::five_bar::FiveBar;
@@ -14,21 +14,6 @@ use crate::integrator::{Events, Extremes, Residuals, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
 use crate::vector::Vector;
-
-/// A system in a mode: borrowed where modes do not matter, which saves a copy per step.
-enum InMode<'b, S> {
-    Same(&'b S),
-    Others(S),
-}
-
-impl<S> Borrow<S> for InMode<'_, S> {
-    fn borrow(&self) -> &S {
-        match self {
-            Self::Same(system) => system,
-            Self::Others(system) => system,
-        }
-    }
-}
 
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// Guard values at a motion, given those of friction.
@@ -164,9 +149,10 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         .with_closure_branch(closure_branch)
     }
 
-    fn on(&self, mode: Mode) -> impl Borrow<Self> {
+    /// The system itself where modes do not matter, which saves a copy per step.
+    fn on(&self, mode: Mode) -> Cow<'_, Self> {
         let has_modes = self.features().events || self.model().mechanism.geometry.base_distance == 0.0;
-        if has_modes { InMode::Others(self.in_mode(mode)) } else { InMode::Same(self) }
+        if has_modes { Cow::Owned(self.in_mode(mode)) } else { Cow::Borrowed(self) }
     }
 
     fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {
@@ -213,8 +199,8 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         self.with_resolved_friction(mode, q, v)
     }
 
-    fn on(&self, mode: Mode) -> impl Borrow<Self> {
-        FiveBar::on(self, mode)
+    fn on(&self, mode: Mode) -> Cow<'_, Self> {
+        Cow::Owned(FiveBar::on(self, mode))
     }
 
     fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {

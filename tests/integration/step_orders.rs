@@ -8,6 +8,7 @@ use fivebar::vector::Vector;
 use crate::support::slope;
 
 /// A point of unit mass in the plane: q̈ = f(q, q̇), with its derivatives and the rate of its kinetic energy.
+#[derive(Clone)]
 struct Point {
     acceleration: fn(&Vector<2>, &Vector<2>) -> Vector<2>,
     tangents: Option<fn(&Vector<2>, &Vector<2>) -> AccelerationTangents<2>>,

@@ -1,7 +1,5 @@
 //! Check of a stored current step: its ends and the states inside it close the loop, and its lengths and memory are possible.
 
-use std::borrow::Borrow;
-
 use super::step::LONGEST;
 use super::trial::StageDerivative;
 use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
@@ -36,9 +34,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         bounds: &Bounds,
     ) -> Result<(), Inconsistency> {
         let in_mode = system.on(self.mode);
-        self.start.check(in_mode.borrow(), bounds)?;
+        self.start.check(&*in_mode, bounds)?;
         // A straight motion through a vertex has no mode.
-        self.evaluated_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
+        self.evaluated_end(&*in_mode, settings).check(if self.is_linear { system } else { &*in_mode }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("a value of the step-size controller is out of bounds");
         }
@@ -68,7 +66,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (0..INSIDE).try_for_each(|part| {
             there.elapsed = self.elapsed + rest * f64::from(part) / f64::from(INSIDE);
             let sample = there.sample(system, settings);
-            bounds.hold(system.on(self.mode).borrow(), [&sample.q, &sample.v], self.is_linear)
+            bounds.hold(&*system.on(self.mode), [&sample.q, &sample.v], self.is_linear)
         })
     }
 }

@@ -5,8 +5,6 @@
 //! side at its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31,
 //! 1989). The defect, integrated up to the event, is judged like the error of a step.
 
-use std::borrow::Borrow;
-
 use super::trial::{ErrorWeights, RATE, StageDerivative, StepResult, project};
 use super::{DenseStep, Scheme, Settings};
 use crate::integrator::dense_output::{Interpolant, Quintic, max_magnitude};
@@ -57,13 +55,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 configuration_signs: end.configuration_signs,
             };
         }
-        let ([q, v], work) = self.shown(system, settings).interpolated(system.on(self.mode).borrow(), settings);
+        let ([q, v], work) = self.shown(system, settings).interpolated(&*system.on(self.mode), settings);
         let (mut on_q, mut on_v, mut pose) = (q, v, system.pose(&q));
-        let projected = if self.is_linear {
-            None
-        } else {
-            project(settings, system.on(self.mode).borrow(), &mut pose, [&mut on_q, &mut on_v]).ok()
-        };
+        let projected =
+            if self.is_linear { None } else { project(settings, &*system.on(self.mode), &mut pose, [&mut on_q, &mut on_v]).ok() };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |_| (on_q, on_v, pose));
         let configuration_signs = system.configuration_signs(&pose);
         Sample { q, v, pose, work, configuration_signs }
@@ -84,7 +79,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Dissipated work up to the present time inside the step, as it has been shown, J.
     pub(super) fn dissipated<S: Mechanics<N, M, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
         if self.end.work.dissipated > self.start.work.dissipated {
-            self.shown(system, settings).interpolated(system.on(self.mode).borrow(), settings).1.dissipated
+            self.shown(system, settings).interpolated(&*system.on(self.mode), settings).1.dissipated
         } else {
             self.start.work.dissipated
         }

@@ -1,8 +1,6 @@
 //! One step with dense output, as the driver asks for it: begin, trial, events, length of the next step. What follows a step, past a
 //! communication point or made again up to one, is in `dense.rs`.
 
-use std::borrow::Borrow;
-
 use super::explicit::{Dop853, Explicit, Tsit5};
 use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
@@ -287,7 +285,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Begins a step at the end of the current one with its pose.
     fn begin<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
         if self.end_is_unevaluated() {
-            self.end.balance(system.on(self.mode).borrow(), pose, settings.regularization);
+            self.end.balance(&*system.on(self.mode), pose, settings.regularization);
         }
         self.start = self.end;
         self.before = self.memory;
@@ -333,8 +331,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn set_mode<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, (mode, pose): (K, &S::Pose)) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
-            self.start.reinitialize(next_mode.borrow(), pose, settings.regularization);
-            if before.borrow().has_active_contact() != next_mode.borrow().has_active_contact() {
+            self.start.reinitialize(&*next_mode, pose, settings.regularization);
+            if before.has_active_contact() != next_mode.has_active_contact() {
                 std::mem::swap(&mut self.start.substep, &mut self.memory.substep_in_other_mode);
                 self.before = self.memory;
             }
