@@ -6,7 +6,7 @@ use crate::vector::Vector;
 /// A system over finite steps from q₀ to q₁ = q₀ + d, with discrete derivatives of constraints and forces.
 pub trait Discrete<const N: usize, const M: usize>: System<N, M> {
     /// Discrete derivatives of the joints; they depend on q₀ and d only and are computed once per d.
-    type Secant;
+    type Secant: Copy;
     /// Unknowns that remain with the loops cut.
     type CutUnknowns;
     /// The step with its loops cut, see [`Discrete::cut`].
@@ -91,5 +91,5 @@ pub trait CutStep<const N: usize> {
     /// Increment d and velocity q̇₁ at the end.
     fn end(&self, motion: &Self::Motion) -> [Vector<N>; 2];
     /// Discrete derivatives of a motion.
-    fn secant(&self, motion: &Self::Motion) -> Self::Secant;
+    fn secant(motion: &Self::Motion) -> &Self::Secant;
 }

@@ -164,8 +164,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             let cut = system.cut(&pose, [&q, &v], h, 1.0);
             let accept_root = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);
-                let ([d, v], secant) = (cut.end(end), cut.secant(end));
-                let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+                let [d, v] = cut.end(end);
+                let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: S::Cut::secant(end) };
                 self.accept_root(system, &over, S::Cut::unknowns(end))
             };
             match staggered_newton(

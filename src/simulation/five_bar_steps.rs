@@ -111,8 +111,8 @@ impl<const BARE: bool> CutFiveBar<'_, BARE> {
     #[inline(always)]
     fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
         let &OpenStep { q, h, .. } = &self.step;
-        let (secant, [d, v]) = (self.secant(motion), self.end(motion));
-        of(&StepIncrement { q, d: &d, v: &v, h, softening: self.softening, secant: &secant })
+        let [d, v] = self.end(motion);
+        of(&StepIncrement { q, d: &d, v: &v, h, softening: self.softening, secant: &motion.secant })
     }
 }
 
@@ -169,8 +169,8 @@ impl<const BARE: bool> CutStep<COORDINATES> for CutFiveBar<'_, BARE> {
         [self.step.way(motion), self.step.rates(motion)]
     }
 
-    fn secant(&self, motion: &OpenMotion) -> Secant {
-        motion.secant
+    fn secant(motion: &OpenMotion) -> &Secant {
+        &motion.secant
     }
 }
 
@@ -317,7 +317,7 @@ mod tests {
         for size in [1e-3, 0.1] {
             let x = CutUnknowns::from_fn(|i| size * (1.0 + i as f64).cos() * if i < 4 { 1.0 } else { 1e-3 });
             let motion = cut.motion(&x, 1e-9);
-            let ([d, v], secant) = (cut.end(&motion), cut.secant(&motion));
+            let ([d, v], secant) = (cut.end(&motion), motion.secant);
             let z = 0.5 * h * (v0 + v);
             let chord = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
             // From the tip to the ground the force at each joint is that of the next joint plus the load of the link between.

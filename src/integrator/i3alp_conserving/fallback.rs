@@ -132,7 +132,7 @@ where
         let cut = self.system.cut(&self.pose, [&self.q, &self.v], h, softening);
         let motion = full_newton(&cut, x, &Bounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
         let [d, v] = cut.end(&motion);
-        Some(Root { x: *x, d, v, secant: cut.secant(&motion) })
+        Some(Root { x: *x, d, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }
 }
 
