@@ -51,6 +51,11 @@ impl<const K: usize> Interpolant<K> {
         Self([from, displacement, second, third, fourth, fifth, Vector::ZERO, Vector::ZERO])
     }
 
+    /// Hermite quintic between two states `h` seconds apart, each given by q, q̇ and q̈.
+    pub(super) fn between([[from, v, a], [to, v_to, a_to]]: [[Vector<K>; 3]; 2], h: f64) -> Self {
+        Self::quintic([from, to], [h * v, h * v_to], &Quintic::SecondDerivatives([h * h * a, h * h * a_to]))
+    }
+
     /// Higher coefficients, which values and derivatives at the ends do not determine.
     pub(super) fn higher(&self) -> [Vector<K>; 4] {
         let [.., d, e, f, g] = self.0;

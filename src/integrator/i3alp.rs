@@ -18,7 +18,7 @@ mod stiff_forces;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
-use super::dense_output::{Interpolant, Quintic};
+use super::dense_output::Interpolant;
 use super::driver::{self, End, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
 use super::locator::{self, EventCheck, Path, Probe};
@@ -338,8 +338,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     ) -> EventCheck {
         let Self { end: to, .. } = self;
         let displacement = h / 2.0 * (from.v + to.v) + h * h / 12.0 * (from.a - to.a);
-        let ends = Quintic::SecondDerivatives([h * h * from.a, h * h * to.a]);
-        let increment = Interpolant::quintic([Vector::ZERO, displacement], [h * from.v, h * to.v], &ends);
+        let increment = Interpolant::between([[Vector::ZERO, from.v, from.a], [displacement, to.v, to.a]], h);
         let path = Path { origin: from.q, increment, length: h };
         locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, path, |_| false)
     }

@@ -286,10 +286,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
         (self.q, self.v) = (q, *v);
         let configuration_signs = system.configuration_signs(S::end(over.secant));
-        if configuration_signs != self.configuration_signs {
-            self.counters.count_sign_changes(self.configuration_signs, configuration_signs);
-            self.configuration_signs = configuration_signs;
-        }
+        self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
         self.counters.substeps += 1;
         Ok(())
     }

@@ -33,10 +33,13 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Counts the determinants whose sign differs between two masks.
-    pub(super) fn count_sign_changes(&mut self, before: u8, after: u8) {
-        for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
-            *changes += u64::from((before ^ after) >> bit & 1);
+    /// Counts the determinants that have changed sign, and stores the new signs.
+    pub(super) fn count_sign_changes(&mut self, stored: &mut u8, signs: u8) {
+        if signs != *stored {
+            for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
+                *changes += u64::from((*stored ^ signs) >> bit & 1);
+            }
+            *stored = signs;
         }
     }
 
@@ -135,10 +138,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Counts the determinants that have changed sign, and stores the new signs.
     pub(super) fn count_sign_changes(&mut self, configuration_signs: u8) {
-        if configuration_signs != self.configuration_signs {
-            self.counters.count_sign_changes(self.configuration_signs, configuration_signs);
-            self.configuration_signs = configuration_signs;
-        }
+        self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
     }
 
     /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.

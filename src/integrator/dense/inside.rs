@@ -7,7 +7,7 @@
 
 use super::trial::{ErrorWeights, RATE, StageDerivative, StepResult, project};
 use super::{DenseStep, Scheme, Settings};
-use crate::integrator::dense_output::{Interpolant, Quintic, max_magnitude};
+use crate::integrator::dense_output::{Interpolant, max_magnitude};
 use crate::integrator::locator::{EventWindow, Path};
 use crate::integrator::state::StepEnd;
 use crate::integrator::{Counters, Events, Mechanics, Passage, State, System, Work};
@@ -70,8 +70,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return *self;
         }
         let (Self { start, end, .. }, h) = (self, self.length);
-        let ends = Quintic::SecondDerivatives([h * h * start.a, h * h * end.a]);
-        let positions = Interpolant::quintic([start.q, end.q], [h * start.v, h * end.v], &ends);
+        let positions = Interpolant::between([[start.q, start.v, start.a], [end.q, end.v, end.a]], h);
         // Of a scheme with one polynomial for coordinates and rates.
         Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
     }

@@ -7,7 +7,7 @@
 use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense::trial::StageDerivative;
-use crate::integrator::dense_output::{Interpolant, Quintic};
+use crate::integrator::dense_output::Interpolant;
 use crate::integrator::{State, System};
 
 /// Number of stages.
@@ -96,9 +96,7 @@ impl Tableau for Tsit5 {
         _: f64,
         [from, to]: [&State<N, M>; 2],
     ) -> [StageDerivative<N>; 4] {
-        let h = stages.h;
-        let ends = Quintic::SecondDerivatives([h * h * from.a, h * h * to.a]);
-        StageDerivative::of_positions(Interpolant::quintic([from.q, to.q], [h * from.v, h * to.v], &ends))
+        StageDerivative::of_positions(Interpolant::between([[from.q, from.v, from.a], [to.q, to.v, to.a]], stages.h))
     }
 }
 
