@@ -305,6 +305,11 @@ impl<'a> Equations<'a> {
         factor.solve(&inertia.with_centripetal(torques, pose, rates), &-closure.phi_q_dot_times(pose, rates))
     }
 
+    /// Change of the accelerations, rad/s², by torques on the links, N·m, in addition.
+    pub fn by_torques(&self, torques: &Angles) -> Angles {
+        self.factor.solve(torques, &AtTip::ZERO).0
+    }
+
     /// First-order change of the solution `(α, λ)` of these equations, with stiffness K, N·m/rad, and damping C, N·m·s/rad, of the torques
     /// Q on links 1 to 4, K = −∂Q/∂θ and C = −∂Q/∂ω, weight included.
     pub fn linearised(&self, (a, lambda): (&Angles, &AtTip), [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {

@@ -31,7 +31,7 @@ pub enum Join {
 }
 
 /// Index of the link that carries the payload.
-const CARRIER: usize = 1;
+pub(crate) const CARRIER: usize = 1;
 
 impl Parameters {
     /// Adds the payload to the left distal link.

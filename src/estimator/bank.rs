@@ -8,9 +8,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 use super::constants::{
-    FORCE_WALK, LARGEST_VARIANCES, LEAST_LIKELIHOOD, LIKELY_MODELS, MASS_WALK, MODELS, NEGLIGIBLE_PROBABILITY, WHITE_TORQUE,
+    Intensities, LARGEST_VARIANCES, LEARNT, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
 };
-use super::propagation::{ProcessNoise, transformed};
+use super::propagation::{ProcessNoise, propagated, transformed};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
 
@@ -26,22 +26,22 @@ pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Member {
+pub struct Member<const E: usize = ERRORS> {
     /// Probability of the model.
     pub weight: f64,
     /// Mean of the error state.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    pub error: Error,
+    pub error: SVector<f64, E>,
     /// Covariance of the error state.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    pub covariance: Matrix,
+    pub covariance: SMatrix<f64, E, E>,
 }
 
-/// Bank of models.
+/// Bank of models, of errors of the motion and the unknown force, and of parameters that are learned behind them, if any.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Bank {
+pub struct Bank<const E: usize = ERRORS> {
     /// One model per process noise.
-    pub members: [Member; MODELS],
+    pub members: [Member<E>; MODELS],
 }
 
 /// Innovation of one encoder sample.
@@ -64,10 +64,10 @@ impl Innovation {
 
 /// Expectation of a sample by the models.
 #[derive(Clone, Copy, Debug)]
-pub struct PredictedSample {
-    weights: [f64; MODELS],
+pub struct PredictedSample<const E: usize = ERRORS> {
+    pub(super) weights: [f64; MODELS],
     /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
-    pub(super) each: [(f64, f64, Error); MODELS],
+    pub(super) each: [(f64, f64, SVector<f64, E>); MODELS],
 }
 
 impl PredictedSample {
@@ -103,25 +103,10 @@ fn log_likelihood(nis: f64, variance: f64) -> f64 {
     -0.5 * (nis + libm::log(variance))
 }
 
-impl Bank {
-    /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
-    pub fn new(variances: [f64; 3]) -> Self {
-        let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| variances[i / 2]));
-        Self { members: LIKELY_MODELS.map(|weight| Member { weight, error: Error::zeros(), covariance }) }
-    }
-
+impl<const E: usize> Bank<E> {
     /// Models of non-zero probability.
-    fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
+    fn active_members(&mut self) -> impl Iterator<Item = &mut Member<E>> {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
-    }
-
-    /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
-    #[inline(never)]
-    pub fn transform(&mut self, f: &Matrix) {
-        for member in self.active_members() {
-            member.error = f * member.error;
-            member.covariance = transformed(f, &member.covariance);
-        }
     }
 
     /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
@@ -140,7 +125,7 @@ impl Bank {
     #[inline(never)]
     pub fn predict(
         &mut self,
-        f: &Matrix,
+        f: &SMatrix<f64, ERRORS, E>,
         noise: &ProcessNoise,
         [scale, inertia, further]: [f64; 3],
         (h, switch_time): (f64, f64),
@@ -158,10 +143,11 @@ impl Bank {
             let (own, any) = (own / member.weight, any / member.weight);
             let off = member.error - mean;
             let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
-            let white = scale * scale * WHITE_TORQUE[j];
-            let walk = scale * scale * FORCE_WALK[j] + inertia * inertia * MASS_WALK[j] + further * further;
-            member.error = f * (member.error * own + mean * any);
-            member.covariance = transformed(f, &mixed) + noise.white * white + noise.walk * walk;
+            let Intensities { force_walk, mass_walk, white_torque } = if E == ERRORS { &TAKEN_AS_KNOWN } else { &LEARNT };
+            let white = scale * scale * white_torque[j];
+            let walk = scale * scale * force_walk[j] + inertia * inertia * mass_walk[j] + further * further;
+            member.error = propagated(f, &(member.error * own + mean * any));
+            member.covariance = transformed(f, &mixed, |moved| moved + noise.white * white + noise.walk * walk);
             bound(&mut member.covariance);
         }
     }
@@ -180,6 +166,91 @@ impl Bank {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         for member in &mut self.members {
             member.weight /= sum;
+        }
+    }
+
+    /// Mean error of the mixture.
+    pub fn mean(&self) -> SVector<f64, E> {
+        self.members.iter().map(|member| member.error * member.weight).sum()
+    }
+
+    /// Mean and covariance of the mixture.
+    #[inline(never)]
+    pub fn moments(&self) -> (SVector<f64, E>, SMatrix<f64, E, E>) {
+        let mean = self.mean();
+        let covariance = self
+            .members
+            .iter()
+            .filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY)
+            .map(|member| {
+                let off = member.error - mean;
+                (member.covariance + off * off.transpose()) * member.weight
+            })
+            .sum();
+        (mean, covariance)
+    }
+
+    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
+    #[inline(never)]
+    pub fn update(&mut self, expected: &PredictedSample<E>) {
+        let mut likelihood = [f64::NEG_INFINITY; MODELS];
+        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
+        {
+            if member.weight == 0.0 {
+                continue;
+            }
+            *likelihood = log_likelihood(residual * residual / variance, *variance);
+            let gain = column / *variance;
+            member.error += gain * *residual;
+            member.covariance -= gain * column.transpose();
+            member.covariance.fill_upper_triangle_with_lower_triangle();
+            for i in 0..E {
+                // A variance may turn negative by round-off only.
+                member.covariance[(i, i)] = member.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+            }
+        }
+        let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
+            member.weight *= libm::exp(likelihood - largest).max(LEAST_LIKELIHOOD);
+        }
+        self.normalise();
+    }
+
+    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
+    pub fn subtract_mean(&mut self, by: &SVector<f64, E>) {
+        for member in &mut self.members {
+            member.error -= by;
+        }
+    }
+
+    /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
+    #[cold]
+    pub(super) fn is_sound(&self) -> bool {
+        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
+        (sum - 1.0).abs() < 1e-9
+            && self.members.iter().all(|Member { weight, error, covariance: p }| {
+                let is_bounded = |i: usize, k: usize| p[(i, k)] * p[(i, k)] <= 1.01 * p[(i, i)] * p[(k, k)];
+                *weight >= 0.0
+                    && error.iter().all(|x| x.is_finite())
+                    && *p == p.transpose()
+                    && (0..E).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
+            })
+    }
+}
+
+impl Bank {
+    /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
+    pub fn new(variances: [f64; 3]) -> Self {
+        let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| variances[i / 2]));
+        Self { members: LIKELY_MODELS.map(|weight| Member { weight, error: Error::zeros(), covariance }) }
+    }
+
+    /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
+    #[inline(never)]
+    pub fn transform(&mut self, f: &Matrix) {
+        for member in self.active_members() {
+            member.error = f * member.error;
+            member.covariance = transformed(f, &member.covariance, |moved| moved);
         }
     }
 
@@ -214,28 +285,7 @@ impl Bank {
 
     /// Expected variance rate of the unknown force at the present probabilities, 1/s, relative to the squared torque scale.
     pub fn walk(&self) -> f64 {
-        self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum()
-    }
-
-    /// Mean error of the mixture.
-    pub fn mean(&self) -> Error {
-        self.members.iter().map(|member| member.error * member.weight).sum()
-    }
-
-    /// Mean and covariance of the mixture.
-    #[inline(never)]
-    pub fn moments(&self) -> (Error, Matrix) {
-        let mean = self.mean();
-        let covariance = self
-            .members
-            .iter()
-            .filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY)
-            .map(|member| {
-                let off = member.error - mean;
-                (member.covariance + off * off.transpose()) * member.weight
-            })
-            .sum();
-        (mean, covariance)
+        self.members.iter().zip(TAKEN_AS_KNOWN.force_walk).map(|(member, walk)| member.weight * walk).sum()
     }
 
     /// Covariance of the error about the estimate, the mean error included.
@@ -267,57 +317,10 @@ impl Bank {
         });
         PredictedSample { weights: self.members.map(|member| member.weight), each }
     }
-
-    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
-    #[inline(never)]
-    pub fn update(&mut self, expected: &PredictedSample) {
-        let mut likelihood = [f64::NEG_INFINITY; MODELS];
-        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
-        {
-            if member.weight == 0.0 {
-                continue;
-            }
-            *likelihood = log_likelihood(residual * residual / variance, *variance);
-            let gain = column / *variance;
-            member.error += gain * *residual;
-            member.covariance -= gain * column.transpose();
-            member.covariance.fill_upper_triangle_with_lower_triangle();
-            for i in 0..ERRORS {
-                // A variance may turn negative by round-off only.
-                member.covariance[(i, i)] = member.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
-            }
-        }
-        let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
-            member.weight *= libm::exp(likelihood - largest).max(LEAST_LIKELIHOOD);
-        }
-        self.normalise();
-    }
-
-    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
-    pub fn subtract_mean(&mut self, by: &Error) {
-        for member in &mut self.members {
-            member.error -= by;
-        }
-    }
-
-    /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
-    #[cold]
-    pub(super) fn is_sound(&self) -> bool {
-        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
-        (sum - 1.0).abs() < 1e-9
-            && self.members.iter().all(|Member { weight, error, covariance: p }| {
-                let is_bounded = |i: usize, k: usize| p[(i, k)] * p[(i, k)] <= 1.01 * p[(i, i)] * p[(k, k)];
-                *weight >= 0.0
-                    && error.iter().all(|x| x.is_finite())
-                    && *p == p.transpose()
-                    && (0..ERRORS).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
-            })
-    }
 }
 
-/// Errors, by columns, whose angles, rates and force change alike.
-pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
+/// Errors, by columns, whose angles, rates and force change alike; learned parameters stay.
+pub(super) fn turned<const E: usize, const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, E, C>) -> SMatrix<f64, E, C> {
     let mut turned = *errors;
     for pair in (0..ERRORS).step_by(2) {
         turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
@@ -326,7 +329,7 @@ pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, 
 }
 
 /// Bounds the variances of unobserved directions.
-fn bound(covariance: &mut Matrix) {
+fn bound<const E: usize>(covariance: &mut SMatrix<f64, E, E>) {
     for i in 0..FORCE {
         let (variance, most) = (covariance[(i, i)], LARGEST_VARIANCES[i / 2]);
         if variance > most {

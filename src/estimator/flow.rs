@@ -1,13 +1,14 @@
 //! Flow of the motion and of its errors: Runge–Kutta of order 4 on the equations of motion in the link angles and on their variational
 //! equations, whose coefficients a scene gives.
 //!
-//! The six variations are N in the angles, N in the rates, and the unknown force on N.
+//! The six variations are N in the angles, N in the rates, and the unknown force on N; behind them come those of the learned parameters.
 
-use nalgebra::{Matrix4, Matrix4x2, Matrix4x6};
+use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 
 use super::constants::{
     EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
 };
+use super::learning::LEARNED;
 use super::tangent::{Frame, LinkState, Linkage, Links};
 
 /// Equations of motion linearised at a state.
@@ -31,6 +32,9 @@ pub trait Scene {
     /// Accelerations of the links with their derivatives, and by two torques on the links, N·m.
     fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised;
 
+    /// Derivatives of the accelerations, which are `alpha`, by the learned parameters, by columns.
+    fn by_learned(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LEARNED>;
+
     /// Mass matrix M in the link angles, kg·m².
     fn mass(&self, theta: &Links) -> Matrix4<f64>;
 
@@ -38,9 +42,9 @@ pub trait Scene {
     fn has_stiff_forces(&self) -> bool;
 }
 
-/// End of a propagated motion.
+/// End of a propagated motion, with its derivatives by P learned parameters, all or none.
 #[derive(Clone, Copy, Debug)]
-pub struct Flow {
+pub struct Flow<const P: usize = 0> {
     /// State at the end.
     pub end: LinkState,
     /// Number of Runge–Kutta steps.
@@ -49,6 +53,8 @@ pub struct Flow {
     pub d_theta: Matrix4x6<f64>,
     /// Derivatives of the rates with respect to the initial errors.
     pub d_omega: Matrix4x6<f64>,
+    /// Derivatives of angles and rates with respect to the learned parameters.
+    pub by_learned: [SMatrix<f64, 4, P>; 2],
 }
 
 /// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
@@ -93,44 +99,48 @@ pub fn motion(scene: &impl Scene, from: &LinkState, force: &Links, h: f64, steps
 
 /// Integrated state, or its time derivative.
 #[derive(Clone, Copy)]
-struct Point {
+struct Point<const P: usize> {
     state: LinkState,
     d_theta: Matrix4x6<f64>,
     d_omega: Matrix4x6<f64>,
+    by_learned: [SMatrix<f64, 4, P>; 2],
 }
 
-impl Point {
+impl<const P: usize> Point<P> {
     fn plus(&self, h: f64, rate: &Self) -> Self {
         Self {
             state: LinkState { theta: self.state.theta + rate.state.theta * h, omega: self.state.omega + rate.state.omega * h },
             d_theta: self.d_theta + rate.d_theta * h,
             d_omega: self.d_omega + rate.d_omega * h,
+            by_learned: [0, 1].map(|i| self.by_learned[i] + rate.by_learned[i] * h),
         }
     }
 
-    /// Time derivative.
-    fn rate(&self, near: &Linearised) -> Self {
-        let Self { state, d_theta, d_omega } = self;
+    /// Time derivative; `learned` are the derivatives of the accelerations by the learned parameters at this state.
+    fn rate(&self, near: &Linearised, learned: &SMatrix<f64, 4, P>) -> Self {
+        let Self { state, d_theta, d_omega, by_learned: [theta, omega] } = self;
         let mut d_alpha = near.by_angle * d_theta + near.by_rate * d_omega;
         let mut pushed = d_alpha.fixed_columns_mut::<2>(4);
         pushed += near.by_torque;
-        Self { state: LinkState { theta: state.omega, omega: near.alpha }, d_theta: *d_omega, d_omega: d_alpha }
+        let by_learned = [*omega, near.by_angle * theta + near.by_rate * omega + learned];
+        Self { state: LinkState { theta: state.omega, omega: near.alpha }, d_theta: *d_omega, d_omega: d_alpha, by_learned }
     }
 }
 
 /// Motion with variations from a state with its frame, under an unknown force, in the steps that it needs but at least `least`.
 #[inline(never)]
-pub fn flow(
+pub fn flow<const P: usize>(
     linkage: &Linkage,
     scene: &impl Scene,
     (from, frame): (&LinkState, &Frame),
     force: &Links,
     (h, least): (f64, u32),
-) -> Flow {
+) -> Flow<P> {
     let units = unit_forces(linkage, frame);
     let near = scene.linearised(from, force, &(frame.by_inputs() * units));
     let steps = steps(frame, &near, scene, (from, h)).max(least);
-    let mut point = Point { state: *from, d_theta: Matrix4x6::zeros(), d_omega: Matrix4x6::zeros() };
+    let by_learned = [SMatrix::zeros(); 2];
+    let mut point = Point { state: *from, d_theta: Matrix4x6::zeros(), d_omega: Matrix4x6::zeros(), by_learned };
     point.d_theta.fixed_columns_mut::<2>(0).copy_from(&frame.basis);
     point.d_omega.fixed_columns_mut::<2>(2).copy_from(&frame.basis);
     for k in 0..2 {
@@ -139,17 +149,22 @@ pub fn flow(
         point.d_omega.set_column(k, &turned);
     }
     let h = h / f64::from(steps);
-    let rate_at = |point: &Point| {
+    let learned = |at: &LinkState, alpha: &Links| match P {
+        0 => SMatrix::zeros(),
+        _ => scene.by_learned(at, force, alpha).fixed_columns::<P>(0).into_owned(),
+    };
+    let rate_at = |point: &Point<P>| {
         let torques = linkage.posture(&point.state.theta).by_inputs() * units;
-        point.rate(&scene.linearised(&point.state, force, &torques))
+        let near = scene.linearised(&point.state, force, &torques);
+        point.rate(&near, &learned(&point.state, &near.alpha))
     };
     for step in 0..steps {
-        let k1 = if step == 0 { point.rate(&near) } else { rate_at(&point) };
+        let k1 = if step == 0 { point.rate(&near, &learned(from, &near.alpha)) } else { rate_at(&point) };
         let k2 = rate_at(&point.plus(h / 2.0, &k1));
         let k3 = rate_at(&point.plus(h / 2.0, &k2));
         let k4 = rate_at(&point.plus(h, &k3));
         point = point.plus(h / 6.0, &k1.plus(2.0, &k2).plus(2.0, &k3).plus(1.0, &k4));
     }
-    let Point { state: end, d_theta, d_omega } = point;
-    Flow { end, steps, d_theta, d_omega }
+    let Point { state: end, d_theta, d_omega, by_learned } = point;
+    Flow { end, steps, d_theta, d_omega, by_learned }
 }

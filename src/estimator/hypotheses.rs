@@ -365,7 +365,7 @@ impl Hypothesis {
         } else {
             let turn = h * self.motion.fastest() / from.smallest.max(LEAST_SINGULAR_VALUE);
             let fine = (turn / LARGEST_TURN).ceil().clamp(1.0, MOST_FINE_STEPS) as u32;
-            let flow = flow::flow(linkage, scene, (&self.motion, &from), force, (h, fine));
+            let flow = flow::flow::<0>(linkage, scene, (&self.motion, &from), force, (h, fine));
             let (end, to) = if self.kind == Kind::Straight && from.smallest < NEAR_VERTEX {
                 straight_on(linkage, &self.motion, h)
             } else if linkage.posture(&flow.end.theta).gram(linkage.length).1 < NEAR_VERTEX {

@@ -6,6 +6,7 @@
 //! | `tangent.rs` | the closed loop: J, N, closure |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
+//! | `learning.rs` | masses and friction as parameters behind the errors |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
@@ -28,6 +29,7 @@ pub mod forecast;
 mod geometry;
 mod history;
 mod hypotheses;
+pub mod learning;
 mod parameters;
 mod propagation;
 mod quantiser;
@@ -41,16 +43,18 @@ pub use alarm::Alarm;
 pub use bank::Innovation;
 pub use belief::Belief;
 use constants::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, LARGEST_NIS, LIKELY_MODELS, LONGEST_SAMPLE_TIME,
-    MODELS, NEAR_SINGULARITY,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, LARGEST_NIS, LEARNING_PERSISTENCE,
+    LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
 use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
+use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::Hypotheses;
+use learning::{LEARNED, Learned, Learning, Prior};
 pub use parameters::{Bands, Constants, Parameters};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
@@ -85,6 +89,8 @@ pub struct Estimator {
     coasts: bool,
     hypotheses: Hypotheses,
     unaided: Unaided,
+    /// Learning of masses and friction; boxed, so that an estimator that does not learn is no larger.
+    learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
@@ -117,6 +123,7 @@ impl Estimator {
             coasts: true,
             hypotheses: Hypotheses::default(),
             unaided: Unaided::default(),
+            learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
@@ -169,16 +176,23 @@ impl Estimator {
         if used == 0 {
             return favoured.map(|_| motion);
         }
+        if let Some(learning) = &mut self.learning {
+            learning.keep_within_bounds(&mut self.belief.bank);
+        }
         match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
                 self.unaided.correct(&error, &turn);
+                if let Some(learning) = &mut self.learning {
+                    learning.correct(&turn);
+                }
                 frame = to;
             }
             // No closed configuration is near the corrected one: the covariance is worthless.
             None => {
                 self.belief.bank = bank::Bank::new(constants.start_variances());
                 self.unaided = Unaided::default();
+                self.learn_anew(constants);
             }
         }
         let readings =
@@ -240,7 +254,11 @@ impl Estimator {
             nis += own;
             if encoder.passes_gate(own, expected.nis_of_loudest_model(), (overdue, self.hypotheses.is_branch_known())) {
                 let told = [innovation.noise, persistent[i]];
-                self.belief.bank.update(&encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told));
+                let told = encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told);
+                self.belief.bank.update(&told);
+                if let Some(learning) = &mut self.learning {
+                    learning.update(&told, &innovation.row);
+                }
                 if self.hypotheses.are_open() {
                     update.likelihood += expected.log_likelihood();
                 }
@@ -249,6 +267,7 @@ impl Estimator {
                 update.readings[i] = Some(Reading { angle, noise: innovation.noise, age, dead_zone: 0.0 });
             } else if overdue && let Some(bank) = self.unaided.take() {
                 self.belief.bank = bank;
+                self.learn_anew(constants);
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -282,14 +301,47 @@ impl Estimator {
         self.innovation = [left, right].map(|sample| sample.innovation.residual);
         self.history.clear();
         self.unaided = Unaided::default();
+        self.learn_anew(constants);
         (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
         Some(anew)
+    }
+
+    /// Begins to learn anew where samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
+    #[cold]
+    fn learn_anew(&mut self, constants: &Constants) {
+        self.learning = constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior)));
+    }
+
+    /// Parameters that the master has set to other values begin anew; `tuned` is the prior with these values.
+    #[cold]
+    pub fn begin_anew_where_tuned(&mut self, constants: &Constants, tuned: Option<&Prior>) {
+        if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &constants.prior, tuned) {
+            for i in (0..LEARNED).filter(|i| before.values[*i] != tuned.values[*i]) {
+                learning.begin_anew(tuned, i);
+            }
+        }
+    }
+
+    /// Values of what is learned; `None` where nothing is.
+    pub fn learned(&self) -> Option<Learned> {
+        self.learning.as_ref().map(|learning| learning.values())
+    }
+
+    /// Standard deviations of what is learned, and 0 of what is not.
+    pub fn learned_sigma(&self) -> Learned {
+        self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma())
+    }
+
+    /// Normalised error squared of the learned parameters among `which` that are not known, against true values, and their number.
+    pub fn learned_nees(&self, truth: &Learned, which: std::ops::Range<usize>) -> Option<(f64, usize)> {
+        self.learning.as_ref().map(|learning| learning.nees(truth, which))
     }
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
     #[cold]
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
+        self.learning.iter_mut().for_each(|learning| learning.hold());
         self.history.clear();
         self.unaided = Unaided::default();
         constants.linkage.frame(&motion.theta)
@@ -320,7 +372,12 @@ impl Estimator {
             self.belief.bank.reset_priors(&models);
         }
         self.coasts = coasts;
-        let step = Propagation::new(linkage, scene, (from, &frame), to, &self.belief.force, h);
+        let (step, learned) = if self.learning.is_some() {
+            let flow: Flow<LEARNED> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
+            (Propagation::along(&flow, scene.mass(&from.theta), &frame, (to, &linkage.frame(&to.theta)), h), Some(flow))
+        } else {
+            (Propagation::new(linkage, scene, (from, &frame), to, &self.belief.force, h), None)
+        };
         // Inertia torques, link by link: in a fast passage next to a singularity those of two links nearly cancel on the basis, while
         // errors of their masses do not.
         let torques = step.mass * ((to.omega - from.omega) / h);
@@ -336,14 +393,25 @@ impl Estimator {
         // Without samples each model goes on by itself: a quantile of their mixture shows what a covariance hides. What acts changes as the
         // machine moves, and errors of masses appear that no sample has revealed yet.
         let force = self.belief.tangent_force(&frame);
+        let unrevealed = if self.learning.is_some() { 0.0 } else { inertia };
         let (further, lasting) = if coasts {
-            ((force.norm_squared() * CARRIED_WALK + inertia * inertia * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
+            ((force.norm_squared() * CARRIED_WALK + unrevealed * unrevealed * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
         } else {
-            (0.0, parameters.switch_time)
+            (0.0, parameters.switch_time * if self.learning.is_some() { LEARNING_PERSISTENCE } else { 1.0 })
         };
-        let noise = step.noise(h);
-        self.belief.bank.predict(&step.f, &noise, [scale, observable, further], (h, lasting), &models);
-        self.unaided.predict(&step, &noise, [scale, observable], (h, lasting));
+        let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
+        // A branch that is not known teaches nothing.
+        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
+        match (&mut self.learning, &learned) {
+            (Some(learning), Some(flow)) if known => {
+                learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
+            }
+            (learning, _) => {
+                learning.iter_mut().for_each(|learning| learning.hold());
+                self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
+            }
+        }
+        self.unaided.predict(&step, &noise, [scale, observable], timing);
         self.held = step.held;
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
@@ -432,6 +500,9 @@ impl Estimator {
         }
         if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() {
             return Err("a number of its estimator is not finite");
+        }
+        if self.learning.is_some() != constants.prior.is_some() || !self.learning.iter().all(|learning| learning.is_sound()) {
+            return Err("what its estimator has learned is not valid");
         }
         Ok(())
     }

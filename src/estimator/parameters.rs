@@ -1,6 +1,7 @@
 //! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
 use super::constants::UNKNOWN_FORCE;
+use super::learning::Prior;
 use super::{Linkage, REMEMBERED};
 use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
 
@@ -33,6 +34,16 @@ pub struct Parameters {
     pub sigma0_length: f64,
     /// Standard deviation of the constant mounting angle of each encoder, rad.
     pub sigma0_offset: f64,
+    /// Whether masses and friction are learned.
+    pub learn_enabled: bool,
+    /// Relative standard deviation of the mass of each link at the start; 0: known.
+    pub learn_mass: f64,
+    /// Standard deviation of the payload's mass at the start, kg; 0: known.
+    pub learn_payload: f64,
+    /// Standard deviation of the coefficient of viscous friction of each joint at the start, N·m·s/rad; 0: known.
+    pub learn_viscous: f64,
+    /// Relative standard deviation of dry friction at the start; 0: known.
+    pub learn_friction: f64,
     /// Method of the covariance in a forecast.
     pub forecast: Bands,
     /// Torque scale of the unknown force, N·m; 0: the torque that carries the machine's weight.
@@ -55,6 +66,10 @@ impl Parameters {
             ("estimator.maxDelay", self.max_delay, "s"),
             ("estimator.sigma0.length", self.sigma0_length, "m"),
             ("estimator.sigma0.offset", self.sigma0_offset, "rad"),
+            ("estimator.learn.mass", self.learn_mass, "(ratio)"),
+            ("estimator.learn.payload", self.learn_payload, "kg"),
+            ("estimator.learn.viscous", self.learn_viscous, "N.m.s/rad"),
+            ("estimator.learn.friction", self.learn_friction, "(ratio)"),
             ("estimator.torqueScale", self.torque_scale, "N.m"),
         ] {
             not_negative(name, value, unit)?;
@@ -67,6 +82,13 @@ impl Parameters {
             positive(name, value, unit)?;
         }
         finite("estimator.horizon", self.horizon, "s")?;
+        if self.learn_enabled && self.max_delay > 0.0 {
+            return Err(SceneError(format!(
+                "estimator.maxDelay = {:?} s is not allowed with estimator.learn.enabled = true, which learns from samples without delay: it must \
+                 be 0.",
+                self.max_delay
+            )));
+        }
         // The history holds a macro step each, which a communication step that is no multiple of h makes shorter than h. Shorter than h/2,
         // where communication steps are, they do not reach back to maxDelay, and older samples are late.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
@@ -91,11 +113,13 @@ pub struct Constants {
     pub parameters: Parameters,
     /// Torque scale of the unknown force, N·m.
     torque_scale: f64,
+    /// Values and standard deviations of what is learned, before any sample; boxed, so that it costs nothing where nothing is learned.
+    pub(super) prior: Option<Box<Prior>>,
 }
 
 impl Constants {
     /// Constant data for a geometry that includes all masses.
-    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
+    pub fn new(geometry: &Geometry, parameters: &Parameters, prior: Option<Prior>) -> Self {
         // Mean over the legs of the torque that carries their weight, (m_P a_P + m_D l_P)·9.81 m/s².
         let weight = |p: usize, d: usize| {
             let [proximal, distal] = [p, d].map(|i| geometry.links[i]);
@@ -103,7 +127,8 @@ impl Constants {
         };
         let weight_torque = (weight(0, 1) + weight(3, 2)) / 2.0;
         let torque_scale = if parameters.torque_scale > 0.0 { parameters.torque_scale } else { weight_torque };
-        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale }
+        let prior = prior.map(Box::new);
+        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale, prior }
     }
 
     /// Torque scale of the unknown force, N·m.

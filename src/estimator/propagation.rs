@@ -1,8 +1,8 @@
 //! Time update of errors over a macro step: transition F by the variational equations between two tangent spaces, and process noise.
 
-use nalgebra::{Matrix2, Matrix4};
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
-use super::bank::{FORCE, Matrix, turned};
+use super::bank::{ERRORS, FORCE, Matrix, turned};
 use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
 use super::flow::{Flow, Scene, flow};
 use super::tangent::{Frame, LinkState, Linkage, Links, wrapped};
@@ -32,13 +32,19 @@ impl Propagation {
         force: &Links,
         h: f64,
     ) -> Self {
-        let flow = flow(linkage, scene, (begin, from), force, (h, 1));
+        let flow = flow::<0>(linkage, scene, (begin, from), force, (h, 1));
         Self::along(&flow, scene.mass(&begin.theta), from, (end, &linkage.frame(&end.theta)), h)
     }
 
     /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
     #[inline(never)]
-    pub(super) fn along(flow: &Flow, mass: Matrix4<f64>, from: &Frame, (end, to): (&LinkState, &Frame), h: f64) -> Self {
+    pub(super) fn along<const P: usize>(
+        flow: &Flow<P>,
+        mass: Matrix4<f64>,
+        from: &Frame,
+        (end, to): (&LinkState, &Frame),
+        h: f64,
+    ) -> Self {
         let smallest = from.smallest.min(to.smallest);
         let agrees = || {
             (0..4).all(|i| {
@@ -101,15 +107,33 @@ impl ProcessNoise {
     }
 }
 
-/// F P Fᵀ, symmetric to the bit.
-pub(super) fn transformed(f: &Matrix, p: &Matrix) -> Matrix {
-    let mut product = f * p * f.transpose();
+/// F e of an error that ends with learned parameters, which stay: `f` has the other rows.
+pub(super) fn propagated<const E: usize>(f: &SMatrix<f64, ERRORS, E>, error: &SVector<f64, E>) -> SVector<f64, E> {
+    let mut product = *error;
+    product.fixed_rows_mut::<ERRORS>(0).copy_from(&(f * error));
+    product
+}
+
+/// F P Fᵀ + Q, symmetric to the bit, of errors that end with learned parameters, which stay: `f` has the other rows, Q is of the other errors.
+#[inline(always)]
+pub(super) fn transformed<const E: usize>(
+    f: &SMatrix<f64, ERRORS, E>,
+    p: &SMatrix<f64, E, E>,
+    noise: impl FnOnce(Matrix) -> Matrix,
+) -> SMatrix<f64, E, E> {
+    let (moved, mut product) = (f * p, *p);
+    product.fixed_view_mut::<ERRORS, ERRORS>(0, 0).copy_from(&noise(moved * f.transpose()));
+    for learned in ERRORS..E {
+        for i in 0..ERRORS {
+            product[(learned, i)] = moved[(i, learned)];
+        }
+    }
     product.fill_upper_triangle_with_lower_triangle();
     product
 }
 
 /// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.
-fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
+fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matrix {
     let mut f = turned(&from.basis_map_to(to), &Matrix::identity());
     f.fixed_rows_mut::<2>(0).copy_from(&to.basis.tr_mul(&flow.d_theta));
     f.fixed_rows_mut::<2>(2).copy_from(&to.basis.tr_mul(&flow.d_omega));

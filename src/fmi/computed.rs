@@ -3,6 +3,7 @@
 
 use super::bindings::{self, Field};
 use crate::estimator;
+use crate::estimator::learning::{DRY, MASSES, PAYLOAD, VISCOUS};
 use crate::observers::{self, Estimated, Observed, Point};
 use crate::scalar::Scalar;
 use crate::variables::{
@@ -77,6 +78,14 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::EstimatedOmegaSigma(i) => estimated(&|of| of.following.sigmas()[1][PROXIMAL_LINKS[i]]),
         V::EstimatedTipCov(i) => estimated(&|of| of.following.tip_covariance()[i]),
         V::EstimatedForecastRadius95 => estimated(&|of| of.following.tip_radius()),
+        V::EstimatedMass(i) => estimated(&|of| of.following.learned()[0][MASSES.start + i]),
+        V::EstimatedMassSigma(i) => estimated(&|of| of.following.learned()[1][MASSES.start + i]),
+        V::EstimatedPayload => estimated(&|of| of.following.learned()[0][PAYLOAD]),
+        V::EstimatedPayloadSigma => estimated(&|of| of.following.learned()[1][PAYLOAD]),
+        V::EstimatedViscous(i) => estimated(&|of| of.following.learned()[0][VISCOUS.start + i]),
+        V::EstimatedViscousSigma(i) => estimated(&|of| of.following.learned()[1][VISCOUS.start + i]),
+        V::EstimatedFriction => estimated(&|of| of.following.learned()[0][DRY]),
+        V::EstimatedFrictionSigma => estimated(&|of| of.following.learned()[1][DRY]),
         V::EstimatedInnovation(i) => estimated(&|of| of.following.estimator().innovation()[i]),
         V::EstimatedSingularProbability => estimated(&|of| of.singularity_probability()),
     })

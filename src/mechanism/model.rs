@@ -127,7 +127,7 @@ impl Mechanism {
     }
 
     /// A geometry arranged by legs.
-    pub(super) fn arranged(geometry: &Geometry) -> Self {
+    pub(crate) fn arranged(geometry: &Geometry) -> Self {
         let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
         let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
         let distal = |of: fn(Link) -> f64| Legs::new([of(left_distal), of(right_distal)]);

@@ -30,19 +30,21 @@ impl Run {
         }
     }
 
-    /// Continues from another motion, which closes the loop, with other inputs. The energy difference counts as input
-    /// work; sign changes of the configuration do not count as passages.
-    pub(super) fn resume_from(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs) {
-        let assembled =
-            |LinkState { theta, omega }: LinkState| closure::assemble(&model.mechanism.geometry, theta.into(), omega.into());
-        let (before, (q, v)) = (assembled(self.motion(model)), assembled(*motion));
+    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another model of
+    /// equal lengths. The energy difference counts as input work; sign changes of the configuration do not count as passages.
+    pub(super) fn resume_from(&mut self, [before, model]: [&Model; 2], motion: &LinkState, inputs: &Inputs) {
         let turns = self.turns;
-        let energy = |q: &Coordinates, v: &Coordinates| {
+        let assembled = |model: &Model, LinkState { theta, omega }: LinkState| {
+            closure::assemble(&model.mechanism.geometry, theta.into(), omega.into())
+        };
+        let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
             let five_bar = FiveBar::<false>::new(model, inputs, &turns);
             let pose = five_bar.pose(q);
             model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(q, &five_bar.motion(q, &pose, v))
         };
-        let external_work = energy(&q, &v) - energy(&before.0, &before.1);
+        let left = assembled(before, self.motion(before));
+        let anew @ (q, v) = assembled(model, *motion);
+        let external_work = energy(model, &anew) - energy(before, &left);
         let held = std::mem::replace(&mut self.inputs, *inputs);
         let system = FiveBar::<false>::new(model, inputs, &turns);
         let signs = || system.configuration_signs(&system.pose(&q));
@@ -57,7 +59,7 @@ impl Run {
                 state.restart(work);
             }
             Integrator::DenseOutput(run) => {
-                run.resume_from(model, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
+                run.resume_from([before, model], ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
             }
             Integrator::ModelExchange(run) => run.move_to(motion.theta.into(), motion.omega.into(), work),
         }

@@ -51,15 +51,16 @@ impl DenseRun {
         (sample.q, sample.v)
     }
 
-    /// Continues from other angles and rates with other inputs; the change adds `external_work`, J.
+    /// Continues from other angles and rates with other inputs and another model; the change adds `external_work`, J.
     pub(super) fn resume_from(
         &mut self,
-        model: &Model,
+        [before, model]: [&Model; 2],
         ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
         motion: [Angles; 2],
         external_work: f64,
     ) {
-        let [before, after] = [held, inputs].map(|inputs| AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)));
+        let [before, after] =
+            [(before, held), (model, inputs)].map(|(model, inputs)| AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)));
         self.step.resume_from([&before, &after], &self.settings, motion, external_work);
         self.held = [self.held[1], 0];
     }

@@ -3,11 +3,13 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::learned::Bodies;
 use super::linearised::{FollowedScene, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
-use super::{Inputs, Parameters, Run, Signal, Simulation, State, StepFailure};
+use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
+use crate::estimator::learning::{DRY, Learned, MASSES};
 use crate::estimator::{self, Constants, Estimator, Fault, LinkState, Measured, Status};
 use crate::mechanism::SceneError;
 
@@ -41,7 +43,7 @@ impl Following {
             )));
         }
         let simulation = Simulation::new(parameters, inputs)?;
-        let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
+        let constants = constants_of(parameters)?;
         let estimator = Estimator::new(&constants);
         Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
     }
@@ -49,8 +51,10 @@ impl Following {
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
-        let simulation = Simulation::restored(parameters, run)?;
-        let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
+        let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
+        let mut simulation = Simulation::restored(learned.as_ref().unwrap_or(parameters), run)?;
+        simulation.parameters = parameters.clone();
+        let constants = constants_of(parameters)?;
         estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
@@ -61,9 +65,19 @@ impl Following {
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
         let Self { simulation, constants, estimate: Estimate { estimator, inputs, .. } } = self;
-        let Simulation { model, run, .. } = simulation;
-        if let Some(motion) = estimator.correct(constants, &run.motion(model), measured, now) {
-            run.resume_from(model, &motion, &with_unknown_force(inputs, &estimator.belief().force));
+        let Simulation { model, run, parameters } = simulation;
+        let (before, at) = (estimator.learned(), run.motion(model));
+        let corrected = estimator.correct(constants, &at, measured, now);
+        if let Some(motion) = corrected.or_else(|| (estimator.learned() != before).then_some(at)) {
+            let inputs = with_unknown_force(inputs, &estimator.belief().force);
+            // A machine that has been learned within its bounds can be simulated.
+            let learned = estimator.learned().and_then(|learned| Model::new(&parameters.with_learned(&learned)).ok());
+            run.resume_from([model, learned.as_ref().unwrap_or(model)], &motion, &inputs);
+            if let Some(learned) = learned {
+                // The method stays.
+                let _ = run.configure(&learned);
+                *model = learned;
+            }
         }
     }
 
@@ -80,11 +94,13 @@ impl Following {
 
     /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
-        let Self { simulation: Simulation { model, run, .. }, constants, estimate } = self;
+        let Self { simulation: Simulation { model, run, parameters }, constants, estimate } = self;
         estimate.inputs = *inputs;
         let (turns, from) = (run.turns, run.motion(model));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
-        let scene = FollowedScene { model, inputs, turns: &turns };
+        // The weights have been checked by the model.
+        let bodies = estimate.estimator.learned().and_then(|learned| Bodies::new(&parameters.with_learned(&learned)).ok());
+        let scene = FollowedScene { model, inputs, turns: &turns, learned: bodies.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
@@ -118,10 +134,17 @@ impl Following {
     #[cold]
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
-        self.simulation.tune(effects)?;
-        self.simulation.tune_estimator(estimator);
+        let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters().clone() };
+        self.estimate.estimator.begin_anew_where_tuned(&self.constants, tuned.prior().as_ref());
+        let learned = |parameters: &Parameters| match self.estimate.estimator.learned() {
+            Some(learned) => parameters.with_learned(&learned),
+            None => parameters.clone(),
+        };
+        self.simulation.parameters = learned(&self.simulation.parameters);
+        self.simulation.tune(&learned(&tuned).effects)?;
         // A payload that joins changes the masses.
-        self.constants = Constants::new(&self.simulation.model.mechanism.geometry, estimator);
+        self.constants = constants_of(&tuned)?;
+        self.simulation.parameters = tuned;
         Ok(())
     }
 
@@ -139,6 +162,21 @@ impl Following {
     /// covariance.
     pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
         self.estimate.estimator.nees(&self.constants, &self.motion(), &LinkState::new(*theta, *omega))
+    }
+
+    /// Learned values with standard deviations, in the order of [`estimator::learning`]: masses, kg, friction, N·m·s/rad, factor of dry
+    /// friction. Where nothing is learned, the parameters in force.
+    pub fn learned(&self) -> [Learned; 2] {
+        let parameters = self.parameters();
+        let estimator = &self.estimate.estimator;
+        let (values, sigma) = (estimator.learned().unwrap_or_else(|| parameters.known()), estimator.learned_sigma());
+        let factors = Learned::from_fn(|i, _| match i {
+            _ if MASSES.contains(&i) => parameters.geometry.links[i].mass * libm::exp(values[i]),
+            DRY => libm::exp(values[i]),
+            _ => 1.0,
+        });
+        let natural = |i: usize| if MASSES.contains(&i) || i == DRY { factors[i] } else { values[i] };
+        [Learned::from_fn(|i, _| natural(i)), sigma.component_mul(&factors)]
     }
 
     /// Data of the estimator that stay constant between changes of parameters.
@@ -166,7 +204,7 @@ impl Following {
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let scene = FollowedScene { model, inputs: held, turns: &run.turns };
+        let scene = FollowedScene { model, inputs: held, turns: &run.turns, learned: None };
         let step = parameters.settings.step_size;
         self.estimate.estimator.singularity_probability(&self.constants, &self.motion(), &scene, step)
     }
@@ -196,6 +234,12 @@ impl Following {
         }
         news
     }
+}
+
+/// Constants of the estimator of a scene, whatever it has learned.
+fn constants_of(parameters: &Parameters) -> Result<Constants, SceneError> {
+    let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
+    Ok(Constants::new(&geometry, &parameters.estimator, parameters.prior()))
 }
 
 impl Estimate {

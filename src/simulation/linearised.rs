@@ -1,13 +1,15 @@
 //! A scene as the estimator sees it: equations of motion in the link angles, with their derivatives, under loads, weight and an unknown force.
 
-use nalgebra::{Matrix4, Matrix4x2};
+use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
 use super::Inputs;
 use super::five_bar::FiveBar;
+use super::learned::Bodies;
 use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
+use crate::estimator::learning::LEARNED;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::Work;
 use crate::mechanism::Pose;
@@ -50,12 +52,19 @@ pub struct FollowedScene<'a> {
     pub inputs: &'a Inputs,
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
+    /// Bodies whose masses are learned, where anything is.
+    pub learned: Option<&'a Bodies>,
 }
 
 impl FollowedScene<'_> {
     /// Answer of the equations of motion at a state, with the loads that act there.
     #[inline(always)]
-    fn at<T>(&self, at: &LinkState, force: &Links, answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T) -> T {
+    pub(super) fn at<T>(
+        &self,
+        at: &LinkState,
+        force: &Links,
+        answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T,
+    ) -> T {
         let (model, inputs) = (self.model, with_unknown_force(self.inputs, force));
         let five_bar = FiveBar::<false>::new(model, &inputs, self.turns);
         let (turned, rates) = (by_legs(at.theta.into()), by_legs(at.omega.into()));
@@ -102,6 +111,11 @@ impl Scene for FollowedScene<'_> {
                 by_torque: Matrix4x2::from_columns(&by_torque),
             }
         })
+    }
+
+    #[inline(never)]
+    fn by_learned(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LEARNED> {
+        FollowedScene::by_learned(self, at, force, alpha)
     }
 
     fn mass(&self, theta: &Links) -> Matrix4<f64> {

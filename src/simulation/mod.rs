@@ -12,6 +12,7 @@ pub mod five_bar;
 mod five_bar_steps;
 mod following;
 mod join;
+mod learned;
 mod linearised;
 pub mod methods;
 pub mod model;
@@ -25,7 +26,6 @@ mod state;
 mod variation;
 
 use crate::effects;
-use crate::estimator;
 use crate::integrator::CONFIGURATION_SIGNS;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::{self, SceneError, closure};
@@ -33,6 +33,7 @@ use crate::mechanism::{self, SceneError, closure};
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 pub use following::{Estimate, Following};
+pub use learned::Bodies;
 pub use linearised::FollowedScene;
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
@@ -209,11 +210,6 @@ impl Simulation {
         }
         self.parameters = tuned;
         Ok(())
-    }
-
-    /// Stores parameters of the estimator, on which the motion of this simulation does not depend.
-    pub fn tune_estimator(&mut self, parameters: &estimator::Parameters) {
-        self.parameters.estimator = parameters.clone();
     }
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.

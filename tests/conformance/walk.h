@@ -5,7 +5,7 @@
 #include "master.h"
 #include "rules.h"
 
-enum { SLAVES = 3, STORED = 4, MOST_BYTES = 1 << 13 };
+enum { SLAVES = 3, STORED = 4, MOST_BYTES = 1 << 15 };
 
 static const double FAR = 1e12;
 

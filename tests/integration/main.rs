@@ -15,6 +15,7 @@ mod effects_reference; // scenes with effects against solutions in quadruple pre
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod estimator; // transitions against differences, statistics of samples, faults of encoders, grouping
 mod kinks; // loads with events: contacts, stops, dissipated energy
+mod learning; // what is learned of a machine: found, left at its prior, bounded, stored
 mod payload; // mass that joins the tip during a run, or leaves it
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 mod step_orders; // steps of each kind on problems with known solutions: orders of step and interpolant, stiffness, changes of kind

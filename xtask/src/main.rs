@@ -86,9 +86,9 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Measure how well machines are followed, print tables of figures beside their targets; some minutes
+    /// Measure how well machines are followed, print tables of figures beside their targets; half an hour
     Estimator {
-        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, foreign
+        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, foreign, geometry, learning
         #[arg(long, default_value = "")]
         only: String,
         /// Part of the runs that are made

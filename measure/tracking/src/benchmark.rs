@@ -58,7 +58,12 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
     let turns = [0; 4];
     let (truth, twin) = (scenario.machine(), scenario.twin(encoder));
     let linkage = Linkage::new(&truth.model().mechanism.geometry);
-    let scenes = [truth.model(), twin.simulation().model()].map(|model| FollowedScene { model, inputs: &inputs, turns: &turns });
+    let scenes = [truth.model(), twin.simulation().model()].map(|model| FollowedScene {
+        model,
+        inputs: &inputs,
+        turns: &turns,
+        learned: None,
+    });
     let (mut sums, mut count) = ([0.0; 5], 0.0);
     follow(scenario, encoder, 5e-3, random, |at| {
         if at.time < 1.0 {

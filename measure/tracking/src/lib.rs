@@ -12,6 +12,7 @@ pub mod faults;
 pub mod forecast;
 pub mod foreign;
 pub mod geometry;
+pub mod learning;
 pub mod machine;
 pub mod quality;
 pub mod report;

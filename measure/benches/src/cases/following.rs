@@ -1,5 +1,5 @@
-//! A machine that is followed, beside the bare step: with samples of both encoders at every step, without, and while both assemblies are
-//! followed behind a direct singularity.
+//! A machine that is followed, beside the bare step: with samples of both encoders at every step, also while masses and friction are learned,
+//! without, and while both assemblies are followed behind a direct singularity.
 
 use std::hint::black_box;
 
@@ -41,10 +41,14 @@ fn twin(mut parameters: Parameters, inputs: &Inputs) -> Result<Following> {
     Ok(Following::new(&parameters, inputs)?)
 }
 
-/// The fall, followed: `speak` says whether the encoders do.
-fn followed(name: &'static str, speak: bool) -> Case {
+/// The fall, followed: `speak` says whether the encoders do, `learn` whether masses, payload and viscous friction are learned.
+fn followed(name: &'static str, speak: bool, learn: bool) -> Case {
     Case::new(FOLLOWING, name, STEPS, move || {
-        let Scene { parameters, inputs, .. } = Scene::fall();
+        let Scene { mut parameters, inputs, .. } = Scene::fall();
+        let effects = &mut parameters.effects;
+        (effects.payload.enabled, effects.viscous.enabled) = (learn, learn);
+        (effects.payload.mass, effects.viscous.b) = (5e-3, [1e-5; 5]);
+        parameters.estimator.learn_enabled = learn;
         let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..STEPS)?;
         let mut twin = twin(parameters, &inputs)?;
         let work: Work = Box::new(move || {
@@ -118,5 +122,10 @@ fn doubtful() -> Case {
 
 /// Table `following`.
 pub(super) fn cases() -> Vec<Case> {
-    vec![followed("a step with a sample of both encoders", true), followed("a coasting step", false), doubtful()]
+    vec![
+        followed("a step with a sample of both encoders", true, false),
+        followed("a step with a sample of both encoders, masses, payload and viscous friction learned", true, true),
+        followed("a coasting step", false, false),
+        doubtful(),
+    ]
 }
