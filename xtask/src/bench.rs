@@ -28,9 +28,11 @@ pub(crate) fn bench(quick: bool) -> Result<()> {
     process::run(&mut look_ahead)
 }
 
-/// Checks instructions against their ceilings, and that effects that are off cost nothing.
-pub(crate) fn check() -> Result<()> {
-    process::run(benches().arg("check"))
+/// The program that checks instructions against their ceilings, and that effects that are off cost nothing.
+pub(crate) fn instructions() -> Command {
+    let mut program = benches();
+    program.arg("check");
+    program
 }
 
 fn benches() -> Command {

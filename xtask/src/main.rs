@@ -178,7 +178,7 @@ fn command(command: Command) -> Result<()> {
         Command::Mujoco(options) => mujoco::mujoco(&options),
         Command::Report(options) => report::report(&options),
         Command::Peers(options) => peers::peers(&options),
-        Command::Bench { check: true, .. } => bench::check(),
+        Command::Bench { check: true, .. } => process::run(&mut bench::instructions()),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),

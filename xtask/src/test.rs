@@ -47,22 +47,25 @@ pub(crate) fn test(full: bool) -> Result<()> {
     }
     // Python packages are fetched meanwhile: the network has its own pace.
     let environment = thread::spawn(move || venv::python(if full { Packages::Full } else { Packages::Usual }).map(drop));
+    // Optimised programs are linked by one core: the rest goes on beside them.
+    let instructions = if full { Some(process::start("instructions", &mut bench::instructions())?) } else { None };
+    let packed = process::start("package", process::program(std::env::current_exe()?).arg("package"))?;
     let mut steps = Steps::default();
     steps.run("format", || format::format(true))?;
     steps.run("lints", || {
         process::run(process::cargo().args(["clippy", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]))
     })?;
     steps.run("Rust tests", || process::run(process::cargo().args(["test", "--locked", "--workspace"])))?;
+    let memory = if full { Some(process::start("memory", &mut valgrind()?)?) } else { None };
     steps.run("Rust documentation", || {
         process::run(process::cargo().args(["doc", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     })?;
-    // One core is enough for valgrind: the rest goes on beside it.
-    let memory = if full { Some(process::start("memory", &mut valgrind()?)?) } else { None };
-    if full {
-        steps.run("instructions", bench::check)?;
+    steps.run("package (the rest)", || packed.finish())?;
+    if let Some(instructions) = instructions {
+        steps.run("instructions (the rest)", || instructions.finish())?;
     }
-    let fmu = steps.run("package", || package::package(Scope::Here))?;
     steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
+    let fmu = paths::fmu("FiveBar");
     steps.run("package, own machine", || own(&fmu))?;
     let tests = if full { Tests::Full { panicking: steps.run("panicking build", panicking)? } } else { Tests::Usual };
     if let Some(memory) = memory {
