@@ -30,7 +30,7 @@ def test_ready_names_the_active_effects_and_no_others(new: New, effect: str) -> 
 
 def test_every_effect_has_a_switch_that_is_named_here(model: object) -> None:
     switches = {v.name.removesuffix(".enabled") for v in model.modelVariables if v.name.endswith(".enabled")}
-    assert switches == set(EFFECTS) | {"estimator"}
+    assert switches == set(EFFECTS) | {"estimator", "estimator.learn"}
 
 
 def test_masses_add_their_kinetic_energy(new: New) -> None:
