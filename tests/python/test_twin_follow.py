@@ -373,3 +373,21 @@ def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu:
     assert twin.refused == 2
     result = replay(recorder.folder, fmu)
     assert not result.differing and result.compared == 300 and not result.left_out
+
+
+def test_what_is_learned_is_published_and_summed_up(config: Config, library: Library) -> None:
+    """The stand-in's payload is a fifth heavier than the twin's: the twin learns so, and its start values make such a unit."""
+    learning = {"estimator.learn.enabled": True, "estimator.learn.payload": 0.02, "viscous.enabled": True}
+    run = recorded(replace(config, twin=config.twin | learning), library, 600)
+    said = list(record.messages(run.folder, "learned", refused=pytest.fail))
+    assert len(said) >= 3
+    for sigma in ("estimated.payload.sigma", "estimated.mass.sigma[1]"):
+        assert said[-1].fields[sigma] < said[0].fields[sigma], "bands shrink"
+    last, truth = said[-1], config.machine.hidden["payload.mass"]
+    assert abs(last.fields["estimated.payload"] - truth) < 4 * last.fields["estimated.payload.sigma"]
+    values = last.extra["values"]
+    assert values["payload.mass"] == last.fields["estimated.payload"] and values["link[2].mass"] == last.fields["estimated.mass[2]"]
+    assert "friction.coulomb[1]" not in values, "friction is not enabled"
+    assert figures.read(run.folder).learned == {"estimated": last.fields, "values": values}
+    nothing = recorded(replace(config, folder=str(config.path / "other")), library, 10)
+    assert figures.read(nothing.folder).learned is None

@@ -80,12 +80,14 @@ class Story:
     used: set[int] = field(default_factory=set)
     sent: int = 0
     """Forecasts."""
+    learned: dict[str, dict[str, float]] | None = None
+    """Learned by the twin in the end: values and standard deviations, and start values of a unit like that."""
 
 
 def read(file: Path) -> Story:
     """Goes through a record once."""
     story = Story()
-    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap", refused=story.bad.append):
+    for message in record.messages(file, "meas", "est", "forecast", "alarm", "learned", "gap", refused=story.bad.append):
         story.origin = story.origin or message.time
         fields, time = message.fields, 1e-9 * (message.time - story.origin)
         if message.kind == "meas":
@@ -100,6 +102,8 @@ def read(file: Path) -> Story:
             _forecast(story, message.extra, time)
         elif message.kind == "alarm":
             story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("cause"))))
+        elif message.kind == "learned":
+            story.learned = {"estimated": fields, "values": message.extra["values"]}
         else:
             story.gaps.append(Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", "")))
     return story
@@ -237,6 +241,7 @@ def summarise(
         "rows_refused": len(story.bad),
         "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
         "record": str(config.record),
+        "learned": story.learned,
     }
     return content | {"missed": missed(content)}
 

@@ -1,4 +1,4 @@
-"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` once."""
+"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` and `learned` once."""
 
 import json
 import logging
@@ -123,6 +123,8 @@ class Twin(Worker):
     def _store(self, time: int) -> None:
         state = self.follower.state()
         self.publish(state)
+        if learned := self.follower.learned():
+            self.publish(learned)
         content = {"time": state.time, "seq": state.seq} | state.extra
         self.keep(self.file, json.dumps(content).encode())
         self.stored_at = time

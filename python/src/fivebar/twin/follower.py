@@ -41,6 +41,17 @@ ESTIMATED: Final = (
 )
 """The fields of `est`."""
 
+LEARNED: Final = {
+    **{f"estimated.mass[{i}]": f"estimated.mass.sigma[{i}]" for i in (1, 2, 3, 4)},
+    "estimated.payload": "estimated.payload.sigma",
+    **{f"estimated.viscous[{i}]": f"estimated.viscous.sigma[{i}]" for i in (1, 2, 3, 4, 5)},
+    "estimated.friction": "estimated.friction.sigma",
+}
+"""Names of all that a unit may learn, and of its standard deviation, which is 0 where it is taken as known."""
+
+MASSES: Final = tuple(f"link[{i}].{what}" for i in (1, 2, 3, 4) for what in ("mass", "inertia"))
+DRY: Final = tuple(f"friction.{what}[{i}]" for what in ("coulomb", "breakaway") for i in (1, 2, 3, 4, 5))
+
 
 @dataclass(frozen=True)
 class Book:
@@ -158,6 +169,7 @@ class Follower(Rider):
         self.assembly = int(setup.values.get("init.assembly", 1))
         self.done: deque[_Done] = deque()
         self.reader = Reader(self.unit, ESTIMATED)
+        self.learns = bool(setup.values.get("estimator.learn.enabled"))
         variables = [library.variable(name) for kind in ("theta", "time") for name in (f"measured.{kind}[1]", f"measured.{kind}[2]")]
         self.measured = {name: v.valueReference for v, name in zip(variables[:2], MEASURED, strict=True)}
         self.stamps = {name: v.valueReference for v, name in zip(variables[2:], MEASURED, strict=True)}
@@ -233,6 +245,28 @@ class Follower(Rider):
         self.unit.free(stored)
         extra = {"state": content, "clock": self.unit.time, "book": asdict(self.book), "parameters": self.parameters}
         return Message("state", "", self.book.time, self.book.seq, {}, extra)
+
+    def learned(self) -> Message | None:
+        """Learned values with standard deviations, and the start values of a unit like that; None where nothing is learned."""
+        assert self.book is not None, "something is learned after a sample only"
+        if not self.learns:
+            return None
+        seen = self.unit.get((*LEARNED, *LEARNED.values(), *MASSES, *DRY))
+        known = [name for name, sigma in LEARNED.items() if seen[sigma] > 0]
+        values: dict[str, float] = {}
+        for name in known:
+            value, place = seen[name], name[-2:-1]
+            if name.startswith("estimated.mass"):
+                factor = value / seen[f"link[{place}].mass"]
+                values |= {f"link[{place}].mass": value, f"link[{place}].inertia": factor * seen[f"link[{place}].inertia"]}
+            elif name.startswith("estimated.viscous"):
+                values[f"viscous.b[{place}]"] = value
+            elif name == "estimated.payload":
+                values["payload.mass"] = value
+            else:
+                values |= {each: value * seen[each] for each in DRY}
+        fields = {each: seen[each] for name in known for each in (name, LEARNED[name])}
+        return Message("learned", "", self.book.time + self.setup.step_ns, self.book.seq, fields, {"values": values})
 
     def go_on_from(self, message: Message) -> None:
         """Goes on from a stored state."""

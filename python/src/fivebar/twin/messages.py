@@ -20,7 +20,7 @@ import fastjsonschema
 
 from fivebar.twin.errors import Refused
 
-KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "ahead", "whatif", "gap", "setup")
+KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "ahead", "learned", "whatif", "gap", "setup")
 """The last part of a topic. `state` has the twin's stored state, for replays; `ahead` has one that a forecast is to start from, and is
 not recorded. The last two are only in records: what is missing in them, and of which run they are."""
 
