@@ -6,15 +6,21 @@ import re
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
+import paho.mqtt.client as mqtt
 import pytest
+from fivebar.twin import config as configuration
 from fivebar.twin import figures
 from fivebar.twin.ahead import Ahead
+from fivebar.twin.config import Broker, Config
 from fivebar.twin.follow import Twin
 from fivebar.twin.messages import encode
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire, configured, machine
+from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 
@@ -55,6 +61,44 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         for log in Path(summary["record"]).parent.glob("log/*.log"):
             lines = log.read_text().splitlines()
             assert all("INFO connected" in line or "no connection" in line for line in lines), (log.name, lines)
+
+
+def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp_path: Path) -> None:
+    """Thirty leave in the middle of messages that come as fast as the broker takes them: it goes on, and its log stays empty."""
+    port = free_port()
+    configuration.write(Config(str(tmp_path), "", "", broker=Broker(port=port)), tmp_path / "twin.json")
+    command = [sys.executable, "-m", "fivebar.twin", "broker", "--config", str(tmp_path / "twin.json")]
+    broker = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    sender = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    deadline = time.monotonic() + 30
+    while True:
+        try:
+            sender.connect("127.0.0.1", port)
+            break
+        except OSError:
+            assert time.monotonic() < deadline, "the broker does not listen"
+            time.sleep(0.05)
+    sender.loop_start()
+    for _ in range(30):
+        heard = threading.Event()
+        leaver = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        leaver.on_message = lambda *_, heard=heard: heard.set()
+        leaver.connect("127.0.0.1", port)
+        leaver.subscribe([("a", 0), ("b", 1)])
+        leaver.loop_start()
+        while not heard.wait(1e-3):
+            assert time.monotonic() < deadline, "no message came"
+            sender.publish("a", b"x" * 300)
+            sender.publish("b", b"x" * 300, qos=1)
+        for _ in range(20):
+            sender.publish("a", b"x" * 300)
+            sender.publish("b", b"x" * 300, qos=1)
+        leaver.disconnect()
+        leaver.loop_stop()
+    sender.disconnect()
+    sender.loop_stop()
+    broker.terminate()
+    assert broker.communicate(timeout=30)[1] == "" and broker.returncode == 0
 
 
 def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(tmp_path: Path, fmu: Path, scenes: Path) -> None:

@@ -22,11 +22,18 @@ def run(file: Path) -> int:
     process.set_up_log()
     priority.take("broker")
     logging.getLogger("amqtt").setLevel(logging.ERROR)
+    logging.getLogger("amqtt.broker").addFilter(_is_trouble)
     if sys.platform != "win32":
         import uvloop
 
         return uvloop.run(_serve(config))
     return asyncio.run(_serve(config))
+
+
+def _is_trouble(record: logging.LogRecord) -> bool:
+    """False for messages to a client that has just left: uvloop refuses its closed connection, and amqtt reports each as an error."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not (isinstance(error, RuntimeError) and "handler is closed" in str(error))
 
 
 async def _serve(config: Config) -> int:
