@@ -4,7 +4,7 @@ use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
 
 use crate::allocation::allocations;
-use crate::fmi_host::{Host, reference};
+use crate::fmi_host::{EXACT, Host, reference};
 
 const STATUS: [(&str, i32); 12] = [
     ("off", 1),
@@ -38,7 +38,7 @@ fn foreseeing(method: i32, forecast: i32, values: &[(&str, f64)]) -> Host {
     assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
     let start = [("base.distance", 0.1), ("init.theta[1]", 2.2), ("init.theta[2]", 0.9), ("estimator.sigma0.theta", 0.02)];
     let quanta = [("estimator.quantum[1]", 1e-4), ("estimator.quantum[2]", 1e-4), ("estimator.sigma0.omega", 0.2)];
-    for (name, value) in start.iter().chain(&quanta).chain(values) {
+    for (name, value) in start.iter().chain(&quanta).chain(&EXACT).chain(values) {
         assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}: {:?}", host.take());
     }
     assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());

@@ -8,6 +8,9 @@ use std::ptr::{null, null_mut};
 use fivebar::ffi::*;
 use fivebar::variables::{GUID, Variable};
 
+/// Start values of an estimator whose machine has exact lengths and encoders.
+pub(super) const EXACT: [(&str, f64); 2] = [("estimator.sigma0.length", 0.0), ("estimator.sigma0.offset", 0.0)];
+
 /// A line that the logger received.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Line {

@@ -8,7 +8,7 @@ use fivebar::ffi::{fmi2Error, fmi2OK};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
 
-use crate::fmi_host::{Host, reference};
+use crate::fmi_host::{EXACT, Host, reference};
 
 const H: f64 = 1e-3;
 /// Step of an encoder of 16 bits, rad.
@@ -22,6 +22,7 @@ fn learning() -> Parameters {
     let estimator = &mut parameters.estimator;
     (estimator.enabled, estimator.learn_enabled, estimator.quantum) = (true, true, [QUANTUM; 2]);
     (estimator.sigma0_theta, estimator.sigma0_omega) = (1e-3, 1e-2);
+    (estimator.sigma0_length, estimator.sigma0_offset) = (0.0, 0.0);
     parameters
 }
 
@@ -199,7 +200,7 @@ fn host(learns: bool, values: &[(&str, f64)]) -> Host {
     assert_eq!(host.set_boolean(&["estimator.enabled", "estimator.learn.enabled"].map(reference), &[1, i32::from(learns)]), fmi2OK);
     let start = [("base.distance", 0.1), ("init.theta[1]", 2.2), ("init.theta[2]", 0.9)];
     let quanta = [("estimator.quantum[1]", QUANTUM), ("estimator.quantum[2]", QUANTUM), ("tau[1]", 0.02)];
-    for (name, value) in start.iter().chain(&quanta).chain(values) {
+    for (name, value) in start.iter().chain(&quanta).chain(&EXACT).chain(values) {
         assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}: {:?}", host.take());
     }
     host

@@ -1,11 +1,11 @@
 //! The five-bar of the benchmark of state observers by Sanjurjo and others (mbde): gravity off by 1 m/s², starting angles off by π/16.
 
 use fivebar::estimator::{LinkState, Linkage, Links, MEASURED, Scene};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::{Assembly, Link};
 use fivebar::simulation::{FollowedScene, Method, Parameters};
 
-use crate::machine::{Encoder, Plan, Random, Scenario, follow, motion, no_inputs};
+use crate::machine::{Encoder, Plan, Random, Scenario, exact, follow, motion, no_inputs};
 use crate::report::{Figure, Table};
 
 /// Encoders with the best row of the table: angle, rate, acceleration, torque.
@@ -15,7 +15,7 @@ const ROWS: [(Encoder, [f64; 4]); 2] = [
 ];
 
 fn machine() -> Parameters {
-    let mut parameters = default_parameters();
+    let mut parameters = exact();
     parameters.geometry.base_distance = 3.0;
     for (link, (length, mass)) in parameters.geometry.links.iter_mut().zip([(0.5, 3.0), (2.062, 1.0), (3.202, 2.0), (0.5, 3.0)]) {
         *link = Link { length, mass, inertia: mass * length * length / 12.0, com: length / 2.0 };

@@ -335,5 +335,7 @@ fn variables(model: &Parameters, encoder: &Encoder) -> Vec<(&'static str, f64)> 
         ("init.omega[2]", model.start.omega[1]),
         ("estimator.quantum[1]", encoder.quantum),
         ("estimator.quantum[2]", encoder.quantum),
+        ("estimator.sigma0.length", model.estimator.sigma0_length),
+        ("estimator.sigma0.offset", model.estimator.sigma0_offset),
     ]
 }

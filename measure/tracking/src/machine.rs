@@ -157,9 +157,16 @@ impl Scenario {
     }
 }
 
+/// The unit's start values for a machine whose lengths and encoders are exact, and told so.
+pub fn exact() -> Parameters {
+    let mut parameters = default_parameters();
+    (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+    parameters
+}
+
 /// The table-top machine with which prototypes were measured.
 pub fn desk() -> Parameters {
-    let mut parameters = default_parameters();
+    let mut parameters = exact();
     parameters.geometry.base_distance = 0.1;
     parameters.settings.method = Method::Dop853;
     parameters

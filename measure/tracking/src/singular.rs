@@ -2,12 +2,12 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::{LinkState, Linkage, Pair};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::{Method, Parameters, Simulation};
 
 use crate::machine::{
-    COARSE, Encoder, FINE, Links, Plan, Random, Scenario, desk, five_percent, follow, motion, no_inputs, side, start_off,
+    COARSE, Encoder, FINE, Links, Plan, Random, Scenario, desk, exact, five_percent, follow, motion, no_inputs, side, start_off,
 };
 use crate::quality::{fall, outcome, push};
 use crate::report::{Figure, Table};
@@ -173,7 +173,7 @@ pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
 
 /// The paper's torque test, whose links are whipped to 70 rad/s, from its direct singularity on; by the unit's own method.
 pub fn whip(random: &mut Random) -> Scenario {
-    let model = without_gravity(default_parameters());
+    let model = without_gravity(exact());
     let mut truth = five_percent(&model, random);
     truth.settings.method = Method::Dop853;
     let mut twin = model.clone();

@@ -38,6 +38,7 @@ fn twin(mut parameters: Parameters, inputs: &Inputs) -> Result<Following> {
     parameters.estimator.quantum = [QUANTUM; 2];
     parameters.estimator.sigma0_theta = 1e-3;
     parameters.estimator.sigma0_omega = 1e-2;
+    (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
     Ok(Following::new(&parameters, inputs)?)
 }
 
