@@ -6,7 +6,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::bank::PredictedSample;
 use super::constants::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
-    MOST_REJECTED_IN_A_ROW, SAMPLES_OF_JITTER, SILENT_AFTER_INTERVALS, SINGLE_EDGE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
+    MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS, SINGLE_EDGE,
+    TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
 use super::tangent::wrapped;
 
@@ -100,6 +101,10 @@ pub struct Encoder {
     change: f64,
     /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
+    /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
+    jump: f64,
+    /// Macro steps' time since the encoder was silent or a sample was rejected, or since the estimate began anew, s.
+    believed_for: f64,
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
     /// Macro steps' time since the last valid sample, s; infinite before the first.
@@ -123,6 +128,8 @@ impl Encoder {
         repeated: false,
         change: 0.0,
         rejected_in_a_row: 0,
+        jump: 0.0,
+        believed_for: 0.0,
         interval: 0.0,
         time_since_sample: f64::INFINITY,
         time_since_arrival: 0.0,
@@ -141,7 +148,7 @@ impl Encoder {
         if time.is_finite() {
             self.time = time;
         }
-        let was_stuck = self.fault == Fault::Stuck;
+        let (was_stuck, returns) = (self.fault == Fault::Stuck, self.is_silent());
         let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
         // Stamps that are off by less than a sample's period are no reason to refuse a sample.
         let period = if self.arrival_interval > 0.0 { self.arrival_interval } else { f64::INFINITY };
@@ -172,6 +179,12 @@ impl Encoder {
             (self.interval, self.arrival_interval) = (interval, self.time_since_sample);
         }
         (self.angle, self.valid_time) = (angle, time);
+        if returns {
+            self.believed_for = 0.0;
+        }
+        if self.time_since_sample > NEW_AFTER_SILENCE {
+            self.jump = 0.0;
+        }
         self.time_since_sample = 0.0;
         let used = if age <= rounded { 0.0 } else { age.min(max_delay.max(rounded)) };
         let excess = age - used;
@@ -184,6 +197,7 @@ impl Encoder {
     /// Time update by h seconds.
     pub(super) fn step(&mut self, h: f64) {
         self.time_since_sample += h;
+        self.believed_for += h;
         self.time_since_arrival += h;
     }
 
@@ -207,8 +221,9 @@ impl Encoder {
     /// Whether stored values are possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change];
-        let durations = [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.jump];
+        let durations =
+            [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
             && durations.iter().chain([&self.time_since_sample]).all(|x| *x >= 0.0)
     }
@@ -228,25 +243,64 @@ impl Encoder {
         self.repeated
     }
 
-    /// Gating: whether a sample is used whose normalised innovation squared is `nis` in the mixture and `least` in the loudest model.
-    /// `overdue`: the reading should have changed; `patient`: the estimate is trusted rather than the sample.
-    pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (overdue, patient): (bool, bool)) -> bool {
+    /// Whether samples have arrived and have been believed for long enough that the estimate has settled on them.
+    pub(super) fn is_settled(&self) -> bool {
+        self.believed_for >= SETTLING_TIME && !self.is_silent()
+    }
+
+    /// Counts the time anew for which samples are believed, as an estimate begins anew.
+    pub(super) fn settle_anew(&mut self) {
+        self.believed_for = 0.0;
+    }
+
+    /// Whether the reading has jumped away from the estimate.
+    pub(super) fn is_away(&self) -> bool {
+        self.jump != 0.0
+    }
+
+    /// Whether a reading that has jumped stays away, while its innovation changes by `change`, rad, from one sample to the next. One that
+    /// moves on by as much as half its jump was struck rather than jumped, or jumps again. `witnessed`: the estimate has settled on the other
+    /// encoder.
+    pub(super) fn stays_away(&mut self, change: f64, witnessed: bool) -> bool {
+        let lasting = self.rejected_in_a_row > 1;
+        if self.is_away() && (wrapped(change).abs() > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
+            self.jump = 0.0;
+            if lasting {
+                self.rejected_in_a_row = 0;
+            }
+        }
+        self.is_away()
+    }
+
+    /// Gating: whether a sample is used whose innovation is `residual`, rad, and whose normalised innovation squared is `nis` in the mixture
+    /// and `least` in the loudest model. `overdue`: the reading should have changed; `patient`: the estimate is trusted rather than the
+    /// sample; `witnessed`: the estimate has settled on the other encoder.
+    pub(super) fn passes_gate(
+        &mut self,
+        residual: f64,
+        [nis, least]: [f64; 2],
+        (overdue, patient, witnessed): (bool, bool, bool),
+    ) -> bool {
+        let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if overdue => Fault::Stuck,
+            _ if self.is_away() => Fault::Rejected,
             // NaN exceeds the gate.
             _ if nis <= GATE => Fault::None,
-            _ if self.rejected_in_a_row < 1
-                || (patient
-                    && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL)
-                    && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) =>
-            {
-                Fault::Rejected
-            }
+            _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
-        self.rejected_in_a_row = if self.fault == Fault::None { 0 } else { self.rejected_in_a_row.saturating_add(1) };
-        self.fault == Fault::None
+        if self.fault == Fault::Rejected && unexplained && witnessed && self.is_settled() {
+            self.jump = residual;
+        }
+        if self.fault == Fault::None {
+            self.rejected_in_a_row = 0;
+            return true;
+        }
+        self.rejected_in_a_row = self.rejected_in_a_row.saturating_add(1);
+        self.believed_for = 0.0;
+        false
     }
 
     /// Information for hypotheses of slow motions: an unchanged reading confines the axis to the quantisation interval; a changed one

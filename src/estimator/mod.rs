@@ -247,12 +247,17 @@ impl Estimator {
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
             let sigma = self.encoders[i].white_sigma(sigma[i], rate);
             let force = || self.alarm.reference_force(frame).norm();
-            self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), &models);
-            let overdue = self.unaided.contradicts(i, &innovation, (sigma, quantum[i]));
+            let change = innovation.residual - std::mem::replace(&mut self.innovation[i], innovation.residual);
+            let witnessed = self.encoders[1 - i].is_settled();
+            let mut overdue = false;
+            if !self.encoders[i].stays_away(change, witnessed) {
+                self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), &models);
+                overdue = self.unaided.contradicts(i, &innovation, (sigma, quantum[i]));
+            }
             let encoder = &mut self.encoders[i];
-            self.innovation[i] = innovation.residual;
             nis += own;
-            if encoder.passes_gate(own, expected.nis_of_loudest_model(), (overdue, self.hypotheses.is_branch_known())) {
+            let (least, patient) = (expected.nis_of_loudest_model(), self.hypotheses.is_branch_known());
+            if encoder.passes_gate(innovation.residual, [own, least], (overdue, patient, witnessed)) {
                 let told = [innovation.noise, persistent[i]];
                 let told = encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told);
                 self.belief.bank.update(&told);
@@ -279,6 +284,9 @@ impl Estimator {
     fn restart(&mut self, constants: &Constants, motion: &LinkState, samples: &[Option<Sample>; 2]) -> Option<LinkState> {
         self.restarted = false;
         let [Some(left), Some(right)] = samples else { return None };
+        if self.encoders.iter().any(Encoder::is_away) {
+            return None;
+        }
         let off = [left, right].map(|sample| sample.innovation.residual.abs() > DIVERGED_INNOVATION);
         let off = if self.held { off[0] || off[1] } else { off[0] && off[1] };
         let intervals = self.encoders.each_ref().map(Encoder::interval);
@@ -302,6 +310,7 @@ impl Estimator {
         self.history.clear();
         self.unaided = Unaided::default();
         self.learn_anew(constants);
+        self.encoders.iter_mut().for_each(Encoder::settle_anew);
         (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
         Some(anew)
     }

@@ -336,6 +336,64 @@ fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
     }
 }
 
+/// An encoder whose reading jumps while both axes swing, by 0.1 or 0.01 rad, fine or coarse, is left out from its first wrong sample until it
+/// jumps back; the other encoder and the servos keep the tip within 10 mm. After it has been silent for a second its reading counts as that of
+/// a new encoder, and is believed. Two readings that jump at once are believed: they tell of the estimate rather than of an encoder.
+#[test]
+fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
+    let course = |time: f64| {
+        let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
+        Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
+    };
+    let (jumps, back) = (1.1, 3.1);
+    for (quantum, h, by, silent, both) in [
+        (1e-4, 1e-3, 0.1, false, false),
+        (1e-4, 1e-3, -0.01, false, false),
+        (1.7e-3, 1e-3, -0.1, false, false),
+        (1.7e-3, 5e-3, 0.1, false, false),
+        (1e-4, 1e-3, 0.1, true, false),
+        (1e-4, 1e-3, 0.1, false, true),
+    ] {
+        let mut parameters = followed(Method::Dop853);
+        (parameters.start.theta, parameters.start.omega) = (course(0.0).servo_theta, course(0.0).servo_omega);
+        parameters.estimator.sigma = [0.0; 2];
+        parameters.estimator.quantum = [quantum; 2];
+        parameters.effects.servo.enabled = true;
+        (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1.0; 2], [0.01; 2]);
+        let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
+        let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+        let mut stamp = 0.0;
+        for step in 0..(3.5 / h) as u32 {
+            let time = f64::from(step) * h;
+            let off = if time >= jumps && (silent || both || time < back) { by } else { 0.0 };
+            let offs = [off, if both { off } else { 0.0 }];
+            let theta = [0, 1].map(|i| ((machine.state().angles()[[0, 3][i]] + offs[i]) / quantum).round() * quantum);
+            if !silent || !(1.5..2.6).contains(&time) {
+                stamp = time;
+            }
+            following.correct(&Measured { theta, time: [stamp, time] }, time);
+            let case = format!("{quantum} rad, {h} s, off by {by} rad, silent: {silent}, both: {both}, at {time} s");
+            let faults = [0, 1].map(|i| following.estimator().encoder(i).1);
+            // Ten samples in a row are left out at most where a reading is to be believed again.
+            let (since_jump, since_back) = (time - jumps, time - if silent { 2.6 } else { back });
+            let settled = if both { !(0.0..=0.3).contains(&since_jump) } else { since_jump < 0.0 || since_back > 10.5 * h };
+            if settled {
+                assert_eq!(faults, [Fault::None; 2], "{case}");
+            } else if !both && since_back < 0.0 {
+                assert_eq!(faults, [Fault::Rejected, Fault::None], "{case}");
+            }
+            let [at, truth] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+                .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
+            if !both && since_back < 0.0 {
+                assert!((at - truth).norm() < 0.01, "{case}: {at} {truth}");
+            }
+            let inputs = course(time + h / 2.0);
+            following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
+            machine.advance(&inputs, h, 1).expect("a step");
+        }
+    }
+}
+
 /// All methods and readings, through coasting and samples: n steps in one call are n calls of one, to the bit.
 #[test]
 fn grouping_does_not_matter() {

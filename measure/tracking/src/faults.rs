@@ -210,7 +210,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const MEDIUM: Encoder = bits("14 bit", 14);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 39] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 42] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -230,6 +230,9 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("late by 8 ms, sines", fast, Failure::Late(8e-3), FINE, 1e-3),
         ("zero, swing", swing, Failure::Zero, FINE, 1e-3),
         ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), FINE, 1e-3),
+        ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), COARSE, 1e-3),
+        ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), COARSE, 5e-3),
+        ("off by 0.1 rad, fall", falling, Failure::Jump(0.1), FINE, 1e-3),
         ("off by 0.01 rad, swing", swing, Failure::Jump(0.01), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
