@@ -297,6 +297,11 @@ def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> I
     assert summary["samples"]["lost"] == 0
 
 
+def drawn(browser: Any, canvas: Any) -> bool:
+    """Whether anything is drawn on a canvas."""
+    return browser.execute_script("const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", canvas)
+
+
 def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path) -> None:
     from PIL import Image
 
@@ -325,11 +330,9 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         before = browser.find_element("id", "canvas").screenshot_as_png
         time.sleep(0.5)
         assert browser.find_element("id", "canvas").screenshot_as_png != before
+        assert not browser.find_element("id", "learned").is_displayed(), "a panel of what is not learned"
         for chart in ("error", "torque", "nis"):
-            drawn = browser.execute_script(
-                "const c = document.getElementById(arguments[0]); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", chart
-            )
-            assert drawn, chart
+            assert drawn(browser, browser.find_element("id", chart)), chart
         log = live.folder / "log" / "follow.log"
         # An order that a busy machine hands on late is refused, and is given again.
         for _ in range(5):
@@ -339,6 +342,35 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
                 break
         else:
             raise AssertionError(browser.find_element("id", "order").text)
+
+
+def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
+    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600", "--learn")
+
+    class Address:
+        """A page as `open_browser` asks for it."""
+
+        def as_uri(self) -> str:
+            return run.page
+
+    for browser in open_browser(Address(), tmp_path):
+        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
+        items = browser.find_elements("css selector", "#parameters li")
+        assert len(items) == 10
+        payload = next(item for item in items if "payload" in item.text)
+        value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
+        assert "before: 50 ± 20 g" in payload.text
+        wait_until(lambda value=value: "±" in value.text, 10)
+        # The stand-in's is 60 g.
+        found, half = map(float, value.text.removesuffix(" g").split(" ± "))
+        assert abs(found - 60) < 2 * half < 5, value.text
+        said = canvas.get_attribute("aria-label")
+        assert said.startswith(f"Mass of the payload: {value.text}, a band ") and float(said.split()[-9]) < 20, said
+        wait_until(lambda browser=browser, canvas=canvas: drawn(browser, canvas), 5)
+        assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    run.process.send_signal(signal.SIGINT)
+    assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
 
 
 @pytest.mark.parametrize(("headers", "code"), [({"Host": "evil.example"}, 403), ({}, 200)])

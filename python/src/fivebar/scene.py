@@ -205,6 +205,11 @@ def write(
         content[tip_scenes.WORKING] = list(working)
     if signals:
         content["signals"] = signals
+    write_content(file, content)
+
+
+def write_content(file: Path, content: Mapping[str, Any]) -> None:
+    """Writes a scene that is given as the content of its file."""
     written = _lines(content)
     if len(written) > scene_file.LARGEST:
         raise FiveBarError(f"{file}: the scene would have {len(written)} bytes: up to {scene_file.LARGEST} are allowed")

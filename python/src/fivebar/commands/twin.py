@@ -11,6 +11,7 @@ from fivebar.commands import options
 @click.command()
 @click.option("--seconds", type=float, default=60.0, show_default=True, help="Real time that it runs; inf until Ctrl-C.")
 @click.option("--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion.")
+@click.option("--learn", is_flag=True, help="Learn masses, payload and friction while following.")
 @click.option("--open", is_flag=True, help="Show the dashboard and keep running until Ctrl-C.")
 @options.fmu()
 @options.out("./twin/")

@@ -26,10 +26,12 @@ from websockets.typing import Origin, Subprotocol
 
 from fivebar.borders import REACH, outline
 from fivebar.kinematics import GEOMETRY, Machine
-from fivebar.twin import priority, process, scene
+from fivebar.twin import priority, process, scene, setup
 from fivebar.twin.config import Config
+from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import SCHEMA_FILE
-from fivebar.twin.unit import Library
+from fivebar.twin.scene import Scene
+from fivebar.twin.unit import Library, Unit, UnitError
 
 SCRIPT: Final = "text/javascript; charset=utf-8"
 FOLDER: Final = Path(__file__).with_name("page")
@@ -86,9 +88,38 @@ def about(config: Config) -> dict[str, Any]:
             "horizon": config.horizon,
             "statuses": {int(item.value): item.description for item in library.variable("estimated.status").declaredType.items},
             "login": bool(config.broker.user),
+            "learned": learned(config, content, library),
         }
     finally:
         library.close()
+
+
+def learned(config: Config, content: Scene, library: Library) -> list[dict[str, Any]]:
+    """Names, words and units of what the twin learns, and how well the unit knows each before the first sample."""
+    values = setup.of_run(config, content, library.guid).values
+    if not values.get("estimator.learn.enabled"):
+        return []
+    unit = Unit(library, "before")
+    try:
+        unit.start(values)
+        seen = unit.get((*LEARNED, *LEARNED.values()))
+    except UnitError as error:
+        log.warning("no panel for what is learned: the scene's own start is refused: %s", error)
+        return []
+    finally:
+        unit.close()
+    return [
+        {
+            "name": name,
+            "sigma": sigma,
+            "label": library.variable(name).description.replace(" as learned", ""),
+            "unit": library.known[name].unit,
+            "start": seen[name],
+            "width": seen[sigma],
+        }
+        for name, sigma in LEARNED.items()
+        if seen[sigma] > 0
+    ]
 
 
 class Server:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fivebar.twin import record
+from fivebar.twin import record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.forecast import RADIUS, covariance, half_width
 from fivebar.twin.messages import TRACKED
@@ -203,7 +203,7 @@ def summarise(
     # A state for a forecast at every so many samples that were estimated.
     due = len(story.estimated) // max(1, round(1 / (config.forecast_rate * config.period)))
     content = {
-        "scene": Path(config.scene).stem,
+        "scene": scene.read(Path(config.scene)).name,
         "unit": config.unit,
         "broker": "amqtt, embedded" if config.broker.embedded else f"{config.broker.host}:{config.broker.port}",
         "seconds": _or_none(float(times[-1] - times[0]) if len(times) else math.nan),

@@ -3,13 +3,18 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from fivebar import scene as scenes
+from fivebar import scene_file
 from fivebar.twin import config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS
 from fivebar.variables import Variables
+
+
+SOURCE: Final = "source.json"
+"""Copy of the scene's own file, in the folder of a run."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,12 @@ class Scene:
 
 def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
     """Writes a scene, by its name or file, to the folder of a run, with nothing left to look up: processes read it at once."""
-    file = folder / "scene.json"
-    file.touch(mode=0o600)
-    file.write_text(json.dumps(scenes.read(given, variables).resolved()) + "\n", encoding="utf-8")
+    file, source = folder / "scene.json", folder / SOURCE
+    for each in (file, source):
+        each.touch(mode=0o600)
+    given = scenes.found(given)
+    file.write_text(json.dumps(scenes.of_file(given, variables).resolved()) + "\n", encoding="utf-8")
+    source.write_text(scene_file.text(given), encoding="utf-8")
     return file
 
 

@@ -8,6 +8,7 @@ from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message
 from fivebar.twin.scene import Scene, parse
+from fivebar.twin.unit import Library
 
 CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
 """Start values with which a unit follows a machine."""
@@ -15,6 +16,18 @@ CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
 MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.errorTolerance": 1e-6}
 """automatic, where the scene has nothing else, at a hundredth of a step of a 16-bit encoder, rad: inputs change with every sample, which costs
 it less than i3alp, and leaves a two-hundredth of the error."""
+
+
+def learning(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
+    """Start values with which the twin of a scene learns; widths that the scene gives stay.
+
+    Viscous friction is learned also where the scene has none: bearings have some. Its width is then the unit's usual friction.
+    """
+    told: dict[str, float | int | bool] = {"estimator.learn.enabled": True}
+    if values.get("viscous.enabled"):
+        return told
+    usual = float(library.variable("viscous.b[1]").start)
+    return told | {"viscous.enabled": True, "estimator.learn.viscous": values.get("estimator.learn.viscous", usual)} | {f"viscous.b[{i}]": 0.0 for i in range(1, 6)}
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,9 @@ class Options:
     """JSON of what the stand-in has and the twin does not know."""
 
     faults: str
+    learn: bool
+    """Whether the twin learns what the scene does not say of it."""
+
     open: bool
     """Whether to show the dashboard and keep running."""
 
@@ -322,6 +325,7 @@ def configure(options: Options, folder: Path) -> Config:
             secret = configuration.read_json(options.hidden)
         else:
             secret = hidden(library, values)
+        twin = setup.learning(library, values) if options.learn else {}
         for name in secret:
             library.variable(name)
         csv = str(options.csv.resolve()) if options.csv else ""
@@ -336,6 +340,7 @@ def configure(options: Options, folder: Path) -> Config:
         broker=broker,
         machine=machine,
         dashboard_port=free_port(),
+        twin=twin,
     )
     configuration.check(config)
     return config

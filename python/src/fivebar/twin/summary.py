@@ -19,11 +19,14 @@ from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.ticker import LogLocator, NullFormatter  # noqa: E402
 
-from fivebar.twin import figures, scene  # noqa: E402
+from fivebar.twin import figures, handover, scene  # noqa: E402
 from fivebar.twin.config import Config  # noqa: E402
 from fivebar.twin.errors import TwinError  # noqa: E402
 from fivebar.twin.figures import Judged, Story  # noqa: E402
 from fivebar.twin.watch import Histogram  # noqa: E402
+
+LEARNED: Final = "learned.json"
+"""Scene with what the twin has learned."""
 
 MOST_POINTS: Final = 3000
 """Of a line in a picture."""
@@ -74,6 +77,12 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     page = config.path / "index.html"
     page.write_text(_page(config, content, pictures), encoding="utf-8")
     made = []
+    if learned := content["learned"]:
+        made.append(config.path / LEARNED)
+        handover.write(made[0], config.path / scene.SOURCE, learned["values"])
+    else:
+        # One of an earlier run would pass for this run's.
+        (out / LEARNED).unlink(missing_ok=True)
     for name, (figure, _) in pictures.items():
         file = config.path / f"{name}.png"
         figure.savefig(file, dpi=120)
@@ -101,6 +110,7 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
         ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
+        ("learned", f"{len(learned['values'])} start values, in {out / LEARNED}" if (learned := content["learned"]) else "nothing"),
         ("not recorded", _gaps(content["gaps"])),
         ("restarts", ", ".join(f"{name} {count}" for name, count in content["restarts"].items() if count) or "none"),
         ("record", content["record"]),

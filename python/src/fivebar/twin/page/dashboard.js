@@ -11,10 +11,14 @@ const STALE = 1000;      // ms without an estimate after which nothing of the pa
 const ANSWERED = 3000;   // ms in which an order is answered, or is not heard
 const EVERY = 4;         // estimates for one point of the charts
 const CHARTS = 100;      // ms between two drawings of the charts
-const KINDS = ["meas", "est", "forecast", "alarm"];
+const SKIPPED = ["meas", "est", "forecast"];  // kinds of which a page that is slow gets the newest only, and says how many it has handled
+const KINDS = [...SKIPPED, "alarm", "learned"];
+const WITHIN = 1.96;     // standard deviations on either side that hold 95 % of a normal distribution
+const PANEL = 500;       // ms between two drawings of what is learned
+const KEPT = 400;        // points of the course of what is learned; older ones are thinned out
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
-const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
+const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
 let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
@@ -25,7 +29,7 @@ const finite = (object, ...names) => names.every((name) => Number.isFinite(objec
 function receive(topic, payload) {
   const [, unit, kind] = topic.split("/");
   arrived = true;
-  if (kind !== "alarm") handled += 1;
+  if (SKIPPED.includes(kind)) handled += 1;
   let message;
   try { message = JSON.parse(new TextDecoder().decode(payload)); } catch { return refuse(`${kind} is not JSON`); }
   const found = validators[kind].validate(message);
@@ -38,6 +42,7 @@ function receive(topic, payload) {
   if (kind === "est") takeEstimate(message);
   if (kind === "forecast") state.forecast = message;
   if (kind === "alarm") takeAlarm(message);
+  if (kind === "learned") takeLearned(message);
 }
 
 /** A message that is none: said on the page, and nothing else happens. */
@@ -104,6 +109,16 @@ function takeAlarm(message) {
     item.className = isRaised(alarm) ? "bad" : alarm.state === "listening" ? "good" : "warn";
     return item;
   }));
+}
+
+/** Points of what is learned, once a second: where there are too many, every second one stays. */
+function takeLearned(message) {
+  const seconds = message.time / 1e9;
+  // A machine whose clock goes back begins another course.
+  if (state.learned.at(-1)?.t > seconds) state.learned = [];
+  state.learned.push({ t: seconds, fields: message.fields });
+  if (state.learned.length > KEPT) state.learned = state.learned.filter((_, i) => i % 2 === 0 || i === KEPT);
+  tellLearned(message.fields);
 }
 
 const isRaised = (alarm) => ["anomaly", "trouble"].includes(alarm.state);
@@ -327,6 +342,27 @@ function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
   pen.restore();
 }
 
+/** The course of each learned parameter in its band, over the band that it had before the first sample. */
+function drawLearned() {
+  const course = state.learned;
+  if (!course.length) return;
+  const begin = course[0].t, span = Math.max(course.at(-1).t - begin, 10);
+  for (const { name, sigma, start, width, canvas } of state.about.learned) {
+    const { pen, width: right, height } = sharp(canvas), points = course.map(({ t, fields }) => [t, fields[name], WITHIN * fields[sigma]]).filter((p) => p.every(Number.isFinite));
+    const prior = WITHIN * width, seen = points.map((p) => p[1]), low = Math.min(start - prior, ...seen), high = Math.max(start + prior, ...seen), room = 0.08 * (high - low);
+    const x = (t) => (right * (t - begin)) / span, y = (v) => height * (1 - (v - low + room) / (high - low + 2 * room));
+    pen.fillStyle = colours.soft; pen.globalAlpha = 0.16; pen.fillRect(0, y(start + prior), right, y(start - prior) - y(start + prior)); pen.globalAlpha = 1;
+    pen.strokeStyle = colours.soft; pen.lineWidth = 1; pen.setLineDash([3, 4]); pen.beginPath(); pen.moveTo(0, y(start)); pen.lineTo(right, y(start)); pen.stroke(); pen.setLineDash([]);
+    pen.fillStyle = colours.accent; pen.globalAlpha = 0.4; pen.beginPath();
+    for (const [t, value, half] of points) pen.lineTo(x(t), y(value + half));
+    for (const [t, value, half] of [...points].reverse()) pen.lineTo(x(t), y(value - half));
+    pen.fill(); pen.globalAlpha = 1;
+    pen.strokeStyle = colours.accent; pen.lineWidth = 1.6; pen.beginPath();
+    for (const [t, value] of points) pen.lineTo(x(t), y(value));
+    pen.stroke();
+  }
+}
+
 function drawCharts() {
   chart("error", { unit: "mm", floor: 0.01, lines: [{ of: (h) => 1e3 * h.error, colour: colours.tip }], bands: [{ of: (h) => [0, 1e3 * h.band], colour: colours.tip }] });
   const torque = (i, colour) => ({ line: { of: (h) => 1e3 * h.tau[i], colour }, band: { of: (h) => [-2, 2].map((k) => 1e3 * (h.tau[i] + k * h.sigma[i])), colour } });
@@ -402,6 +438,43 @@ function tell() {
   show("stop", !about.stops ? "no stops" : stop.time ? `${when(stop.time)}, ${share(stop.probability)}` : `none seen, ${share(stop.probability)}`, stop.time ? "warn" : "");
 }
 
+/** Unit and factor for people, of an amount in an SI unit: 0.0177 kg are 17.7 g. */
+function scaled(unit, amount) {
+  if (unit === "1") return [1, ""];
+  const [base, factor] = unit === "kg" ? ["g", 1e3] : [unit, 1];
+  const [prefix, size] = [["", 1], ["m", 1e-3], ["µ", 1e-6], ["n", 1e-9]].find(([, size]) => amount * factor >= size) ?? ["n", 1e-9];
+  return [factor / size, ` ${prefix}${base.replaceAll(".", "·")}`];
+}
+
+/** A value and the half-width of its band, with two digits of the latter. */
+function banded(value, half, { unit, start, width }) {
+  const [factor, shown] = scaled(unit, Math.max(Math.abs(start), width)), digits = Math.min(Math.max(1 - Math.floor(Math.log10(factor * half)), 0), 6);
+  return `${(factor * value).toFixed(digits)} ± ${(factor * half).toFixed(digits)}${shown}`;
+}
+
+/** A place for each parameter that the twin learns. */
+function placeLearned() {
+  byId("learned").hidden = !state.about.learned.length;
+  for (const parameter of state.about.learned) {
+    const item = byId("parameters").appendChild(document.createElement("li"));
+    for (const [part, tag] of [["label", "span"], ["value", "b"], ["canvas", "canvas"], ["before", "small"]]) parameter[part === "label" ? "heading" : part] = item.appendChild(document.createElement(tag));
+    parameter.heading.textContent = parameter.label;
+    parameter.value.textContent = "–";
+    parameter.before.textContent = `before: ${banded(parameter.start, WITHIN * parameter.width, parameter)}`;
+    parameter.canvas.setAttribute("role", "img");
+    parameter.canvas.setAttribute("aria-label", `${parameter.label}: nothing is learned yet`);
+  }
+}
+
+function tellLearned(fields) {
+  const known = state.about.learned.filter(({ name, sigma }) => finite(fields, name, sigma));
+  for (const parameter of known) {
+    const { name, sigma, label, width, value, canvas } = parameter, text = banded(fields[name], WITHIN * fields[sigma], parameter);
+    value.textContent = text;
+    canvas.setAttribute("aria-label", `${label}: ${text}, a band ${(100 * fields[sigma] / width).toPrecision(2)} % as wide as before the first sample`);
+  }
+}
+
 function connection(text, kind) {
   state.link = [text, kind];
   tellLife();
@@ -438,10 +511,11 @@ function attempt(part) {
   }
 }
 
-let drawn = 0;
+let drawn = 0, drawnPanel = 0;
 function frame(moment) {
   attempt(drawStage);
   if (moment - drawn >= CHARTS) { drawn = moment; attempt(tell); attempt(drawCharts); }
+  if (moment - drawnPanel >= PANEL) { drawnPanel = moment; attempt(drawLearned); }
   if (arrived && socket?.readyState === WebSocket.OPEN) { arrived = false; socket.send(`drawn ${handled}`); }
   requestAnimationFrame(frame);
 }
@@ -470,6 +544,7 @@ async function begin() {
   legend("Direct", "--direct", "beads");
   legend("Inverse", "--inverse");
   legend("Reach", "--line", "area");
+  placeLearned();
   readColours();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
   byId("acknowledge").addEventListener("click", () => order("acknowledge"));
