@@ -24,9 +24,6 @@ from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.unit import Library
 from twin_support import follower, recorded
 
-EXACT = {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
-"""Start values of a twin whose stand-in has the lengths that it believes, and encoders that are mounted exactly."""
-
 
 @pytest.fixture(scope="module")
 def library(fmu: Path) -> Iterator[Library]:
@@ -38,8 +35,8 @@ def library(fmu: Path) -> Iterator[Library]:
 
 @pytest.fixture
 def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
-    """The default run."""
-    return configured(tmp_path, fmu, library, scenes / "pick_and_place.json")
+    """A run of `fivebar twin --exact`: lengths and encoders leave no error, so that what else is wrong shows."""
+    return configured(tmp_path, fmu, library, scenes / "pick_and_place.json", exact=True)
 
 
 @pytest.fixture
@@ -223,7 +220,6 @@ def test_parameters_are_taken_within_their_bounds(config: Config, library: Libra
 
 
 def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, library: Library, samples: list[Message]) -> None:
-    config = replace(config, twin=config.twin | EXACT)
     twin, plain = follower(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
     made: list[Message] = []
@@ -248,7 +244,7 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, librar
 
 def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
     """The scenes meet what the forecasts say, at the time that they say, as seen by the machine itself."""
-    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json")
+    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     source, twin = machine(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
     said, met = [], []
@@ -382,7 +378,7 @@ def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu:
 def test_what_is_learned_is_published_and_summed_up(config: Config, library: Library) -> None:
     """The stand-in's payload is a fifth heavier than the twin's: the twin learns so, and its start values make such a unit."""
     learning = {"estimator.learn.enabled": True, "estimator.learn.payload": 0.02, "viscous.enabled": True}
-    run = recorded(replace(config, twin=config.twin | learning | EXACT), library, 600)
+    run = recorded(replace(config, twin=config.twin | learning), library, 600)
     said = list(record.messages(run.folder, "learned", refused=pytest.fail))
     assert len(said) >= 3
     for sigma in ("estimated.payload.sigma", "estimated.mass.sigma[1]"):

@@ -46,8 +46,8 @@ def library(fmu: Path) -> Iterator[Library]:
 
 @pytest.fixture
 def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
-    """The default run."""
-    return configured(tmp_path / "run", fmu, library, scenes / "pick_and_place.json")
+    """A run of `fivebar twin --exact`."""
+    return configured(tmp_path / "run", fmu, library, scenes / "pick_and_place.json", exact=True)
 
 
 def samples(config: Config, library: Library, count: int) -> list[Message]:
@@ -95,7 +95,7 @@ def test_a_start_that_is_refused_is_told(
     what: str, tmp_path: Path, fmu: Path, library: Library, scenes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A first sample that cannot be closed, degrees for radians, other lengths: a line in the log, one for the terminal, an alarm."""
-    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json")
+    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     taken = samples(config, library, 40)
     if what == "lengths":
         config = replace(config, twin={"link[2].length": 0.01, "link[3].length": 0.01})

@@ -48,7 +48,8 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         # machine's load: figures of the summary, not of this test. What is computed is the same however long it takes.
         assert samples["published"] > 0 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
-        assert summary["tip_error_mm"]["rms"] < 0.1
+        # Lengths that are 0.1 % off and encoders that are 1 mrad off leave 0.5 mm.
+        assert summary["tip_error_mm"]["rms"] < 0.8
         assert forecasts["due"] == samples["estimated"] // 10 and 0 <= forecasts["count"] <= forecasts["due"] + 1
         assert summary["refused"] == 0 and not any(summary["restarts"].values()), text
         assert not [sentence for sentence in summary["troubles"]["last"] if "disk" not in sentence], text
@@ -101,10 +102,14 @@ def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp
     assert broker.communicate(timeout=30)[1] == "" and broker.returncode == 0
 
 
-def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """Machine, twin, forecasts, watch and recorder, one after the other: what the pipeline computes, whatever else the cores do."""
+@pytest.mark.parametrize(("exact", "widest", "error"), [(False, 2, 1), (True, 0.6, 0.1)])
+def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(exact: bool, widest: float, error: float, tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Machine, twin, forecasts, watch and recorder, one after the other: what the pipeline computes, whatever else the cores do.
+
+    Lengths that are 0.1 % off and encoders that are 1 mrad off leave the tip 0.5 mm off, which the twin knows of; it believes twice as much.
+    """
     library = Library(fmu)
-    config = configured(tmp_path, fmu, library, scenes / "pick_and_place.json")
+    config = configured(tmp_path, fmu, library, scenes / "pick_and_place.json", exact=exact)
     twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
     recorder.about = twin.setup.to_message(config.unit, BEGIN)
     wire, source = Wire(config, twin, ahead, watch, recorder), machine(config, library)
@@ -118,8 +123,8 @@ def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(tmp_path: Path, f
     summary = figures.summarise(config, story, figures.judge(story), {}, {})
     forecasts = summary["forecasts"]
     assert forecasts["count"] == forecasts["due"] == ahead.counts["forecasts"] == 80 and forecasts["judged"] == 70
-    assert forecasts["coverage95"] > 0.95 and 0 < forecasts["halfwidth_mm"]["median"] <= 20 and summary["missed"] == []
-    assert summary["alarms"] == 0 and summary["tip_error_mm"]["max"] < 0.1 and summary["samples"]["estimated"] == 800
+    assert forecasts["coverage95"] > 0.95 and 0 < forecasts["halfwidth_mm"]["median"] <= widest and summary["missed"] == []
+    assert summary["alarms"] == 0 and summary["tip_error_mm"]["max"] < error and summary["samples"]["estimated"] == 800
 
 
 def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu: Path, scenes: Path) -> None:

@@ -24,6 +24,16 @@ def fmu() -> Decorator:
     return click.option("--fmu", type=FILE, metavar="FILE", help="Another unit than the shipped one.")
 
 
+def learn() -> Decorator:
+    """Whether a twin learns."""
+    return click.option("--learn", is_flag=True, help="Learn masses, payload and friction while following.")
+
+
+def exact() -> Decorator:
+    """Whether a machine is as long as its twin believes."""
+    return click.option("--exact", is_flag=True, help="Lengths and encoders are as the scene says, and the twin takes them so.")
+
+
 def out(default: str) -> Decorator:
     """Option for the folder of the results."""
     return click.option("--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told.")

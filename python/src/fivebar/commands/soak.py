@@ -12,6 +12,8 @@ from fivebar.commands import options
 @click.option("--hours", type=float, default=1.0, show_default=True, help="Of 200 samples a second.")
 @click.option("--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion.")
 @click.option("--faults", default="", metavar="NAME=SHARE,...", help="As for `fivebar twin`.")
+@options.learn()
+@options.exact()
 @options.fmu()
 def soak(fmu: Path | None, **given: Any) -> int:
     """Let the twin follow hours of samples as fast as it can.

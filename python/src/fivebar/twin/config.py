@@ -48,7 +48,7 @@ class Machine:
     """The stand-in: properties of the real machine that the twin does not know, and its encoders."""
 
     hidden: dict[str, float | int | bool] = field(default_factory=dict)
-    """Start values that differ from the scene's."""
+    """Start values that differ from the scene's, and `encoder.offset[1..2]`, rad: angles that encoders show beyond the true ones."""
 
     quantum: float = 2 * math.pi / 2**16
     """A step of the encoders, rad; 0 is none."""

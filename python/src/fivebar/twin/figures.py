@@ -173,6 +173,11 @@ def _mean(values: np.ndarray) -> float:
     return float(known.mean()) if len(known) else math.nan
 
 
+def _median(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
 def summarise(
     config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
 ) -> dict[str, Any]:
@@ -198,6 +203,7 @@ def summarise(
             "coverage95": _or_none(_mean(judged.inside[here])),
             "halfwidth_mm": _or_none(1e3 * float(np.median(story.forecasts["half_width"][here]))),
             "error_mm": _or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
+            "error_median_mm": _or_none(1e3 * _median(judged.ahead_error[here])),
         }
     times = story.estimated["time"]
     # A state for a forecast at every so many samples that were estimated.
@@ -217,6 +223,7 @@ def summarise(
         "latency_ms": {name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))},
         "tip_error_mm": {
             "rms": _or_none(1e3 * math.sqrt(_mean(judged.error**2))) if len(error) else None,
+            "median": _or_none(1e3 * _median(error)),
             "p95": _or_none(1e3 * float(np.quantile(error, 0.95))) if len(error) else None,
             "max": _or_none(1e3 * float(error.max())) if len(error) else None,
         },

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 from fivebar.twin import priority, process, scene
 from fivebar.twin.bus import Bus
+from fivebar.twin.calibrate.parameters import OFFSETS
 from fivebar.twin.config import Config, Faults, read_json
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import Book, Rider
@@ -43,7 +44,14 @@ class StandIn:
     def __init__(self, config: Config, library: Library):
         self.config = config
         self.scene = scene.read(Path(config.scene))
-        values = self.scene.values | config.machine.hidden
+        secret = dict(config.machine.hidden)
+        self.offsets = [float(secret.pop(name, 0.0)) for name in OFFSETS]
+        """Angles that encoders show beyond the true ones, rad. The drives see what encoders show, and the scene's angles are such."""
+
+        values = self.scene.values | secret
+        for i, offset in enumerate(self.offsets, 1):
+            for name in (f"init.theta[{i}]", f"servo.theta[{i}]"):
+                values[name] = float(values.get(name, library.variable(name).start)) - offset
         self.rider = Rider(library, Setup(library.guid, self.scene, values, config.period), "machine")
         self.rider.unit.start(values)
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
@@ -62,8 +70,8 @@ class StandIn:
         # Of each sample its own, so that a machine that is started again has the same noise.
         chance = random.Random(f"{machine.seed} {seq}")
         fields: dict[str, float] = {}
-        for i, name in enumerate(MEASURED, 1):
-            angle = truth[f"theta[{i}]"] + (chance.gauss(0.0, machine.sigma) if machine.sigma else 0.0)
+        for i, (name, offset) in enumerate(zip(MEASURED, self.offsets, strict=True), 1):
+            angle = truth[f"theta[{i}]"] + offset + (chance.gauss(0.0, machine.sigma) if machine.sigma else 0.0)
             if machine.quantum:
                 angle = round(angle / machine.quantum) * machine.quantum
             if not machine.drop_outs or chance.random() >= machine.drop_outs:
@@ -76,7 +84,8 @@ class StandIn:
         """To the next sample."""
         now = self.rider.unit.time
         period = self.config.period
-        book = Book(0, round(1e9 * period) * self.seq, self.seq, told, True, 1)
+        true = {f"servo.theta[{i}]": offset for i, offset in enumerate(self.offsets, 1)}
+        book = Book(0, round(1e9 * period) * self.seq, self.seq, {name: value - true.get(name, 0.0) for name, value in told.items()}, True, 1)
         self.rider.hold(book)
         # The twin is not told of inputs beside those of the drives, such as a hand's force.
         if self.surroundings:

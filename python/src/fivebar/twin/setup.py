@@ -18,6 +18,10 @@ MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.erro
 it less than i3alp, and leaves a two-hundredth of the error."""
 
 
+EXACT: Final[dict[str, float | int | bool]] = {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
+"""Start values of a twin that takes lengths and encoders as exact."""
+
+
 def learning(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
     """Start values with which the twin of a scene learns; widths that the scene gives stay.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from fivebar.twin import figures, process, scene, starter
+from fivebar.twin import figures, process, scene, setup, starter
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
@@ -74,14 +74,18 @@ class Options:
 
     fmu: Path
     faults: str
+    learn: bool
+    exact: bool
 
 
-def configured(folder: Path, fmu: Path, library: Library, given: str | Path) -> Config:
-    """A configuration in which the stand-in differs from its twin as in a default run."""
+def configured(folder: Path, fmu: Path, library: Library, given: str | Path, learn: bool = False, exact: bool = False) -> Config:
+    """A configuration in which the stand-in differs from its twin as in a run of `fivebar twin` with those switches."""
     folder.mkdir(parents=True, exist_ok=True)
     file = scene.resolve(given, library.known, folder)
-    machine = Machine(hidden=starter.hidden(library, scene.read(file).values))
-    return Config(str(folder), str(fmu), str(file), machine=machine)
+    values = scene.read(file).values
+    machine = Machine(hidden=starter.hidden(library, values, exact))
+    twin = (setup.learning(library, values) if learn else {}) | (setup.EXACT if exact else {})
+    return Config(str(folder), str(fmu), str(file), machine=machine, twin=twin)
 
 
 def machine(config: Config, library: Library) -> StandIn:
@@ -99,7 +103,7 @@ def run(options: Options) -> int:
     library = Library(options.fmu)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            config = configured(Path(folder), options.fmu, library, options.scene)
+            config = configured(Path(folder), options.fmu, library, options.scene, options.learn, options.exact)
             starter.check_followed(config, True)
             twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
@@ -131,9 +135,9 @@ def run(options: Options) -> int:
     forecasts = content["forecasts"]
     width, covered = forecasts["halfwidth_mm"]["median"], forecasts["coverage95"]
     if covered is not None:
-        off = forecasts["by_ahead"][f"{config.horizon:g}"]["error_mm"]
-        print(f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off:.2g} mm (rms)")
-        print(f"error of the estimated tip {content['tip_error_mm']['rms']:.2g} mm (rms)")
+        off = forecasts["by_ahead"][f"{config.horizon:g}"]
+        print(f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off['error_median_mm']:.2g} mm (median), {off['error_mm']:.2g} mm (rms)")
+        print("error of the estimated tip {median:.2g} mm (median), {rms:.2g} mm (rms)".format(**content["tip_error_mm"]))
     for sentence in content["missed"]:
         print(sentence)
     lost = 0 if options.faults else samples - counts["estimated"]
