@@ -367,7 +367,7 @@ impl Hypothesis {
             let fine = (turn / LARGEST_TURN).ceil().clamp(1.0, MOST_FINE_STEPS) as u32;
             let flow = flow::flow::<0>(linkage, scene, (&self.motion, &from), force, (h, fine));
             let (end, to) = if self.kind == Kind::Straight && from.smallest < NEAR_VERTEX {
-                straight_on(linkage, &self.motion, h)
+                straight_on(linkage, &self.motion, h)?
             } else if linkage.posture(&flow.end.theta).gram(linkage.length).1 < NEAR_VERTEX {
                 // Next to a vertex J cannot close the loop.
                 (flow.end, linkage.frame(&flow.end.theta))
@@ -435,12 +435,12 @@ fn closed_by_motors(constants: &Constants, [left, right]: [Pair; 2], assembly: A
     Some(LinkState::new(THETA.map(|i| q[i]), THETA.map(|i| v[i])))
 }
 
-/// State h seconds later at constant rates.
-fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> (LinkState, Frame) {
-    // Not closed: the straight line meets the constraints to third order, while J near its rank loss would falsify the rates.
+/// State h seconds later at constant rates; `None` where the loop cannot be closed behind the vertex.
+fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkState, Frame)> {
+    // Not closed next to the vertex: J near its rank loss would falsify the rates.
     let along = LinkState { theta: motion.theta + motion.omega * h, omega: motion.omega };
     let frame = linkage.frame(&along.theta);
-    if frame.smallest >= NEAR_VERTEX { linkage.closed(along).unwrap_or((along, frame)) } else { (along, frame) }
+    if frame.smallest >= NEAR_VERTEX { linkage.closed(along) } else { Some((along, frame)) }
 }
 
 /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that
@@ -469,4 +469,37 @@ fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkS
     bank.change_basis(&linkage.frame(&motion.theta).basis_map_to(&linkage.frame(&turned.theta)));
     bank.inflate([aside * aside, (aside / START_DISTANCE * fastest).powi(2), 0.0]);
     Some(Hypothesis { kind: Kind::Turned, motion: turned, belief: Belief { bank, ..*belief }, evidence: 0.0, age: 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use super::*;
+    use crate::fmi::bindings::default_parameters;
+
+    /// Motions that go straight on next to a vertex are states that may be stored, whatever their rates.
+    #[test]
+    fn straight_motions_may_be_stored() {
+        let linkage = Linkage::new(&default_parameters().geometry);
+        let mut steps = 0;
+        for vertex in [[0.0, 0.0, PI, 0.0], [0.0, 0.0, 0.0, PI], [0.0, PI, PI, PI], [PI, 0.0, PI, PI]] {
+            for k in 0..200 {
+                let wave = |i: usize, by: f64| libm::sin(by * f64::from(k) + (i * i) as f64);
+                let off = LinkState::new(
+                    std::array::from_fn(|i| vertex[i] + 0.02 * wave(i, 1.0)),
+                    std::array::from_fn(|i| 10.0 * wave(i, 1.7)),
+                );
+                let Some((mut at, mut frame)) = linkage.closed(off) else { continue };
+                while frame.smallest < NEAR_VERTEX
+                    && let Some(next) = straight_on(&linkage, &at, 1e-3)
+                {
+                    (at, frame) = next;
+                    assert!(linkage.is_closed(&at), "{at:?}");
+                    steps += 1;
+                }
+            }
+        }
+        assert!(steps > 1000, "{steps}");
+    }
 }

@@ -135,10 +135,12 @@ impl Linkage {
     /// Whether a state closes the loop, up to the errors of low-accuracy settings and of straight motions through a vertex.
     #[cold]
     pub fn is_closed(&self, state: &LinkState) -> bool {
-        let at = self.frame(&state.theta);
-        let open = CLOSURE_TOLERANCES[usize::from(at.smallest < NEAR_VERTEX)] * self.length;
-        self.gap(&at).iter().all(|x| x.abs() < open)
-            && (at.jacobian() * state.omega).iter().all(|x| x.abs() <= open * (1.0 + state.fastest()))
+        let (at, fastest) = (self.frame(&state.theta), state.fastest());
+        let near = at.smallest < NEAR_VERTEX;
+        let open = CLOSURE_TOLERANCES[usize::from(near)] * self.length;
+        // Constant rates open the loop next to a vertex by as much as the smallest singular value of J lets through: |ω| ≤ 2 max |ωᵢ|.
+        let by_rates = open * (1.0 + fastest) + if near { 2.0 * NEAR_VERTEX * self.length * fastest } else { 0.0 };
+        self.gap(&at).iter().all(|x| x.abs() < open) && (at.jacobian() * state.omega).iter().all(|x| x.abs() <= by_rates)
     }
 
     /// Closure gap Φ, m.
