@@ -23,7 +23,7 @@ from fmpy.model_description import ModelDescription
 from conftest import REPOSITORY
 from instance import Instance
 from test_page import open_browser
-from test_wheel import build
+from made_wheel import build
 
 pytestmark = pytest.mark.page
 

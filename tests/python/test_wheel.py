@@ -17,20 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from conftest import REPOSITORY
+from made_wheel import build
 
 pytestmark = pytest.mark.full
 
 WITHIN = 60.0
 """s from the wheel to the first picture, packages from the registry included."""
-
-
-def build(fmu: Path, folder: Path) -> Path:
-    """A wheel around a unit."""
-    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
-    subprocess.run(command, cwd=REPOSITORY / "python", env=os.environ | {"FIVEBAR_FMU": str(fmu)}, check=True, capture_output=True)
-    [wheel] = folder.glob("*.whl")
-    return wheel
 
 
 @pytest.fixture(scope="module")
@@ -156,15 +148,6 @@ def test_the_live_page(user: User, wheel: Path) -> None:
         assert Path(user.fivebar("page", "--no-open").strip()).is_relative_to(user.environment)
     else:
         assert "comes without the live page" in user.fivebar("page", code=2)
-
-
-@pytest.mark.parametrize("version", ["3.12", "3.13", "3.14"])
-def test_newer_pythons_have_all_dependencies(version: str, wheel: Path, tmp_path: Path) -> None:
-    """Resolved by pip as for that Python, and not installed."""
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--only-binary", ":all:"]
-    where = ["--python-version", version, "--target", str(tmp_path), f"{wheel}[all]"]
-    done = subprocess.run([*command, *where], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_maps_and_drawings(user: User) -> None:
