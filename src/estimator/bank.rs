@@ -8,9 +8,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 use super::constants::{
-    Intensities, LARGEST_VARIANCES, LEARNT, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
+    Intensities, LARGEST_VARIANCES, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
 };
-use super::propagation::{ProcessNoise, propagated, transformed};
+use super::propagation::{ProcessNoise, transformed};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
 
@@ -26,22 +26,22 @@ pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Member<const E: usize = ERRORS> {
+pub struct Member {
     /// Probability of the model.
     pub weight: f64,
     /// Mean of the error state.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    pub error: SVector<f64, E>,
+    pub error: Error,
     /// Covariance of the error state.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    pub covariance: SMatrix<f64, E, E>,
+    pub covariance: Matrix,
 }
 
-/// Bank of models, of errors of the motion and the unknown force, and of parameters that are learned behind them, if any.
+/// Bank of models, of errors of the motion and the unknown force.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Bank<const E: usize = ERRORS> {
+pub struct Bank {
     /// One model per process noise.
-    pub members: [Member<E>; MODELS],
+    pub members: [Member; MODELS],
 }
 
 /// Innovation of one encoder sample.
@@ -64,10 +64,10 @@ impl Innovation {
 
 /// Expectation of a sample by the models.
 #[derive(Clone, Copy, Debug)]
-pub struct PredictedSample<const E: usize = ERRORS> {
+pub struct PredictedSample {
     pub(super) weights: [f64; MODELS],
     /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
-    pub(super) each: [(f64, f64, SVector<f64, E>); MODELS],
+    pub(super) each: [(f64, f64, Error); MODELS],
 }
 
 impl PredictedSample {
@@ -103,9 +103,9 @@ fn log_likelihood(nis: f64, variance: f64) -> f64 {
     -0.5 * (nis + libm::log(variance))
 }
 
-impl<const E: usize> Bank<E> {
+impl Bank {
     /// Models of non-zero probability.
-    fn active_members(&mut self) -> impl Iterator<Item = &mut Member<E>> {
+    fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
@@ -125,30 +125,40 @@ impl<const E: usize> Bank<E> {
     #[inline(never)]
     pub fn predict(
         &mut self,
-        f: &SMatrix<f64, ERRORS, E>,
+        f: &Matrix,
         noise: &ProcessNoise,
-        [scale, inertia, further]: [f64; 3],
+        scales: [f64; 3],
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
-        let stay = libm::exp(-h / switch_time);
+        let end = |_, Member { covariance, .. }: &mut Member| bound(covariance, |_, _| ());
+        self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
+    }
+
+    /// Time update with the share of a model that stays, in which `end` completes what has become of a model and bounds it.
+    #[inline(always)]
+    pub(super) fn predict_with(
+        &mut self,
+        f: &Matrix,
+        noise: &ProcessNoise,
+        (Intensities { force_walk, mass_walk, white_torque }, [scale, inertia, further]): (&Intensities, [f64; 3]),
+        (stay, priors): (f64, &[f64; MODELS]),
+        mut end: impl FnMut(usize, &mut Member),
+    ) {
         let (mean, all) = self.moments();
         for (j, member) in self.members.iter_mut().enumerate() {
-            // Mixing weights: the model has persisted, or any model has switched to it.
-            let (own, any) = (member.weight * stay, (1.0 - stay) * priors[j]);
-            member.weight = own + any;
-            if member.weight == 0.0 {
+            let Mixing { weight, own, any } = Mixing::new(member.weight, stay, priors[j]);
+            member.weight = weight;
+            if weight == 0.0 {
                 continue;
             }
-            let (own, any) = (own / member.weight, any / member.weight);
             let off = member.error - mean;
             let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
-            let Intensities { force_walk, mass_walk, white_torque } = if E == ERRORS { &TAKEN_AS_KNOWN } else { &LEARNT };
             let white = scale * scale * white_torque[j];
             let walk = scale * scale * force_walk[j] + inertia * inertia * mass_walk[j] + further * further;
-            member.error = propagated(f, &(member.error * own + mean * any));
+            member.error = f * (member.error * own + mean * any);
             member.covariance = transformed(f, &mixed, |moved| moved + noise.white * white + noise.walk * walk);
-            bound(&mut member.covariance);
+            end(j, member);
         }
     }
 
@@ -170,13 +180,13 @@ impl<const E: usize> Bank<E> {
     }
 
     /// Mean error of the mixture.
-    pub fn mean(&self) -> SVector<f64, E> {
+    pub fn mean(&self) -> Error {
         self.members.iter().map(|member| member.error * member.weight).sum()
     }
 
     /// Mean and covariance of the mixture.
     #[inline(never)]
-    pub fn moments(&self) -> (SVector<f64, E>, SMatrix<f64, E, E>) {
+    pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
         let covariance = self
             .members
@@ -192,7 +202,7 @@ impl<const E: usize> Bank<E> {
 
     /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
     #[inline(never)]
-    pub fn update(&mut self, expected: &PredictedSample<E>) {
+    pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
         {
@@ -204,7 +214,7 @@ impl<const E: usize> Bank<E> {
             member.error += gain * *residual;
             member.covariance -= gain * column.transpose();
             member.covariance.fill_upper_triangle_with_lower_triangle();
-            for i in 0..E {
+            for i in 0..ERRORS {
                 // A variance may turn negative by round-off only.
                 member.covariance[(i, i)] = member.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
             }
@@ -217,7 +227,7 @@ impl<const E: usize> Bank<E> {
     }
 
     /// Moves the common estimate by `by`: the mean errors become smaller by as much.
-    pub fn subtract_mean(&mut self, by: &SVector<f64, E>) {
+    pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
             member.error -= by;
         }
@@ -233,12 +243,10 @@ impl<const E: usize> Bank<E> {
                 *weight >= 0.0
                     && error.iter().all(|x| x.is_finite())
                     && *p == p.transpose()
-                    && (0..E).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
+                    && (0..ERRORS).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
             })
     }
-}
 
-impl Bank {
     /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
     pub fn new(variances: [f64; 3]) -> Self {
         let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| variances[i / 2]));
@@ -319,8 +327,35 @@ impl Bank {
     }
 }
 
-/// Errors, by columns, whose angles, rates and force change alike; learned parameters stay.
-pub(super) fn turned<const E: usize, const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, E, C>) -> SMatrix<f64, E, C> {
+/// How much a model keeps of its own moments in a time update, and how much it takes of the mixture's.
+#[derive(Clone, Copy)]
+pub(super) struct Mixing {
+    /// Probability.
+    pub(super) weight: f64,
+    /// Share of the model's own moments.
+    pub(super) own: f64,
+    /// Share of the mixture's.
+    pub(super) any: f64,
+}
+
+impl Mixing {
+    /// Of a model of this probability: it has stayed, or any model has switched to it. Shares of a model that takes no part are no numbers.
+    #[inline(always)]
+    pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
+        let (own, any) = (weight * stay, (1.0 - stay) * prior);
+        let weight = own + any;
+        Self { weight, own: own / weight, any: any / weight }
+    }
+}
+
+/// Probability that a model stays for h seconds, where it lasts for `switch_time`, s, on average.
+#[inline(always)]
+pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
+    libm::exp(-h / switch_time)
+}
+
+/// Errors, by columns, whose angles, rates and force change alike.
+pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
     let mut turned = *errors;
     for pair in (0..ERRORS).step_by(2) {
         turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
@@ -328,14 +363,16 @@ pub(super) fn turned<const E: usize, const C: usize>(turn: &Matrix2<f64>, errors
     turned
 }
 
-/// Bounds the variances of unobserved directions.
-fn bound<const E: usize>(covariance: &mut SMatrix<f64, E, E>) {
+/// Bounds the variances of unobserved directions; `also` takes the index of each that is scaled, and the factor.
+#[inline(always)]
+pub(super) fn bound(covariance: &mut Matrix, mut also: impl FnMut(usize, f64)) {
     for i in 0..FORCE {
         let (variance, most) = (covariance[(i, i)], LARGEST_VARIANCES[i / 2]);
         if variance > most {
             let factor = (most / variance).sqrt();
             covariance.row_mut(i).scale_mut(factor);
             covariance.column_mut(i).scale_mut(factor);
+            also(i, factor);
         }
     }
 }

@@ -1,22 +1,22 @@
 //! Masses and friction that the estimator learns while it runs: parameters behind the error state, with a value and a covariance each.
 //!
-//! Errors of the parameters p move the motion by Ψ = ∂x/∂p (`flow.rs`), and stay themselves:
+//! Errors δp of the parameters move the motion by Ψ = ∂x/∂p (`flow.rs`), and stay themselves, so that of the covariance of all only two blocks move:
 //!
 //! ```text
-//! F = [ Φ  Ψ ]      error (a, b, δf, δp)
-//!     [ 0  1 ]
+//! P = [ A   C ]       C' = Φ C + Ψ S
+//!     [ Cᵀ  S ]       A' = Φ A Φᵀ + Y + Yᵀ        Y = (Φ C + ½ Ψ S) Ψᵀ
 //! ```
 //!
-//! The bank of the estimate is the part of this one that belongs to motion and force. Masses are in logarithms: a fall without torques leaves
-//! a common factor of all masses unknown, which is then one direction wherever the estimate stands.
+//! The bank of the estimate has A, each model here C and S. Masses are in logarithms: a fall without torques leaves a common factor of all
+//! masses unknown, which is then one direction wherever the estimate stands.
 
 use std::ops::Range;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::bank::{Bank, ERRORS, Error, Matrix, Member, PredictedSample};
-use super::constants::{LARGEST_FACTORS, MODELS};
+use super::bank::{Bank, ERRORS, Error, FORCE, Matrix, Mixing, PredictedSample, bound, persistence, turned};
+use super::constants::{LARGEST_FACTORS, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
 use super::flow::Flow;
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
@@ -31,9 +31,6 @@ pub const PAYLOAD: usize = 4;
 pub const VISCOUS: Range<usize> = 5..10;
 /// Logarithm of the factor of dry friction in all joints.
 pub const DRY: usize = 10;
-/// Number of error components with those of the parameters.
-const ALL: usize = ERRORS + LEARNED;
-
 /// Values of the parameters: logarithms, kg, N·m·s/rad.
 pub type Learned = SVector<f64, LEARNED>;
 
@@ -46,28 +43,41 @@ pub struct Prior {
     pub sigma: Learned,
 }
 
-/// Learned values, and the bank of their errors.
+/// Covariance of the errors of motion and force with those of the parameters.
+type Cross = SMatrix<f64, ERRORS, LEARNED>;
+/// Covariance of the errors of the parameters.
+type Square = SMatrix<f64, LEARNED, LEARNED>;
+
+/// Moments of the errors of the parameters in a model of the estimate's bank.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Moments {
+    /// Mean.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    error: Learned,
+    /// Covariance C with the errors of motion and force.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    cross: Cross,
+    /// Covariance S.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    covariance: Square,
+}
+
+/// Learned values, and their errors in each model of the estimate's bank.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Learning {
     /// Values of the parameters, by which the unit moves.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     values: Learned,
-    /// Bank of errors of motion, force and parameters.
-    bank: Bank<ALL>,
-    /// Whether its part of motion and force is the bank of the estimate: not while learning is held.
-    joined: bool,
+    models: [Moments; MODELS],
 }
 
 impl Learning {
     /// Nothing learned yet.
     #[cold]
     pub(super) fn new(prior: &Prior) -> Self {
-        let mut covariance = SMatrix::zeros();
-        for i in 0..LEARNED {
-            covariance[(ERRORS + i, ERRORS + i)] = prior.sigma[i] * prior.sigma[i];
-        }
-        let member = Member { weight: 1.0 / MODELS as f64, error: SVector::zeros(), covariance };
-        Self { values: prior.values, bank: Bank { members: [member; MODELS] }, joined: false }
+        let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
+        let model = Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance };
+        Self { values: prior.values, models: [model; MODELS] }
     }
 
     /// Values of the parameters.
@@ -76,125 +86,145 @@ impl Learning {
     }
 
     /// Standard deviations of the parameters.
-    pub(super) fn sigma(&self) -> Learned {
-        let (_, covariance) = self.bank.moments();
-        Learned::from_fn(|i, _| covariance[(ERRORS + i, ERRORS + i)].max(0.0).sqrt())
+    pub(super) fn sigma(&self, own: &Bank) -> Learned {
+        self.moments(own).covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 
     /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number.
     #[cold]
-    pub(super) fn nees(&self, truth: &Learned, which: Range<usize>) -> (f64, usize) {
-        let (_, covariance) = self.bank.moments();
-        let free: Vec<usize> = which.filter(|i| covariance[(ERRORS + i, ERRORS + i)] > 0.0).collect();
-        let p = nalgebra::DMatrix::from_fn(free.len(), free.len(), |i, k| covariance[(ERRORS + free[i], ERRORS + free[k])]);
+    pub(super) fn nees(&self, own: &Bank, truth: &Learned, which: Range<usize>) -> (f64, usize) {
+        let Moments { covariance, .. } = self.moments(own);
+        let free: Vec<usize> = which.filter(|i| covariance[(*i, *i)] > 0.0).collect();
+        let p = nalgebra::DMatrix::from_fn(free.len(), free.len(), |i, k| covariance[(free[i], free[k])]);
         let error = nalgebra::DVector::from_fn(free.len(), |i, _| truth[free[i]] - self.values[free[i]]);
         (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), free.len())
     }
 
-    /// Holds learning: what the parameters are correlated with is lost, and the bank of the estimate goes on by itself.
-    pub(super) fn hold(&mut self) {
-        self.joined = false;
+    /// Mean error of the mixture.
+    fn mean(&self, own: &Bank) -> Learned {
+        self.models.iter().zip(&own.members).map(|(model, member)| model.error * member.weight).sum()
+    }
+
+    /// Moments of the mixture.
+    #[inline(never)]
+    fn moments(&self, own: &Bank) -> Moments {
+        let (mean, mean_own) = (self.mean(own), own.mean());
+        let mut all = Moments { error: mean, cross: Cross::zeros(), covariance: Square::zeros() };
+        for (model, member) in self.models.iter().zip(&own.members) {
+            let weight = member.weight;
+            if weight >= NEGLIGIBLE_PROBABILITY {
+                let off = model.error - mean;
+                combine(&mut all.cross, 1.0, (weight, &model.cross), (weight, &(member.error - mean_own), &off));
+                combine(&mut all.covariance, 1.0, (weight, &model.covariance), (weight, &off, &off));
+            }
+        }
+        all.covariance.fill_upper_triangle_with_lower_triangle();
+        all
+    }
+
+    /// Holds learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
+    #[cold]
+    pub(super) fn hold(&mut self, own: &Bank) {
+        let Moments { covariance, .. } = self.moments(own);
+        self.models = [Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance }; MODELS];
     }
 
     /// A parameter begins anew.
     #[cold]
     pub(super) fn begin_anew(&mut self, prior: &Prior, which: usize) {
         self.values[which] = prior.values[which];
-        let at = ERRORS + which;
-        for Member { error, covariance, .. } in &mut self.bank.members {
-            error[at] = 0.0;
-            covariance.row_mut(at).fill(0.0);
-            covariance.column_mut(at).fill(0.0);
-            covariance[(at, at)] = prior.sigma[which] * prior.sigma[which];
+        for Moments { error, cross, covariance } in &mut self.models {
+            error[which] = 0.0;
+            cross.column_mut(which).fill(0.0);
+            covariance.row_mut(which).fill(0.0);
+            covariance.column_mut(which).fill(0.0);
+            covariance[(which, which)] = prior.sigma[which] * prior.sigma[which];
         }
     }
 
-    /// Joins the bank of the estimate, with which the parameters are not correlated.
-    #[cold]
-    fn join(&mut self, own: &Bank) {
-        let (_, all) = self.bank.moments();
-        self.bank.members = own.members.map(|Member { weight, error, covariance }| {
-            let mut joined = Member { weight, error: SVector::zeros(), covariance: all };
-            joined.covariance.fixed_rows_mut::<ERRORS>(0).fill(0.0);
-            joined.covariance.fixed_columns_mut::<ERRORS>(0).fill(0.0);
-            joined.error.fixed_rows_mut::<ERRORS>(0).copy_from(&error);
-            joined.covariance.fixed_view_mut::<ERRORS, ERRORS>(0, 0).copy_from(&covariance);
-            joined
-        });
-        self.joined = true;
-    }
-
-    /// Time update along a step with its flow, of all and of the bank of the estimate: see [`Bank::predict`].
+    /// Time update along a step with its flow, and that of the bank of the estimate: see [`Bank::predict`].
     pub(super) fn predict(
         &mut self,
         own: &mut Bank,
         (step, flow): (&Propagation, &Flow<LEARNED>),
         noise: &ProcessNoise,
-        (scales, timing): ([f64; 3], (f64, f64)),
+        (scales, (h, switch_time)): ([f64; 3], (f64, f64)),
         priors: &[f64; MODELS],
     ) {
-        if !self.joined {
-            self.join(own);
+        let stay = persistence(h, switch_time);
+        let [by_angle, by_rate] = flow.by_learned.map(|by_learned| step.to.basis.tr_mul(&by_learned));
+        let mut psi = SMatrix::<f64, FORCE, LEARNED>::zeros();
+        psi.fixed_rows_mut::<2>(0).copy_from(&by_angle);
+        psi.fixed_rows_mut::<2>(2).copy_from(&by_rate);
+        let (all, mean) = (self.moments(own), own.mean());
+        // What the parameters add to mean and covariance of each model.
+        let mut added = [(SVector::<f64, FORCE>::zeros(), SMatrix::<f64, ERRORS, FORCE>::zeros()); MODELS];
+        for (j, (model, added)) in self.models.iter_mut().zip(&mut added).enumerate() {
+            let mixing = Mixing::new(own.members[j].weight, stay, priors[j]);
+            if mixing.weight > 0.0 {
+                model.mix(&all, &(own.members[j].error - mean), mixing);
+                *added = model.step(&step.f, &psi);
+            }
         }
-        let mut f = SMatrix::<f64, ERRORS, ALL>::zeros();
-        f.fixed_columns_mut::<ERRORS>(0).copy_from(&step.f);
-        for (i, by_learned) in flow.by_learned.iter().enumerate() {
-            f.fixed_view_mut::<2, LEARNED>(2 * i, ERRORS).copy_from(&step.to.basis.tr_mul(by_learned));
-        }
-        for (all, own) in self.bank.members.iter_mut().zip(&own.members) {
-            all.weight = own.weight;
-        }
-        self.bank.predict(&f, noise, scales, timing, priors);
-        for (all, own) in self.bank.members.iter().zip(&mut own.members) {
-            let error: Error = all.error.fixed_rows::<ERRORS>(0).into();
-            let covariance: Matrix = all.covariance.fixed_view::<ERRORS, ERRORS>(0, 0).into();
-            *own = Member { weight: all.weight, error, covariance };
-        }
+        let models = &mut self.models;
+        own.predict_with(&step.f, noise, (&LEARNT, scales), (stay, priors), |j, member| {
+            let (error, y) = &added[j];
+            let mut moved = member.error.fixed_rows_mut::<FORCE>(0);
+            moved += error;
+            let mut columns = member.covariance.fixed_columns_mut::<FORCE>(0);
+            columns += y;
+            let mut rows = member.covariance.fixed_rows_mut::<FORCE>(0);
+            rows += y.transpose();
+            bound(&mut member.covariance, |i, factor| models[j].cross.row_mut(i).scale_mut(factor));
+        });
     }
 
-    /// Measurement update by a sample of this row as the bank of the estimate has expected it.
+    /// Measurement update by a sample of this row as the bank of the estimate has expected it, before that of this bank.
+    #[inline(never)]
     pub(super) fn update(&mut self, expected: &PredictedSample, row: &Error) {
-        if !self.joined {
-            return;
+        for ((model, weight), (residual, variance, own)) in self.models.iter_mut().zip(expected.weights).zip(&expected.each) {
+            if weight == 0.0 {
+                continue;
+            }
+            let column = model.cross.tr_mul(row);
+            let gain = column / *variance;
+            model.error += gain * *residual;
+            subtract(&mut model.cross, own, &gain);
+            subtract(&mut model.covariance, &gain, &column);
+            model.covariance.fill_upper_triangle_with_lower_triangle();
+            for i in 0..LEARNED {
+                // A variance may turn negative by round-off only.
+                model.covariance[(i, i)] = model.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+            }
         }
-        let each = std::array::from_fn(|i| {
-            let (residual, variance, _) = expected.each[i];
-            (residual, variance, self.bank.members[i].covariance.fixed_columns::<ERRORS>(0) * row)
-        });
-        self.bank.update(&PredictedSample { weights: expected.weights, each });
     }
 
     /// Keeps the values within their bounds, before a correction: mean errors that would lead beyond are moved to the bound, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn keep_within_bounds(&mut self, own: &mut Bank) {
-        if !self.joined {
-            return;
-        }
         for i in 0..LEARNED {
-            let at = ERRORS + i;
-            let error: f64 = self.bank.members.iter().map(|member| member.weight * member.error[at]).sum();
+            let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
             let [least, most] = bounds(i);
             let beyond = (self.values[i] + error).clamp(least, most) - (self.values[i] + error);
             if beyond != 0.0 {
-                let (_, covariance) = self.bank.moments();
-                let by = covariance.column(at) * (beyond / covariance[(at, at)].max(f64::MIN_POSITIVE));
-                for (all, own) in self.bank.members.iter_mut().zip(&mut own.members) {
-                    all.error += by;
-                    own.error += by.fixed_rows::<ERRORS>(0);
+                let Moments { cross, covariance, .. } = self.moments(own);
+                let part = beyond / covariance[(i, i)].max(f64::MIN_POSITIVE);
+                for (model, member) in self.models.iter_mut().zip(&mut own.members) {
+                    model.error += covariance.column(i) * part;
+                    member.error += cross.column(i) * part;
                 }
             }
         }
     }
 
     /// Follows a correction of the motion that turns its tangent basis, and corrects the values.
-    pub(super) fn correct(&mut self, turn: &Matrix2<f64>) {
-        if !self.joined {
-            return;
+    pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>) {
+        let error = self.mean(own);
+        for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
+            model.error -= error;
+            model.cross = turned(turn, &model.cross);
         }
-        let error = self.bank.mean();
-        self.bank.subtract_mean(&error);
-        self.bank.change_basis(turn);
-        self.values += error.fixed_rows::<LEARNED>(ERRORS);
+        self.values += error;
         // Round-off, and a bound that another one has led beyond.
         for (i, value) in self.values.iter_mut().enumerate() {
             let [least, most] = bounds(i);
@@ -202,11 +232,77 @@ impl Learning {
         }
     }
 
-    /// Whether stored values are possible.
+    /// Whether stored values are possible beside a bank.
     #[cold]
-    pub(super) fn is_sound(&self) -> bool {
+    pub(super) fn is_sound(&self, own: &Bank) -> bool {
         let is_within = |(i, value): (usize, &f64)| (bounds(i)[0]..=bounds(i)[1]).contains(value);
-        self.bank.is_sound() && self.values.iter().enumerate().all(is_within)
+        self.values.iter().enumerate().all(is_within)
+            && self.models.iter().zip(&own.members).all(|(model, member)| model.is_sound(&member.covariance))
+    }
+}
+
+impl Moments {
+    /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
+    #[inline(always)]
+    fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
+        let by = self.error - all.error;
+        combine(&mut self.cross, own, (any, &all.cross), (own * any, off, &by));
+        combine(&mut self.covariance, own, (any, &all.covariance), (own * any, &by, &by));
+        self.covariance.fill_upper_triangle_with_lower_triangle();
+        self.error = self.error * own + all.error * any;
+    }
+
+    /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
+    #[inline(always)]
+    fn step(&mut self, f: &Matrix, psi: &SMatrix<f64, FORCE, LEARNED>) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
+        let pushed = psi * self.covariance;
+        self.cross = f * self.cross;
+        let mut half = self.cross;
+        let mut rows = half.fixed_rows_mut::<FORCE>(0);
+        rows += pushed * 0.5;
+        let mut rows = self.cross.fixed_rows_mut::<FORCE>(0);
+        rows += pushed;
+        (psi * self.error, half * psi.transpose())
+    }
+
+    /// Whether stored moments are possible beside the covariance of motion and force.
+    #[cold]
+    fn is_sound(&self, own: &Matrix) -> bool {
+        let Self { error, cross, covariance: p } = self;
+        let is_bounded = |element: f64, a: f64, b: f64| element * element <= 1.01 * a * b;
+        error.iter().all(|x| x.is_finite())
+            && *p == p.transpose()
+            && (0..LEARNED).all(|k| {
+                p[(k, k)] >= 0.0
+                    && (0..k).all(|i| is_bounded(p[(i, k)], p[(i, i)], p[(k, k)]))
+                    && (0..ERRORS).all(|i| is_bounded(cross[(i, k)], own[(i, i)], p[(k, k)]))
+            })
+    }
+}
+
+/// Subtracts x yᵀ.
+#[inline(always)]
+fn subtract<const R: usize>(from: &mut SMatrix<f64, R, LEARNED>, x: &SVector<f64, R>, y: &Learned) {
+    for (k, column) in from.data.0.iter_mut().enumerate() {
+        for i in 0..R {
+            column[i] -= x[i] * y[k];
+        }
+    }
+}
+
+/// Becomes its multiple, plus one of another matrix, plus one of x yᵀ.
+#[inline(always)]
+fn combine<const R: usize>(
+    matrix: &mut SMatrix<f64, R, LEARNED>,
+    own: f64,
+    (part, other): (f64, &SMatrix<f64, R, LEARNED>),
+    (factor, x, y): (f64, &SVector<f64, R>, &Learned),
+) {
+    for (k, (column, other)) in matrix.data.0.iter_mut().zip(&other.data.0).enumerate() {
+        let y = factor * y[k];
+        for i in 0..R {
+            column[i] = column[i] * own + other[i] * part + x[i] * y;
+        }
     }
 }
 

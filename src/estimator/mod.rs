@@ -184,7 +184,7 @@ impl Estimator {
                 self.history.correct(&error, &turn);
                 self.unaided.correct(&error, &turn);
                 if let Some(learning) = &mut self.learning {
-                    learning.correct(&turn);
+                    learning.correct(&self.belief.bank, &turn);
                 }
                 frame = to;
             }
@@ -260,10 +260,10 @@ impl Estimator {
             if encoder.passes_gate(innovation.residual, [own, least], (overdue, patient, witnessed)) {
                 let told = [innovation.noise, persistent[i]];
                 let told = encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told);
-                self.belief.bank.update(&told);
                 if let Some(learning) = &mut self.learning {
                     learning.update(&told, &innovation.row);
                 }
+                self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
                     update.likelihood += expected.log_likelihood();
                 }
@@ -338,19 +338,19 @@ impl Estimator {
 
     /// Standard deviations of what is learned, and 0 of what is not.
     pub fn learned_sigma(&self) -> Learned {
-        self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma())
+        self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma(&self.belief.bank))
     }
 
     /// Normalised error squared of the learned parameters among `which` that are not known, against true values, and their number.
     pub fn learned_nees(&self, truth: &Learned, which: std::ops::Range<usize>) -> Option<(f64, usize)> {
-        self.learning.as_ref().map(|learning| learning.nees(truth, which))
+        self.learning.as_ref().map(|learning| learning.nees(&self.belief.bank, truth, which))
     }
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
     #[cold]
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
+        self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
-        self.learning.iter_mut().for_each(|learning| learning.hold());
         self.history.clear();
         self.unaided = Unaided::default();
         constants.linkage.frame(&motion.theta)
@@ -416,7 +416,7 @@ impl Estimator {
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
             }
             (learning, _) => {
-                learning.iter_mut().for_each(|learning| learning.hold());
+                learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
                 self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
             }
         }
@@ -510,7 +510,9 @@ impl Estimator {
         if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() {
             return Err("a number of its estimator is not finite");
         }
-        if self.learning.is_some() != constants.prior.is_some() || !self.learning.iter().all(|learning| learning.is_sound()) {
+        if self.learning.is_some() != constants.prior.is_some()
+            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank))
+        {
             return Err("what its estimator has learned is not valid");
         }
         Ok(())

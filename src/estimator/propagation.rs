@@ -1,8 +1,8 @@
 //! Time update of errors over a macro step: transition F by the variational equations between two tangent spaces, and process noise.
 
-use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
+use nalgebra::{Matrix2, Matrix4};
 
-use super::bank::{ERRORS, FORCE, Matrix, turned};
+use super::bank::{FORCE, Matrix, turned};
 use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
 use super::flow::{Flow, Scene, flow};
 use super::tangent::{Frame, LinkState, Linkage, Links, wrapped};
@@ -107,27 +107,10 @@ impl ProcessNoise {
     }
 }
 
-/// F e of an error that ends with learned parameters, which stay: `f` has the other rows.
-pub(super) fn propagated<const E: usize>(f: &SMatrix<f64, ERRORS, E>, error: &SVector<f64, E>) -> SVector<f64, E> {
-    let mut product = *error;
-    product.fixed_rows_mut::<ERRORS>(0).copy_from(&(f * error));
-    product
-}
-
-/// F P Fᵀ + Q, symmetric to the bit, of errors that end with learned parameters, which stay: `f` has the other rows, Q is of the other errors.
+/// F P Fᵀ + Q, symmetric to the bit.
 #[inline(always)]
-pub(super) fn transformed<const E: usize>(
-    f: &SMatrix<f64, ERRORS, E>,
-    p: &SMatrix<f64, E, E>,
-    noise: impl FnOnce(Matrix) -> Matrix,
-) -> SMatrix<f64, E, E> {
-    let (moved, mut product) = (f * p, *p);
-    product.fixed_view_mut::<ERRORS, ERRORS>(0, 0).copy_from(&noise(moved * f.transpose()));
-    for learned in ERRORS..E {
-        for i in 0..ERRORS {
-            product[(learned, i)] = moved[(i, learned)];
-        }
-    }
+pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> Matrix) -> Matrix {
+    let mut product = noise(f * p * f.transpose());
     product.fill_upper_triangle_with_lower_triangle();
     product
 }
