@@ -157,7 +157,7 @@ impl Learning {
         psi.fixed_rows_mut::<2>(0).copy_from(&by_angle);
         psi.fixed_rows_mut::<2>(2).copy_from(&by_rate);
         let (all, mean) = (self.moments(own), own.mean());
-        // What the parameters add to mean and covariance of each model.
+        // Shares of the parameters in mean and covariance of each model.
         let mut added = [(SVector::<f64, FORCE>::zeros(), SMatrix::<f64, ERRORS, FORCE>::zeros()); MODELS];
         for (j, (model, added)) in self.models.iter_mut().zip(&mut added).enumerate() {
             let mixing = Mixing::new(own.members[j].weight, stay, priors[j]);
@@ -175,6 +175,7 @@ impl Learning {
             columns += y;
             let mut rows = member.covariance.fixed_rows_mut::<FORCE>(0);
             rows += y.transpose();
+            member.covariance.fill_upper_triangle_with_lower_triangle();
             bound(&mut member.covariance, |i, factor| models[j].cross.row_mut(i).scale_mut(factor));
         });
     }
