@@ -39,7 +39,7 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
     """Two starts find ports of their own; each leaves summary, pictures, page and a record that is replayed to the bit."""
     runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "3", "--unit", name) for name in ("one", "two")}
     for name, run in runs.items():
-        text = run.communicate(timeout=90)[0]
+        text = run.communicate(timeout=240)[0]
         assert run.returncode == 0, text
         out = tmp_path / name
         summary = json.loads((out / "summary.json").read_text())
