@@ -268,44 +268,63 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
     host
 }
 
-/// Every method with every linear solve, and a joint that friction holds; the explicit one in the middle of a step and, where inputs
-/// change, at its end; implicit steps of the method that chooses.
-#[test]
-fn forged_runs_are_refused_or_go_on() {
-    let (mut wrong, mut counts, mut number) = (Vec::new(), Vec::new(), 0);
-    for solve in ["two-leg", "coupled", "dense"] {
-        for (method, adaptive, changing) in [
-            (1, true, false),
-            (1, false, false),
-            (2, false, false),
-            (3, false, false),
-            (4, true, false),
-            (4, true, true),
-            (5, false, false),
-            (6, true, true),
-        ] {
-            let name = format!("method {method}, adaptive {adaptive}, changing {changing}, {solve}");
-            let case = case(&name, &running(method, adaptive, solve, changing));
-            counts.push((forge(&case, number, &mut wrong), name));
-            number += 1;
-        }
-    }
-    for (method, changing, what) in [
-        (1, false, "sticking"),
-        (4, false, "sticking"),
-        (4, true, "sticking"),
-        (1, false, "sticking tip"),
-        (4, true, "sticking tip"),
-        (6, false, "stiff"),
-        (6, true, "stiff"),
-    ] {
-        let name = format!("method {method}, changing {changing}, {what}");
-        let case = case(&name, &running(method, true, what, changing));
+/// Forges the state of every run, given by method, `solver.adaptive`, whether inputs change, and the linear solve or the effect. The first is case
+/// `number`: tests that follow each other, which run at the same time, go on with the changes of bytes.
+fn forge_runs(number: usize, runs: &[(i32, bool, bool, &str)]) {
+    let (mut wrong, mut counts) = (Vec::new(), Vec::new());
+    for (number, &(method, adaptive, changing, solve)) in (number..).zip(runs) {
+        let name = format!("method {method}, adaptive {adaptive}, changing {changing}, {solve}");
+        let case = case(&name, &running(method, adaptive, solve, changing));
         counts.push((forge(&case, number, &mut wrong), name));
-        number += 1;
     }
     assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));
     assert!(counts.iter().all(|([refused, accepted], _)| *refused > 0 && *accepted > 0), "{counts:?}");
+}
+
+/// Every method by one linear solve; the explicit one in the middle of a step and, where inputs change, at its end; implicit steps of the
+/// method that chooses.
+fn forge_methods(number: usize, solve: &str) {
+    let runs = [
+        (1, true, false),
+        (1, false, false),
+        (2, false, false),
+        (3, false, false),
+        (4, true, false),
+        (4, true, true),
+        (5, false, false),
+        (6, true, true),
+    ];
+    forge_runs(number, &runs.map(|(method, adaptive, changing)| (method, adaptive, changing, solve)));
+}
+
+#[test]
+fn forged_runs_by_two_legs_are_refused_or_go_on() {
+    forge_methods(0, "two-leg");
+}
+
+#[test]
+fn forged_runs_with_coupled_legs_are_refused_or_go_on() {
+    forge_methods(8, "coupled");
+}
+
+#[test]
+fn forged_runs_by_the_dense_solve_are_refused_or_go_on() {
+    forge_methods(16, "dense");
+}
+
+/// Friction that holds a joint or the tip, and stiff servos.
+#[test]
+fn forged_runs_that_stick_or_are_stiff_are_refused_or_go_on() {
+    let runs = [
+        (1, true, false, "sticking"),
+        (4, true, false, "sticking"),
+        (4, true, true, "sticking"),
+        (1, true, false, "sticking tip"),
+        (4, true, true, "sticking tip"),
+        (6, true, false, "stiff"),
+        (6, true, true, "stiff"),
+    ];
+    forge_runs(24, &runs);
 }
 
 /// Other values of the Real parameters: a stored state holds those that are not at their start values. The start stays: of an angle of
