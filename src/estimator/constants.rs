@@ -256,3 +256,35 @@ pub(super) const LARGEST_NIS_IN_MEAN: f64 = 30.0;
 pub(super) const CONSISTENCY_LENGTH: f64 = 100.0;
 /// Consistency test: largest mean normalised innovation squared, of 1 expected.
 pub(super) const LARGEST_CONSISTENT_NIS: f64 = 4.0;
+
+// ---- Causes: notes, "Causes", by the table `causes`.
+
+/// Model of the bank whose errors and noise the filter takes that knows of no fault.
+pub(super) const CAUSE_MODEL: usize = 1;
+/// Normalised innovation squared of a sample from which on explanations are compared.
+pub(super) const SURPRISE: f64 = 9.0;
+/// Time after which a surprise that no alarm has followed is forgotten, s.
+pub(super) const DOUBT_TIME: f64 = 0.1;
+/// Time for which samples are judged, s.
+pub(super) const EVIDENCE_TIME: f64 = 0.5;
+/// Time for which a cause is told after all is well again, s.
+pub(super) const CAUSE_PERSISTS: f64 = 1.0;
+/// Least mean of r²/S under the best explanation by which evidence is divided.
+pub(super) const LEAST_SCATTER: f64 = 1.0;
+/// Standard deviations of the sizes of faults before any sample.
+pub(super) struct Sizes {
+    /// Of torques, in torque scales; forces and weights are as large at the mean length.
+    pub(super) torque: f64,
+    /// Of the offset of an encoder, rad.
+    pub(super) offset: f64,
+    /// Of the delay of the samples, s.
+    pub(super) delay: f64,
+    /// Of the logarithm of a mass.
+    pub(super) mass: f64,
+    /// Rate at which viscous friction is as large as a torque, rad/s.
+    pub(super) rate: f64,
+    /// Of the logarithm of the factor of dry friction.
+    pub(super) friction: f64,
+}
+/// Sizes of faults.
+pub(super) const SIZES: Sizes = Sizes { torque: 1.0, offset: 0.1, delay: 5e-3, mass: 0.1, rate: 10.0, friction: 1.0 };

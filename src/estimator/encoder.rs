@@ -253,6 +253,11 @@ impl Encoder {
         self.believed_for = 0.0;
     }
 
+    /// Whether the encoder fails: samples have been rejected in a row, or are not valid.
+    pub(super) fn fails(&self) -> bool {
+        self.fault > Fault::Rejected || self.rejected_in_a_row > 1
+    }
+
     /// Whether the reading has jumped away from the estimate.
     pub(super) fn is_away(&self) -> bool {
         self.jump != 0.0

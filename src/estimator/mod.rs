@@ -22,6 +22,7 @@ pub mod alarm;
 mod bands;
 pub mod bank;
 pub mod belief;
+mod cause;
 mod constants;
 pub mod encoder;
 pub mod flow;
@@ -42,6 +43,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 pub use alarm::Alarm;
 pub use bank::Innovation;
 pub use belief::Belief;
+pub use cause::Cause;
+use cause::Causes;
 use constants::{
     BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, LARGEST_NIS, LEARNING_PERSISTENCE,
     LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
@@ -95,6 +98,7 @@ pub struct Estimator {
     history: History,
     forecast: Forecast,
     alarm: Alarm,
+    causes: Causes,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
     /// Innovation of the last sample of each encoder, rad.
@@ -128,6 +132,7 @@ impl Estimator {
             history: History::default(),
             forecast: Forecast::default(),
             alarm: Alarm::default(),
+            causes: Causes::default(),
             restarted: false,
             innovation: [0.0; 2],
             nis: 0.0,
@@ -183,6 +188,7 @@ impl Estimator {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
                 self.unaided.correct(&error, &turn);
+                self.causes.correct(&error, &turn);
                 if let Some(learning) = &mut self.learning {
                     learning.correct(&self.belief.bank, &turn);
                 }
@@ -191,7 +197,7 @@ impl Estimator {
             // No closed configuration is near the corrected one: the covariance is worthless.
             None => {
                 self.belief.bank = bank::Bank::new(constants.start_variances());
-                self.unaided = Unaided::default();
+                (self.unaided, self.causes) = (Unaided::default(), Causes::default());
                 self.learn_anew(constants);
             }
         }
@@ -245,6 +251,7 @@ impl Estimator {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
+            self.causes.receive((i, rate), &innovation, (&self.belief.bank.members, own));
             let sigma = self.encoders[i].white_sigma(sigma[i], rate);
             let force = || self.alarm.reference_force(frame).norm();
             let change = innovation.residual - std::mem::replace(&mut self.innovation[i], innovation.residual);
@@ -311,7 +318,7 @@ impl Estimator {
         self.unaided = Unaided::default();
         self.learn_anew(constants);
         self.encoders.iter_mut().for_each(Encoder::settle_anew);
-        (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
+        (self.alarm, self.causes, self.held, self.restarted) = (Alarm::default(), Causes::default(), false, true);
         Some(anew)
     }
 
@@ -352,7 +359,7 @@ impl Estimator {
         self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
         self.history.clear();
-        self.unaided = Unaided::default();
+        (self.unaided, self.causes) = (Unaided::default(), Causes::default());
         constants.linkage.frame(&motion.theta)
     }
 
@@ -421,6 +428,9 @@ impl Estimator {
             }
         }
         self.unaided.predict(&step, &noise, [scale, observable], timing);
+        let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
+        let by_parameters = || scene.by_learned(from, &self.belief.force, &((to.omega - from.omega) / h));
+        self.causes.predict(&step, &noise, [scale, observable], (wrong, h), by_parameters);
         self.held = step.held;
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
@@ -491,6 +501,23 @@ impl Estimator {
         self.alarm.is_on()
     }
 
+    /// Whether derivatives by masses and friction are asked for.
+    pub fn asks_for_parameters(&self) -> bool {
+        self.learning.is_some() || self.causes.are_judged()
+    }
+
+    /// Most probable cause of what is wrong, and its probability.
+    pub fn cause(&self, constants: &Constants) -> (Cause, f64) {
+        let fault = |i: usize| self.encoders[i].fault;
+        if [0, 1].into_iter().any(|i| matches!(fault(i), Fault::Late | Fault::Future)) {
+            return (Cause::Timing, 1.0);
+        }
+        match [0, 1].into_iter().find(|i| matches!(fault(*i), Fault::Stuck | Fault::Invalid)) {
+            Some(i) => (Cause::Encoder(i), 1.0),
+            None => self.causes.told(constants, [0, 1].into_iter().find(|i| self.encoders[*i].is_away())),
+        }
+    }
+
     /// Probability of a direct singularity within the horizon under the held inputs of `scene`, which include the unknown force: the fraction
     /// of 13 motions, those of the sigma points and of their mean, that meet one.
     pub fn singularity_probability(&self, constants: &Constants, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
@@ -507,7 +534,7 @@ impl Estimator {
         if !self.encoders.iter().all(Encoder::is_sound) || !self.history.is_sound() || !self.forecast.is_sound(linkage) {
             return Err("a sample, the history or the forecast of its estimator is not valid");
         }
-        if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() {
+        if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() || !self.causes.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         if self.learning.is_some() != constants.prior.is_some()

@@ -10,7 +10,7 @@ use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
 use crate::estimator::learning::{DRY, Learned, MASSES};
-use crate::estimator::{self, Constants, Estimator, Fault, LinkState, Measured, Status};
+use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, Measured, Status};
 use crate::mechanism::SceneError;
 
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
@@ -99,7 +99,11 @@ impl Following {
         let (turns, from) = (run.turns, run.motion(model));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         // The weights have been checked by the model.
-        let bodies = estimate.estimator.learned().and_then(|learned| Bodies::new(&parameters.with_learned(&learned)).ok());
+        let bodies = match estimate.estimator.learned() {
+            Some(learned) => Bodies::new(&parameters.with_learned(&learned)).ok(),
+            None if estimate.estimator.asks_for_parameters() => Bodies::new(parameters).ok(),
+            None => None,
+        };
         let scene = FollowedScene { model, inputs, turns: &turns, learned: bodies.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
@@ -207,6 +211,11 @@ impl Following {
         let scene = FollowedScene { model, inputs: held, turns: &run.turns, learned: None };
         let step = parameters.settings.step_size;
         self.estimate.estimator.singularity_probability(&self.constants, &self.motion(), &scene, step)
+    }
+
+    /// Most probable cause of what is wrong, and its probability.
+    pub fn cause(&self) -> (Cause, f64) {
+        self.estimate.estimator.cause(&self.constants)
     }
 
     /// The estimator.

@@ -6,6 +6,7 @@
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 
 pub mod benchmark;
+pub mod causes;
 pub mod compare;
 pub mod detection;
 pub mod faults;

@@ -17,6 +17,11 @@ impl Figure {
         Self { name, value, allowed: Some([f64::NEG_INFINITY, most]), remark }
     }
 
+    /// A figure with a lower bound.
+    pub fn at_least(name: String, value: f64, least: f64, remark: String) -> Self {
+        Self { name, value, allowed: Some([least, f64::INFINITY]), remark }
+    }
+
     /// A figure that must lie between two values.
     pub fn between(name: String, value: f64, allowed: [f64; 2], remark: String) -> Self {
         Self { name, value, allowed: Some(allowed), remark }
@@ -61,6 +66,7 @@ impl Table {
             let (allowed, reached) = match allowed {
                 None => (String::new(), ""),
                 Some([f64::NEG_INFINITY, most]) => (format!("≤ {most}"), if figure.is_reached() { "yes" } else { "NO" }),
+                Some([least, f64::INFINITY]) => (format!("≥ {least}"), if figure.is_reached() { "yes" } else { "NO" }),
                 Some([least, most]) => (format!("{least} to {most}"), if figure.is_reached() { "yes" } else { "NO" }),
             };
             writeln!(text, "| {name} | {} | {allowed} | {reached} | {remark} |", shown(*value)).expect("a String can be written");

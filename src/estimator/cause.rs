@@ -1,0 +1,303 @@
+//! Causes: which of several explanations the samples since something went wrong speak for.
+//!
+//! From the first sample that surprises on, a Kalman filter that knows of no fault follows the errors beside the bank. A fault of constant
+//! size u shows in its innovations r as a known response G, since the filter is linear (Friedland, IEEE Trans. Automatic Control 14 (1969)
+//! 359; Willsky and Jones, 21 (1976) 108):
+//!
+//! ```text
+//! V ← F V + B      G = H V + D      V ← V − K G      r ~ N(G u, S)
+//! ```
+//!
+//! with B by torques, tip forces and parameters, and D by encoders and clocks. Sums of GᵀG/S and G r/S give the evidence of each
+//! explanation, its size integrated over its prior, so that an explanation with more freedom pays for it.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
+
+use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, Member, turned};
+use super::constants::{
+    CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LARGEST_NIS, LEAST_SCATTER, SIZES, SURPRISE, TAKEN_AS_KNOWN,
+};
+use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
+use super::parameters::Constants;
+use super::propagation::{ProcessNoise, Propagation, propagated, transformed};
+use super::stored;
+use super::tangent::{Frame, Pair};
+
+/// What went wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Cause {
+    /// Nothing.
+    #[default]
+    None,
+    /// A torque at a motor, 0: left, 1: right.
+    Torque(usize),
+    /// A force at the tip.
+    TipForce,
+    /// An encoder, 0: left, 1: right.
+    Encoder(usize),
+    /// Masses or friction other than the parameters.
+    Parameters,
+    /// Times of the samples.
+    Timing,
+}
+
+impl Cause {
+    /// All causes.
+    const ALL: [Self; 8] = [
+        Self::None,
+        Self::Torque(0),
+        Self::Torque(1),
+        Self::TipForce,
+        Self::Encoder(0),
+        Self::Encoder(1),
+        Self::Parameters,
+        Self::Timing,
+    ];
+
+    /// Number as told to a master.
+    pub fn number(self) -> usize {
+        Self::ALL.iter().position(|cause| *cause == self).unwrap_or_default()
+    }
+}
+
+/// First columns of the responses: torques of both motors, force at the tip, offsets of both encoders, delay, parameters.
+const TORQUES: usize = 0;
+const TIP: usize = 2;
+const OFFSETS: usize = 4;
+const DELAY: usize = 6;
+const PARAMETERS: usize = 7;
+/// Number of columns.
+const FAULTS: usize = PARAMETERS + LEARNED;
+
+/// Responses of the errors to faults of unit size, by columns.
+type Responses = SMatrix<f64, ERRORS, FAULTS>;
+/// A number for each fault.
+type Faults = SVector<f64, FAULTS>;
+
+/// Filter that knows of no fault, and what its innovations say of each.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Witness {
+    /// Duration, s.
+    age: f64,
+    /// Time since something last was wrong, s.
+    calm: f64,
+    /// Whether something has been wrong.
+    confirmed: bool,
+    /// Mean error about the estimate's motion.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    error: Error,
+    /// Its covariance.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    covariance: Matrix,
+    /// Responses V.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    responses: Responses,
+    /// Sums of G²/S of each fault, and of the product of both components of a force at the tip.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    information: Faults,
+    across: f64,
+    /// Sums of G r/S.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    told: Faults,
+    /// Sum of r²/S, and number of samples.
+    squares: f64,
+    samples: f64,
+}
+
+/// Judge of the causes: at work from a surprise on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Causes(Option<Witness>);
+
+impl Causes {
+    /// Whether responses of parameters are asked for.
+    pub(super) fn are_judged(&self) -> bool {
+        self.0.is_some_and(|witness| witness.age < EVIDENCE_TIME)
+    }
+
+    /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s, before the estimate's own. `models` are those of
+    /// the estimate, which expects the sample with a normalised innovation squared `nis`.
+    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation, (models, nis): (&[Member], f64)) {
+        // NaN surprises.
+        if self.0.is_none() && !(nis <= SURPRISE) {
+            let Member { error, covariance, .. } = models[CAUSE_MODEL];
+            self.0 = Some(Witness::new(error, covariance));
+        }
+        let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) else { return };
+        witness.receive((i, rate), sample);
+    }
+
+    /// Follows a correction of the motion by an error that turns its tangent basis.
+    pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
+        if let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+            witness.error = turned(turn, &(witness.error - error));
+            witness.covariance = turned(turn, &turned(turn, &witness.covariance).transpose());
+            witness.covariance.fill_upper_triangle_with_lower_triangle();
+            witness.responses = turned(turn, &witness.responses);
+        }
+    }
+
+    /// Time update by h seconds: `wrong` says whether an alarm is raised or an encoder fails; `parameters` are the accelerations by those that
+    /// may be learned.
+    pub(super) fn predict(
+        &mut self,
+        step: &Propagation,
+        noise: &ProcessNoise,
+        [scale, inertia]: [f64; 2],
+        (wrong, h): (bool, f64),
+        parameters: impl FnOnce() -> SMatrix<f64, 4, LEARNED>,
+    ) {
+        let Some(witness) = &mut self.0 else { return };
+        witness.calm = if wrong { 0.0 } else { witness.calm + h };
+        witness.confirmed |= wrong;
+        if step.held || witness.calm > if witness.confirmed { CAUSE_PERSISTS } else { DOUBT_TIME } {
+            self.0 = None;
+            return;
+        }
+        if witness.age < EVIDENCE_TIME {
+            witness.predict(step, noise, [scale, inertia], &parameters());
+        }
+        witness.age += h;
+    }
+
+    /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
+    pub(super) fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
+        let Some(witness) = self.0.filter(|witness| witness.confirmed) else { return (Cause::None, 1.0) };
+        let probabilities = witness.probabilities(constants, away);
+        let best = (1..Cause::ALL.len()).fold(0, |best, k| if probabilities[k] > probabilities[best] { k } else { best });
+        (Cause::ALL[best], probabilities[best])
+    }
+
+    /// Whether a stored value is possible.
+    #[cold]
+    pub(super) fn is_sound(&self) -> bool {
+        self.0.as_ref().is_none_or(|of| {
+            let p = &of.covariance;
+            let numbers = of.error.iter().chain(p).chain(&of.responses).chain(&of.information).chain(&of.told);
+            numbers.chain(&[of.age, of.calm, of.across, of.squares, of.samples]).all(|x| x.is_finite())
+                && *p == p.transpose()
+                && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
+                && of.information.iter().chain(&[of.age, of.calm, of.squares, of.samples]).all(|x| *x >= 0.0)
+        })
+    }
+}
+
+impl Witness {
+    fn new(error: Error, covariance: Matrix) -> Self {
+        Self {
+            age: 0.0,
+            calm: 0.0,
+            confirmed: false,
+            error,
+            covariance,
+            responses: Responses::zeros(),
+            information: Faults::zeros(),
+            across: 0.0,
+            told: Faults::zeros(),
+            squares: 0.0,
+            samples: 0.0,
+        }
+    }
+
+    #[inline(never)]
+    fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+        let Innovation { residual, row, noise } = sample;
+        let column = self.covariance * row;
+        let (off, variance) = (residual - row.dot(&self.error), row.dot(&column) + noise);
+        let mut response: Faults = self.responses.tr_mul(row);
+        response[OFFSETS + i] += 1.0;
+        response[DELAY] -= rate;
+        let gain = column / variance;
+        self.error += gain * off;
+        self.covariance -= gain * column.transpose();
+        self.covariance.fill_upper_triangle_with_lower_triangle();
+        for k in 0..ERRORS {
+            // A variance may turn negative by round-off only.
+            self.covariance[(k, k)] = self.covariance[(k, k)].max(f64::EPSILON * gain[k] * column[k]);
+        }
+        self.responses -= gain * response.transpose();
+        self.information += response.component_mul(&response) / variance;
+        self.across += response[TIP] * response[TIP + 1] / variance;
+        self.told += response * (off / variance);
+        self.squares += (off * off / variance).min(LARGEST_NIS);
+        self.samples += 1.0;
+    }
+
+    #[inline(never)]
+    fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], by: &SMatrix<f64, 4, LEARNED>) {
+        let of = &TAKEN_AS_KNOWN;
+        let white = scale * scale * of.white_torque[CAUSE_MODEL];
+        let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
+        self.error = propagated(&step.f, &self.error);
+        self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
+        let mut moved = step.f * self.responses;
+        // Generalised forces of each fault act as the unknown force does, which stays as it is.
+        let forces = generalised(&step.from, &step.mass, by);
+        let mut acted = moved.fixed_rows_mut::<FORCE>(0);
+        acted += step.f.fixed_view::<FORCE, 2>(0, FORCE) * forces;
+        self.responses = moved;
+    }
+
+    /// Probabilities of all causes.
+    fn probabilities(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
+        let size = prior_sizes(constants);
+        // Of each explanation: how much it lessens the sum of squares, its freedom, and how many share its cause.
+        let alone = |k: usize| {
+            let (free, told) = (1.0 + self.information[k] * size[k] * size[k], self.told[k] * size[k]);
+            (told * told / free, libm::log(free))
+        };
+        let tip = {
+            let (a, b) = (size[TIP], size[TIP + 1]);
+            let xy = self.across * a * b;
+            let free = Matrix2::new(1.0 + self.information[TIP] * a * a, xy, xy, 1.0 + self.information[TIP + 1] * b * b);
+            let told = Pair::new(self.told[TIP] * a, self.told[TIP + 1] * b);
+            let less = free.try_inverse().map_or(0.0, |inverse| told.dot(&(inverse * told)));
+            (less, libm::log(free.determinant().max(1.0)))
+        };
+        let mut explanations = [(0, (0.0, 0.0), 1.0); 7 + LEARNED];
+        explanations[1] = (1, alone(TORQUES), 1.0);
+        explanations[2] = (2, alone(TORQUES + 1), 1.0);
+        explanations[3] = (3, tip, 1.0);
+        explanations[4] = (4, alone(OFFSETS), 1.0);
+        explanations[5] = (5, alone(OFFSETS + 1), 1.0);
+        explanations[6] = (7, alone(DELAY), 1.0);
+        for i in 0..LEARNED {
+            explanations[7 + i] = (6, alone(PARAMETERS + i), 1.0 / LEARNED as f64);
+        }
+        let most = explanations.iter().fold(0.0_f64, |most, (_, (less, _), _)| most.max(*less));
+        // Where even the best explanation leaves more than noise, all say less.
+        let scatter = ((self.squares - most) / self.samples.max(1.0)).max(LEAST_SCATTER);
+        let evidence = |(less, freedom): (f64, f64)| 0.5 * (less / scatter - freedom);
+        let best = explanations.iter().fold(f64::NEG_INFINITY, |best, (_, of, _)| best.max(evidence(*of)));
+        let mut probabilities = [0.0; Cause::ALL.len()];
+        for (cause, of, share) in explanations {
+            let possible = away.is_none_or(|i| cause == 4 + i || cause == 7);
+            probabilities[cause] += if possible { share * libm::exp(evidence(of) - best) } else { 0.0 };
+        }
+        let sum: f64 = probabilities.iter().sum();
+        probabilities.map(|probability| probability / sum.max(f64::MIN_POSITIVE))
+    }
+}
+
+/// Generalised forces on the tangent basis by faults of unit size, N·m.
+fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LEARNED>) -> SMatrix<f64, 2, FAULTS> {
+    let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
+    forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));
+    forces.fixed_columns_mut::<LEARNED>(PARAMETERS).copy_from(&(at.basis.tr_mul(mass) * by));
+    forces
+}
+
+/// Standard deviations of the sizes of all faults before any sample.
+fn prior_sizes(constants: &Constants) -> Faults {
+    let (torque, length) = (constants.torque_scale(), constants.linkage.length);
+    Faults::from_fn(|k, _| match k {
+        _ if k < TIP => SIZES.torque * torque,
+        _ if k < OFFSETS => SIZES.torque * torque / length,
+        _ if k < DELAY => SIZES.offset,
+        DELAY => SIZES.delay,
+        _ if MASSES.contains(&(k - PARAMETERS)) => SIZES.mass,
+        _ if k - PARAMETERS == PAYLOAD => SIZES.torque * torque / (9.81 * length),
+        _ if VISCOUS.contains(&(k - PARAMETERS)) => SIZES.torque * torque / SIZES.rate,
+        _ => SIZES.friction,
+    })
+}
