@@ -14,7 +14,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
-use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, Member, turned};
+use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, turned};
 use super::constants::{
     CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LARGEST_NIS, LEAST_SCATTER, SIZES, SURPRISE, TAKEN_AS_KNOWN,
 };
@@ -87,6 +87,9 @@ struct Witness {
     /// Mean error about the estimate's motion.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     error: Error,
+    /// Error that follows its mean slowly, and so keeps the rates from before an encoder jumps.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    ahead: Error,
     /// Its covariance.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     covariance: Matrix,
@@ -115,22 +118,37 @@ impl Causes {
         self.0.is_some_and(|witness| witness.age < EVIDENCE_TIME)
     }
 
-    /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s, before the estimate's own. `models` are those of
-    /// the estimate, which expects the sample with a normalised innovation squared `nis`.
-    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation, (models, nis): (&[Member], f64)) {
+    /// Whether samples are asked for: an episode is on, or one begins by an innovation of normalised square `nis`, or by an alarm.
+    pub(super) fn look(&mut self, nis: f64, alarm: bool, start: impl FnOnce() -> (Error, Matrix)) {
         // NaN surprises.
-        if self.0.is_none() && !(nis <= SURPRISE) {
-            let Member { error, covariance, .. } = models[CAUSE_MODEL];
+        if self.0.is_none() && (alarm || !(nis <= SURPRISE)) {
+            let (error, covariance) = start();
             self.0 = Some(Witness::new(error, covariance));
         }
-        let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) else { return };
-        witness.receive((i, rate), sample);
+    }
+
+    /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s, before the estimate's own.
+    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+        if let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+            let rate = rate + sample.row[0] * witness.ahead[2] + sample.row[1] * witness.ahead[3];
+            witness.receive((i, rate), sample);
+        }
+    }
+
+    /// Ends the collection of evidence where the errors are no longer followed; `wrong`: because the estimate was.
+    #[cold]
+    pub(super) fn close(&mut self, wrong: bool) {
+        if let Some(witness) = &mut self.0 {
+            witness.age = witness.age.max(EVIDENCE_TIME);
+            witness.confirmed |= wrong;
+        }
     }
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         if let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
             witness.error = turned(turn, &(witness.error - error));
+            witness.ahead = turned(turn, &(witness.ahead - error));
             witness.covariance = turned(turn, &turned(turn, &witness.covariance).transpose());
             witness.covariance.fill_upper_triangle_with_lower_triangle();
             witness.responses = turned(turn, &witness.responses);
@@ -150,14 +168,16 @@ impl Causes {
         let Some(witness) = &mut self.0 else { return };
         witness.calm = if wrong { 0.0 } else { witness.calm + h };
         witness.confirmed |= wrong;
-        if step.held || witness.calm > if witness.confirmed { CAUSE_PERSISTS } else { DOUBT_TIME } {
+        if witness.calm > if witness.confirmed { CAUSE_PERSISTS } else { DOUBT_TIME } {
             self.0 = None;
             return;
         }
-        if witness.age < EVIDENCE_TIME {
-            witness.predict(step, noise, [scale, inertia], &parameters());
+        if witness.age < EVIDENCE_TIME && !step.held {
+            witness.predict(step, noise, [scale, inertia], &parameters(), h);
+            witness.age += h;
+        } else {
+            witness.age = EVIDENCE_TIME;
         }
-        witness.age += h;
     }
 
     /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
@@ -189,6 +209,7 @@ impl Witness {
             calm: 0.0,
             confirmed: false,
             error,
+            ahead: error,
             covariance,
             responses: Responses::zeros(),
             information: Faults::zeros(),
@@ -219,17 +240,27 @@ impl Witness {
         self.information += response.component_mul(&response) / variance;
         self.across += response[TIP] * response[TIP + 1] / variance;
         self.told += response * (off / variance);
+        if std::env::var("DEBUG").is_ok() {
+            eprintln!("{:.4} enc {i} res {:.5} off {:.5} sd {:.6} rate {:.3} D {:.4} la {:.4} nis {:.1}  delay {:.5} sq {:.0} enc {:.0} {:.0} late {:.0} erate {:.2}", self.age, residual, off, variance.sqrt(), rate, response[DELAY], response[TORQUES], off*off/variance, self.told[DELAY]/self.information[DELAY], self.squares, self.told[4].powi(2)/self.information[4], self.told[5].powi(2)/self.information[5], self.told[6].powi(2)/self.information[6], self.error.fixed_rows::<2>(2).norm());
+        }
         self.squares += (off * off / variance).min(LARGEST_NIS);
         self.samples += 1.0;
     }
 
     #[inline(never)]
-    fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], by: &SMatrix<f64, 4, LEARNED>) {
+    fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], by: &SMatrix<f64, 4, LEARNED>, h: f64) {
         let of = &TAKEN_AS_KNOWN;
         let white = scale * scale * of.white_torque[CAUSE_MODEL];
         let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
         self.error = propagated(&step.f, &self.error);
+        self.ahead = propagated(&step.f, &self.ahead);
+        self.ahead += (self.error - self.ahead) * (h / TAU()).min(1.0);
         self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
+        // What is of second order in the error of the rates is not followed.
+        let bend = self.error.fixed_rows::<2>(2).norm_squared() * h * SECOND_ORDER();
+        for k in 2..4 {
+            self.covariance[(k, k)] += bend * bend;
+        }
         let mut moved = step.f * self.responses;
         // Generalised forces of each fault act as the unknown force does, which stays as it is.
         let forces = generalised(&step.from, &step.mass, by);
@@ -300,4 +331,14 @@ fn prior_sizes(constants: &Constants) -> Faults {
         _ if VISCOUS.contains(&(k - PARAMETERS)) => SIZES.torque * torque / SIZES.rate,
         _ => SIZES.friction,
     })
+}
+
+#[allow(non_snake_case)]
+fn SECOND_ORDER() -> f64 {
+    std::env::var("SECOND").ok().and_then(|x| x.parse().ok()).unwrap_or(1.0)
+}
+
+#[allow(non_snake_case)]
+fn TAU() -> f64 {
+    std::env::var("TAU").ok().and_then(|x| x.parse().ok()).unwrap_or(0.03)
 }

@@ -197,7 +197,8 @@ impl Estimator {
             // No closed configuration is near the corrected one: the covariance is worthless.
             None => {
                 self.belief.bank = bank::Bank::new(constants.start_variances());
-                (self.unaided, self.causes) = (Unaided::default(), Causes::default());
+                self.unaided = Unaided::default();
+        self.causes.close(false);
                 self.learn_anew(constants);
             }
         }
@@ -251,7 +252,26 @@ impl Estimator {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
-            self.causes.receive((i, rate), &innovation, (&self.belief.bank.members, own));
+            let (bank, reference) = (&self.belief.bank, &self.alarm);
+            self.causes.look(own, reference.is_on(), || {
+                // Errors of the motion as the bank has them, and the force of before.
+                let (mut error, mut covariance) = bank.moments();
+                let before = reference.reference_force(frame) - self.belief.tangent_force(frame);
+                error.fixed_rows_mut::<2>(bank::FORCE).copy_from(&before);
+                covariance.fixed_rows_mut::<2>(bank::FORCE).fill(0.0);
+                covariance.fixed_columns_mut::<2>(bank::FORCE).fill(0.0);
+                let own = &bank.members[constants::CAUSE_MODEL].covariance;
+                let block = own.fixed_view::<2, 2>(bank::FORCE, bank::FORCE);
+                covariance.fixed_view_mut::<2, 2>(bank::FORCE, bank::FORCE).copy_from(&block);
+                (error, covariance)
+            });
+            let reading = Reading { angle, noise: innovation.noise, age: 0.0, dead_zone: 0.0 };
+            let white = self.encoders[i].white_sigma(sigma[i], rate);
+            let seen = self.encoders[i].confined_to_interval(reading, (white, quantum[i]), rate);
+            if seen.dead_zone == 0.0 {
+                let seen = Innovation { residual: innovation.residual + seen.angle - angle, noise: seen.noise, ..innovation };
+                self.causes.receive((i, rate), &seen);
+            }
             let sigma = self.encoders[i].white_sigma(sigma[i], rate);
             let force = || self.alarm.reference_force(frame).norm();
             let change = innovation.residual - std::mem::replace(&mut self.innovation[i], innovation.residual);
@@ -318,7 +338,8 @@ impl Estimator {
         self.unaided = Unaided::default();
         self.learn_anew(constants);
         self.encoders.iter_mut().for_each(Encoder::settle_anew);
-        (self.alarm, self.causes, self.held, self.restarted) = (Alarm::default(), Causes::default(), false, true);
+        self.causes.close(true);
+        (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
         Some(anew)
     }
 
@@ -359,7 +380,8 @@ impl Estimator {
         self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
         self.history.clear();
-        (self.unaided, self.causes) = (Unaided::default(), Causes::default());
+        self.unaided = Unaided::default();
+        self.causes.close(false);
         constants.linkage.frame(&motion.theta)
     }
 
