@@ -22,7 +22,7 @@ use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation, propagated, transformed};
 use super::stored;
-use super::tangent::{Frame, Pair};
+use super::tangent::Frame;
 
 /// What went wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,8 +80,6 @@ type Faults = SVector<f64, FAULTS>;
 struct Witness {
     /// Duration, s.
     age: f64,
-    /// Time since something last was wrong, s.
-    calm: f64,
     /// Whether something has been wrong.
     confirmed: bool,
     /// Mean error about the estimate's motion.
@@ -96,10 +94,9 @@ struct Witness {
     /// Responses V.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     responses: Responses,
-    /// Sums of G²/S of each fault, and of the product of both components of a force at the tip.
+    /// Sum of GᵀG/S.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    information: Faults,
-    across: f64,
+    information: SMatrix<f64, FAULTS, FAULTS>,
     /// Sums of G r/S.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     told: Faults,
@@ -110,26 +107,44 @@ struct Witness {
 
 /// Judge of the causes: at work from a surprise on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Causes(Option<Witness>);
+pub(super) struct Causes {
+    witness: Option<Witness>,
+    /// Number and probability of the last cause before the witness.
+    last: Option<(u8, f64)>,
+    /// Time since something last was wrong, s.
+    calm: f64,
+}
 
 impl Causes {
     /// Whether responses of parameters are asked for.
     pub(super) fn are_judged(&self) -> bool {
-        self.0.is_some_and(|witness| witness.age < EVIDENCE_TIME)
+        self.witness.is_some_and(|witness| witness.age < EVIDENCE_TIME)
     }
 
-    /// Whether samples are asked for: an episode is on, or one begins by an innovation of normalised square `nis`, or by an alarm.
-    pub(super) fn look(&mut self, nis: f64, alarm: bool, start: impl FnOnce() -> (Error, Matrix)) {
+    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: errors, mean and
+    /// covariance.
+    pub(super) fn look(&mut self, constants: &Constants, nis: f64, alarm: bool, start: impl FnOnce() -> (Error, Matrix)) {
         // NaN surprises.
-        if self.0.is_none() && (alarm || !(nis <= SURPRISE)) {
+        let surprises = |most: f64| !(nis <= most);
+        let begins = match &self.witness {
+            None => alarm || surprises(SURPRISE),
+            Some(witness) => {
+                witness.age > knob("SAME", 0.02) && self.calm > 0.0 && surprises(SURPRISE) || witness.age > knob("SAME2", 0.05) && surprises(knob("SURPRISE2", 30.0))
+            }
+        };
+        if begins {
+            if let Some(witness) = self.witness.filter(|witness| witness.confirmed) {
+                let (cause, probability) = witness.told(constants, None);
+                self.last = Some((cause.number() as u8, probability));
+            }
             let (error, covariance) = start();
-            self.0 = Some(Witness::new(error, covariance));
+            self.witness = Some(Witness::new(error, covariance));
         }
     }
 
     /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s, before the estimate's own.
     pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
-        if let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+        if let Some(witness) = self.witness.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
             let rate = rate + sample.row[0] * witness.ahead[2] + sample.row[1] * witness.ahead[3];
             witness.receive((i, rate), sample);
         }
@@ -138,7 +153,7 @@ impl Causes {
     /// Ends the collection of evidence where the errors are no longer followed; `wrong`: because the estimate was.
     #[cold]
     pub(super) fn close(&mut self, wrong: bool) {
-        if let Some(witness) = &mut self.0 {
+        if let Some(witness) = &mut self.witness {
             witness.age = witness.age.max(EVIDENCE_TIME);
             witness.confirmed |= wrong;
         }
@@ -146,7 +161,7 @@ impl Causes {
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
-        if let Some(witness) = self.0.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+        if let Some(witness) = self.witness.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
             witness.error = turned(turn, &(witness.error - error));
             witness.ahead = turned(turn, &(witness.ahead - error));
             witness.covariance = turned(turn, &turned(turn, &witness.covariance).transpose());
@@ -165,11 +180,12 @@ impl Causes {
         (wrong, h): (bool, f64),
         parameters: impl FnOnce() -> SMatrix<f64, 4, LEARNED>,
     ) {
-        let Some(witness) = &mut self.0 else { return };
-        witness.calm = if wrong { 0.0 } else { witness.calm + h };
+        self.calm = if wrong { 0.0 } else { (self.calm + h).min(f64::MAX) };
+        let Some(witness) = &mut self.witness else { return };
         witness.confirmed |= wrong;
-        if witness.calm > if witness.confirmed { CAUSE_PERSISTS } else { DOUBT_TIME } {
-            self.0 = None;
+        let forgotten = if witness.confirmed { self.calm > CAUSE_PERSISTS } else { witness.age > DOUBT_TIME };
+        if forgotten {
+            self.witness = None;
             return;
         }
         if witness.age < EVIDENCE_TIME && !step.held {
@@ -182,22 +198,27 @@ impl Causes {
 
     /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
     pub(super) fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
-        let Some(witness) = self.0.filter(|witness| witness.confirmed) else { return (Cause::None, 1.0) };
-        let probabilities = witness.probabilities(constants, away);
-        let best = (1..Cause::ALL.len()).fold(0, |best, k| if probabilities[k] > probabilities[best] { k } else { best });
-        (Cause::ALL[best], probabilities[best])
+        match (self.witness.filter(|witness| witness.confirmed), self.last) {
+            (Some(witness), _) => witness.told(constants, away),
+            (None, Some((cause, probability))) if self.calm < CAUSE_PERSISTS => (Cause::ALL[usize::from(cause)], probability),
+            _ => (Cause::None, 1.0),
+        }
+    }
+
+    pub(super) fn debug(&self) -> String {
+        format!("calm {:.3} last {:?}", self.calm, self.last) + &self.witness.map_or("none".into(), |of| format!("age {:.3} confirmed {} sq {:.0} n {}", of.age, of.confirmed, of.squares, of.samples))
     }
 
     /// Whether a stored value is possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        self.0.as_ref().is_none_or(|of| {
+        self.witness.as_ref().is_none_or(|of| {
             let p = &of.covariance;
             let numbers = of.error.iter().chain(p).chain(&of.responses).chain(&of.information).chain(&of.told);
-            numbers.chain(&[of.age, of.calm, of.across, of.squares, of.samples]).all(|x| x.is_finite())
+            numbers.chain(&[of.age, of.squares, of.samples]).all(|x| x.is_finite())
                 && *p == p.transpose()
                 && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
-                && of.information.iter().chain(&[of.age, of.calm, of.squares, of.samples]).all(|x| *x >= 0.0)
+                && [of.age, of.squares, of.samples].iter().all(|x| *x >= 0.0)
         })
     }
 }
@@ -206,14 +227,12 @@ impl Witness {
     fn new(error: Error, covariance: Matrix) -> Self {
         Self {
             age: 0.0,
-            calm: 0.0,
             confirmed: false,
             error,
             ahead: error,
             covariance,
             responses: Responses::zeros(),
-            information: Faults::zeros(),
-            across: 0.0,
+            information: SMatrix::zeros(),
             told: Faults::zeros(),
             squares: 0.0,
             samples: 0.0,
@@ -237,11 +256,10 @@ impl Witness {
             self.covariance[(k, k)] = self.covariance[(k, k)].max(f64::EPSILON * gain[k] * column[k]);
         }
         self.responses -= gain * response.transpose();
-        self.information += response.component_mul(&response) / variance;
-        self.across += response[TIP] * response[TIP + 1] / variance;
+        self.information += response * (response / variance).transpose();
         self.told += response * (off / variance);
         if std::env::var("DEBUG").is_ok() {
-            eprintln!("{:.4} enc {i} res {:.5} off {:.5} sd {:.6} rate {:.3} D {:.4} la {:.4} nis {:.1}  delay {:.5} sq {:.0} enc {:.0} {:.0} late {:.0} erate {:.2}", self.age, residual, off, variance.sqrt(), rate, response[DELAY], response[TORQUES], off*off/variance, self.told[DELAY]/self.information[DELAY], self.squares, self.told[4].powi(2)/self.information[4], self.told[5].powi(2)/self.information[5], self.told[6].powi(2)/self.information[6], self.error.fixed_rows::<2>(2).norm());
+            eprintln!("{:.4} enc {i} res {:.5} off {:.5} sd {:.6} rate {:.3} D {:.4} la {:.4} nis {:.1}  delay {:.5} sq {:.0} enc {:.0} {:.0} late {:.0} erate {:.2}", self.age, residual, off, variance.sqrt(), rate, response[DELAY], response[TORQUES], off*off/variance, self.told[DELAY]/self.information[(DELAY,DELAY)], self.squares, self.told[4].powi(2)/self.information[(4,4)], self.told[5].powi(2)/self.information[(5,5)], self.told[6].powi(2)/self.information[(6,6)], self.error.fixed_rows::<2>(2).norm());
         }
         self.squares += (off * off / variance).min(LARGEST_NIS);
         self.samples += 1.0;
@@ -251,7 +269,8 @@ impl Witness {
     fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], by: &SMatrix<f64, 4, LEARNED>, h: f64) {
         let of = &TAKEN_AS_KNOWN;
         let white = scale * scale * of.white_torque[CAUSE_MODEL];
-        let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
+        let white = white * knob("WHITE", 1.0);
+        let walk = scale * scale * of.force_walk[CAUSE_MODEL] * knob("WALK", 1.0) + inertia * inertia * of.mass_walk[CAUSE_MODEL] * knob("MASSWALK", 1.0);
         self.error = propagated(&step.f, &self.error);
         self.ahead = propagated(&step.f, &self.ahead);
         self.ahead += (self.error - self.ahead) * (h / TAU()).min(1.0);
@@ -264,50 +283,71 @@ impl Witness {
         let mut moved = step.f * self.responses;
         // Generalised forces of each fault act as the unknown force does, which stays as it is.
         let forces = generalised(&step.from, &step.mass, by);
+        if self.age == 0.0 {
+            // What masses do has been in the unknown force before.
+            let before = -turned_force(step, &forces);
+            let mut of = moved.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
+            of += before.fixed_columns::<4>(PARAMETERS + MASSES.start);
+        }
         let mut acted = moved.fixed_rows_mut::<FORCE>(0);
         acted += step.f.fixed_view::<FORCE, 2>(0, FORCE) * forces;
         self.responses = moved;
     }
 
+    /// Most probable cause and its probability.
+    fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
+        let probabilities = self.probabilities(constants, away);
+        let best = (1..Cause::ALL.len()).fold(0, |best, k| if probabilities[k] > probabilities[best] { k } else { best });
+        (Cause::ALL[best], probabilities[best])
+    }
+
     /// Probabilities of all causes.
     fn probabilities(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
-        let size = prior_sizes(constants);
-        // Of each explanation: how much it lessens the sum of squares, its freedom, and how many share its cause.
-        let alone = |k: usize| {
-            let (free, told) = (1.0 + self.information[k] * size[k] * size[k], self.told[k] * size[k]);
-            (told * told / free, libm::log(free))
-        };
-        let tip = {
-            let (a, b) = (size[TIP], size[TIP + 1]);
-            let xy = self.across * a * b;
-            let free = Matrix2::new(1.0 + self.information[TIP] * a * a, xy, xy, 1.0 + self.information[TIP + 1] * b * b);
-            let told = Pair::new(self.told[TIP] * a, self.told[TIP + 1] * b);
-            let less = free.try_inverse().map_or(0.0, |inverse| told.dot(&(inverse * told)));
-            (less, libm::log(free.determinant().max(1.0)))
-        };
-        let mut explanations = [(0, (0.0, 0.0), 1.0); 7 + LEARNED];
-        explanations[1] = (1, alone(TORQUES), 1.0);
-        explanations[2] = (2, alone(TORQUES + 1), 1.0);
-        explanations[3] = (3, tip, 1.0);
-        explanations[4] = (4, alone(OFFSETS), 1.0);
-        explanations[5] = (5, alone(OFFSETS + 1), 1.0);
-        explanations[6] = (7, alone(DELAY), 1.0);
-        for i in 0..LEARNED {
-            explanations[7 + i] = (6, alone(PARAMETERS + i), 1.0 / LEARNED as f64);
-        }
-        let most = explanations.iter().fold(0.0_f64, |most, (_, (less, _), _)| most.max(*less));
+        let (sizes, known) = (prior_sizes(constants), PARAMETERS + MASSES.start..PARAMETERS + MASSES.end);
+        let explained = Cause::ALL.map(|cause| {
+            let free = match cause {
+                Cause::None => 0..0,
+                Cause::Torque(i) => TORQUES + i..TORQUES + i + 1,
+                Cause::TipForce => TIP..OFFSETS,
+                Cause::Encoder(i) => OFFSETS + i..OFFSETS + i + 1,
+                Cause::Parameters => known.end..FAULTS,
+                Cause::Timing => DELAY..PARAMETERS,
+            };
+            // Masses are never exact.
+            self.explained(&Faults::from_fn(|k, _| if known.contains(&k) || free.contains(&k) { sizes[k] } else { 0.0 }))
+        });
+        let most = explained.iter().fold(0.0_f64, |most, (less, _)| most.max(*less));
         // Where even the best explanation leaves more than noise, all say less.
         let scatter = ((self.squares - most) / self.samples.max(1.0)).max(LEAST_SCATTER);
-        let evidence = |(less, freedom): (f64, f64)| 0.5 * (less / scatter - freedom);
-        let best = explanations.iter().fold(f64::NEG_INFINITY, |best, (_, of, _)| best.max(evidence(*of)));
-        let mut probabilities = [0.0; Cause::ALL.len()];
-        for (cause, of, share) in explanations {
-            let possible = away.is_none_or(|i| cause == 4 + i || cause == 7);
-            probabilities[cause] += if possible { share * libm::exp(evidence(of) - best) } else { 0.0 };
-        }
+        let evidence = explained.map(|(less, freedom)| 0.5 * (less / scatter - freedom));
+        let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
+        let probabilities: [f64; Cause::ALL.len()] = std::array::from_fn(|k| {
+            let possible = away.is_none_or(|i| [Cause::Encoder(i), Cause::Timing].contains(&Cause::ALL[k]));
+            if possible { libm::exp(evidence[k] - best) } else { 0.0 }
+        });
         let sum: f64 = probabilities.iter().sum();
         probabilities.map(|probability| probability / sum.max(f64::MIN_POSITIVE))
     }
+
+    /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.
+    fn explained(&self, sizes: &Faults) -> (f64, f64) {
+        let scaled = |x: &Faults| x.component_mul(sizes);
+        let mut free = SMatrix::<f64, FAULTS, FAULTS>::identity();
+        for k in 0..FAULTS {
+            let column: Faults = scaled(&self.information.column(k).into_owned()) * sizes[k];
+            let mut into = free.column_mut(k);
+            into += column;
+        }
+        let told = scaled(&self.told);
+        // Round-off alone keeps the matrix from being positive definite.
+        free.cholesky().map_or((0.0, 0.0), |factor| {
+            (told.dot(&factor.solve(&told)), 2.0 * factor.l_dirty().diagonal().iter().map(|x| libm::log(*x)).sum::<f64>())
+        })
+    }
+}
+
+fn turned_force(step: &Propagation, forces: &SMatrix<f64, 2, FAULTS>) -> SMatrix<f64, 2, FAULTS> {
+    step.f.fixed_view::<2, 2>(FORCE, FORCE) * forces
 }
 
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
@@ -326,7 +366,7 @@ fn prior_sizes(constants: &Constants) -> Faults {
         _ if k < OFFSETS => SIZES.torque * torque / length,
         _ if k < DELAY => SIZES.offset,
         DELAY => SIZES.delay,
-        _ if MASSES.contains(&(k - PARAMETERS)) => SIZES.mass,
+        _ if MASSES.contains(&(k - PARAMETERS)) => knob("MASS", SIZES.mass),
         _ if k - PARAMETERS == PAYLOAD => SIZES.torque * torque / (9.81 * length),
         _ if VISCOUS.contains(&(k - PARAMETERS)) => SIZES.torque * torque / SIZES.rate,
         _ => SIZES.friction,
@@ -341,4 +381,8 @@ fn SECOND_ORDER() -> f64 {
 #[allow(non_snake_case)]
 fn TAU() -> f64 {
     std::env::var("TAU").ok().and_then(|x| x.parse().ok()).unwrap_or(0.03)
+}
+
+fn knob(name: &str, value: f64) -> f64 {
+    std::env::var(name).ok().and_then(|x| x.parse().ok()).unwrap_or(value)
 }

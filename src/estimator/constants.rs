@@ -287,4 +287,4 @@ pub(super) struct Sizes {
     pub(super) friction: f64,
 }
 /// Sizes of faults.
-pub(super) const SIZES: Sizes = Sizes { torque: 1.0, offset: 0.1, delay: 5e-3, mass: 0.1, rate: 10.0, friction: 1.0 };
+pub(super) const SIZES: Sizes = Sizes { torque: 1.0, offset: 0.1, delay: 5e-3, mass: 0.05, rate: 10.0, friction: 1.0 };

@@ -253,7 +253,7 @@ impl Estimator {
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
             let (bank, reference) = (&self.belief.bank, &self.alarm);
-            self.causes.look(own, reference.is_on(), || {
+            self.causes.look(constants, own, reference.is_on(), || {
                 // Errors of the motion as the bank has them, and the force of before.
                 let (mut error, mut covariance) = bank.moments();
                 let before = reference.reference_force(frame) - self.belief.tangent_force(frame);
@@ -528,6 +528,8 @@ impl Estimator {
         self.learning.is_some() || self.causes.are_judged()
     }
 
+    /// x
+    pub fn debug(&self) -> String { format!("{} {:?}", self.causes.debug(), self.status()) }
     /// Most probable cause of what is wrong, and its probability.
     pub fn cause(&self, constants: &Constants) -> (Cause, f64) {
         let fault = |i: usize| self.encoders[i].fault;

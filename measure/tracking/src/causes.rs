@@ -86,6 +86,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, fault: Fault, random: &mut Random
     for step in 0..((onset + ASKED) / h).round() as u64 {
         let time = step as f64 * h;
         if time >= onset && !failing {
+            if std::env::var("SHOW").is_ok() { println!("onset {onset:.3} {fault:?} {}", twin.estimator().debug()); }
             failing = true;
             let effects = &mut scenario.truth.effects;
             match fault {
@@ -134,6 +135,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, fault: Fault, random: &mut Random
             told = (0, 1.0);
         }
     }
+    if std::env::var("SHOW").is_ok() { println!("  end {}", twin.estimator().debug()); }
     Told { fault: fault.number(), cause: told.0, probability: told.1 }
 }
 
