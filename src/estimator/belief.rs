@@ -3,8 +3,8 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, ERRORS, Error, FORCE};
-use super::constants::LARGEST_RATE;
+use super::bank::{Bank, ERRORS, Error, FORCE, Matrix};
+use super::constants::{CAUSE_MODEL, LARGEST_RATE};
 use super::flow::unit_forces;
 use super::stored;
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
@@ -51,6 +51,19 @@ impl Belief {
         self.bank.subtract_mean(&error);
         self.bank.change_basis(&turn);
         Some((error, turn, to))
+    }
+
+    /// Mean and covariance of the errors with another force, by its change on the tangent basis, N·m, which is as certain as that of a quiet
+    /// model and uncorrelated with the motion.
+    #[cold]
+    pub(super) fn with_force(&self, change: &Pair) -> (Error, Matrix) {
+        let (mut error, mut covariance) = self.bank.moments();
+        let certain = self.bank.members[CAUSE_MODEL].covariance.fixed_view::<2, 2>(FORCE, FORCE).into_owned();
+        error.fixed_rows_mut::<2>(FORCE).copy_from(change);
+        covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
+        covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
+        covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&certain);
+        (error, covariance)
     }
 
     /// Whether a stored belief about a motion is possible: closed loop, finite force, sound bank.

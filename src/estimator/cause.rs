@@ -16,7 +16,8 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
 use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, turned};
 use super::constants::{
-    CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LARGEST_NIS, LEAST_SCATTER, SIZES, SURPRISE, TAKEN_AS_KNOWN,
+    CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LARGEST_NIS, LEAST_SCATTER, RATES_PERSIST, SAME_SURPRISE, SIZES,
+    SURPRISE, TAKEN_AS_KNOWN, UNEXPLAINED,
 };
 use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
 use super::parameters::Constants;
@@ -121,16 +122,13 @@ impl Causes {
         self.witness.is_some_and(|witness| witness.age < EVIDENCE_TIME)
     }
 
-    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: errors, mean and
-    /// covariance.
+    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
+    /// the errors.
     pub(super) fn look(&mut self, constants: &Constants, nis: f64, alarm: bool, start: impl FnOnce() -> (Error, Matrix)) {
-        // NaN surprises.
-        let surprises = |most: f64| !(nis <= most);
+        let surprises = nis.is_nan() || nis > SURPRISE;
         let begins = match &self.witness {
-            None => alarm || surprises(SURPRISE),
-            Some(witness) => {
-                witness.age > knob("SAME", 0.02) && self.calm > 0.0 && surprises(SURPRISE) || witness.age > knob("SAME2", 0.05) && surprises(knob("SURPRISE2", 30.0))
-            }
+            None => alarm || surprises,
+            Some(witness) => surprises && self.calm > 0.0 && witness.age > SAME_SURPRISE,
         };
         if begins {
             if let Some(witness) = self.witness.filter(|witness| witness.confirmed) {
@@ -181,10 +179,13 @@ impl Causes {
         parameters: impl FnOnce() -> SMatrix<f64, 4, LEARNED>,
     ) {
         self.calm = if wrong { 0.0 } else { (self.calm + h).min(f64::MAX) };
+        if self.calm > CAUSE_PERSISTS {
+            self.last = None;
+        }
         let Some(witness) = &mut self.witness else { return };
         witness.confirmed |= wrong;
         let forgotten = if witness.confirmed { self.calm > CAUSE_PERSISTS } else { witness.age > DOUBT_TIME };
-        if forgotten {
+        if forgotten || !witness.is_finite() {
             self.witness = None;
             return;
         }
@@ -205,21 +206,11 @@ impl Causes {
         }
     }
 
-    pub(super) fn debug(&self) -> String {
-        format!("calm {:.3} last {:?}", self.calm, self.last) + &self.witness.map_or("none".into(), |of| format!("age {:.3} confirmed {} sq {:.0} n {}", of.age, of.confirmed, of.squares, of.samples))
-    }
-
     /// Whether a stored value is possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        self.witness.as_ref().is_none_or(|of| {
-            let p = &of.covariance;
-            let numbers = of.error.iter().chain(p).chain(&of.responses).chain(&of.information).chain(&of.told);
-            numbers.chain(&[of.age, of.squares, of.samples]).all(|x| x.is_finite())
-                && *p == p.transpose()
-                && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
-                && [of.age, of.squares, of.samples].iter().all(|x| *x >= 0.0)
-        })
+        let told = self.last.is_none_or(|(cause, of)| usize::from(cause) < Cause::ALL.len() && (0.0..=1.0).contains(&of));
+        told && self.calm >= 0.0 && self.witness.as_ref().is_none_or(Witness::is_sound)
     }
 }
 
@@ -239,6 +230,23 @@ impl Witness {
         }
     }
 
+    /// Whether all numbers are finite.
+    fn is_finite(&self) -> bool {
+        let errors = self.error.iter().chain(&self.ahead).chain(&self.covariance).chain(&self.responses);
+        errors.chain(&self.information).chain(&self.told).chain(&[self.age, self.squares, self.samples]).all(|x| x.is_finite())
+    }
+
+    /// Whether stored values are possible.
+    #[cold]
+    fn is_sound(&self) -> bool {
+        let p = &self.covariance;
+        self.is_finite()
+            && *p == p.transpose()
+            && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
+            && [self.age, self.squares, self.samples].iter().all(|x| *x >= 0.0)
+    }
+
+    /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s.
     #[inline(never)]
     fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
         let Innovation { residual, row, noise } = sample;
@@ -258,25 +266,29 @@ impl Witness {
         self.responses -= gain * response.transpose();
         self.information += response * (response / variance).transpose();
         self.told += response * (off / variance);
-        if std::env::var("DEBUG").is_ok() {
-            eprintln!("{:.4} enc {i} res {:.5} off {:.5} sd {:.6} rate {:.3} D {:.4} la {:.4} nis {:.1}  delay {:.5} sq {:.0} enc {:.0} {:.0} late {:.0} erate {:.2}", self.age, residual, off, variance.sqrt(), rate, response[DELAY], response[TORQUES], off*off/variance, self.told[DELAY]/self.information[(DELAY,DELAY)], self.squares, self.told[4].powi(2)/self.information[(4,4)], self.told[5].powi(2)/self.information[(5,5)], self.told[6].powi(2)/self.information[(6,6)], self.error.fixed_rows::<2>(2).norm());
-        }
         self.squares += (off * off / variance).min(LARGEST_NIS);
         self.samples += 1.0;
     }
 
+    /// Time update by h seconds; `by` are the accelerations by parameters.
     #[inline(never)]
-    fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], by: &SMatrix<f64, 4, LEARNED>, h: f64) {
+    fn predict(
+        &mut self,
+        step: &Propagation,
+        noise: &ProcessNoise,
+        [scale, inertia]: [f64; 2],
+        by: &SMatrix<f64, 4, LEARNED>,
+        h: f64,
+    ) {
         let of = &TAKEN_AS_KNOWN;
         let white = scale * scale * of.white_torque[CAUSE_MODEL];
-        let white = white * knob("WHITE", 1.0);
-        let walk = scale * scale * of.force_walk[CAUSE_MODEL] * knob("WALK", 1.0) + inertia * inertia * of.mass_walk[CAUSE_MODEL] * knob("MASSWALK", 1.0);
+        let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
         self.error = propagated(&step.f, &self.error);
         self.ahead = propagated(&step.f, &self.ahead);
-        self.ahead += (self.error - self.ahead) * (h / TAU()).min(1.0);
+        self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);
         self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
         // What is of second order in the error of the rates is not followed.
-        let bend = self.error.fixed_rows::<2>(2).norm_squared() * h * SECOND_ORDER();
+        let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
         for k in 2..4 {
             self.covariance[(k, k)] += bend * bend;
         }
@@ -285,9 +297,9 @@ impl Witness {
         let forces = generalised(&step.from, &step.mass, by);
         if self.age == 0.0 {
             // What masses do has been in the unknown force before.
-            let before = -turned_force(step, &forces);
+            let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * forces;
             let mut of = moved.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
-            of += before.fixed_columns::<4>(PARAMETERS + MASSES.start);
+            of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
         }
         let mut acted = moved.fixed_rows_mut::<FORCE>(0);
         acted += step.f.fixed_view::<FORCE, 2>(0, FORCE) * forces;
@@ -319,14 +331,15 @@ impl Witness {
         let most = explained.iter().fold(0.0_f64, |most, (less, _)| most.max(*less));
         // Where even the best explanation leaves more than noise, all say less.
         let scatter = ((self.squares - most) / self.samples.max(1.0)).max(LEAST_SCATTER);
-        let evidence = explained.map(|(less, freedom)| 0.5 * (less / scatter - freedom));
-        let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
-        let probabilities: [f64; Cause::ALL.len()] = std::array::from_fn(|k| {
-            let possible = away.is_none_or(|i| [Cause::Encoder(i), Cause::Timing].contains(&Cause::ALL[k]));
-            if possible { libm::exp(evidence[k] - best) } else { 0.0 }
+        let evidence: [f64; Cause::ALL.len()] = std::array::from_fn(|k| {
+            let ((less, freedom), cause) = (explained[k], Cause::ALL[k]);
+            let possible = away.is_none_or(|i| [Cause::Encoder(i), Cause::Timing].contains(&cause));
+            if possible { 0.5 * (less / scatter - freedom) } else { f64::NEG_INFINITY }
         });
+        let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
+        let probabilities = evidence.map(|of| libm::exp(of - best));
         let sum: f64 = probabilities.iter().sum();
-        probabilities.map(|probability| probability / sum.max(f64::MIN_POSITIVE))
+        probabilities.map(|probability| (1.0 - UNEXPLAINED) * probability / sum)
     }
 
     /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.
@@ -346,10 +359,6 @@ impl Witness {
     }
 }
 
-fn turned_force(step: &Propagation, forces: &SMatrix<f64, 2, FAULTS>) -> SMatrix<f64, 2, FAULTS> {
-    step.f.fixed_view::<2, 2>(FORCE, FORCE) * forces
-}
-
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
 fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LEARNED>) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
@@ -366,23 +375,9 @@ fn prior_sizes(constants: &Constants) -> Faults {
         _ if k < OFFSETS => SIZES.torque * torque / length,
         _ if k < DELAY => SIZES.offset,
         DELAY => SIZES.delay,
-        _ if MASSES.contains(&(k - PARAMETERS)) => knob("MASS", SIZES.mass),
+        _ if MASSES.contains(&(k - PARAMETERS)) => SIZES.mass,
         _ if k - PARAMETERS == PAYLOAD => SIZES.torque * torque / (9.81 * length),
         _ if VISCOUS.contains(&(k - PARAMETERS)) => SIZES.torque * torque / SIZES.rate,
         _ => SIZES.friction,
     })
-}
-
-#[allow(non_snake_case)]
-fn SECOND_ORDER() -> f64 {
-    std::env::var("SECOND").ok().and_then(|x| x.parse().ok()).unwrap_or(1.0)
-}
-
-#[allow(non_snake_case)]
-fn TAU() -> f64 {
-    std::env::var("TAU").ok().and_then(|x| x.parse().ok()).unwrap_or(0.03)
-}
-
-fn knob(name: &str, value: f64) -> f64 {
-    std::env::var(name).ok().and_then(|x| x.parse().ok()).unwrap_or(value)
 }

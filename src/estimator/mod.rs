@@ -198,7 +198,7 @@ impl Estimator {
             None => {
                 self.belief.bank = bank::Bank::new(constants.start_variances());
                 self.unaided = Unaided::default();
-        self.causes.close(false);
+                self.causes.close(false);
                 self.learn_anew(constants);
             }
         }
@@ -252,19 +252,8 @@ impl Estimator {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
-            let (bank, reference) = (&self.belief.bank, &self.alarm);
-            self.causes.look(constants, own, reference.is_on(), || {
-                // Errors of the motion as the bank has them, and the force of before.
-                let (mut error, mut covariance) = bank.moments();
-                let before = reference.reference_force(frame) - self.belief.tangent_force(frame);
-                error.fixed_rows_mut::<2>(bank::FORCE).copy_from(&before);
-                covariance.fixed_rows_mut::<2>(bank::FORCE).fill(0.0);
-                covariance.fixed_columns_mut::<2>(bank::FORCE).fill(0.0);
-                let own = &bank.members[constants::CAUSE_MODEL].covariance;
-                let block = own.fixed_view::<2, 2>(bank::FORCE, bank::FORCE);
-                covariance.fixed_view_mut::<2, 2>(bank::FORCE, bank::FORCE).copy_from(&block);
-                (error, covariance)
-            });
+            let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
+            self.causes.look(constants, own, self.alarm.is_on(), before);
             let reading = Reading { angle, noise: innovation.noise, age: 0.0, dead_zone: 0.0 };
             let white = self.encoders[i].white_sigma(sigma[i], rate);
             let seen = self.encoders[i].confined_to_interval(reading, (white, quantum[i]), rate);
@@ -528,8 +517,6 @@ impl Estimator {
         self.learning.is_some() || self.causes.are_judged()
     }
 
-    /// x
-    pub fn debug(&self) -> String { format!("{} {:?}", self.causes.debug(), self.status()) }
     /// Most probable cause of what is wrong, and its probability.
     pub fn cause(&self, constants: &Constants) -> (Cause, f64) {
         let fault = |i: usize| self.encoders[i].fault;
