@@ -74,6 +74,8 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::EstimatedTauValid => estimated(&|of| f64::from(u8::from(torques(of).is_some()))),
         V::EstimatedNis => estimated(&|of| of.following.estimator().nis()),
         V::EstimatedAlarm => estimated(&|of| f64::from(u8::from(of.following.estimator().alarm()))),
+        V::EstimatedCause => estimated(&|of| of.following.cause().0.number() as f64),
+        V::EstimatedCauseProbability => estimated(&|of| of.following.cause().1),
         V::EstimatedThetaSigma(i) => estimated(&|of| of.following.sigmas()[0][PROXIMAL_LINKS[i]]),
         V::EstimatedOmegaSigma(i) => estimated(&|of| of.following.sigmas()[1][PROXIMAL_LINKS[i]]),
         V::EstimatedTipCov(i) => estimated(&|of| of.following.tip_covariance()[i]),
