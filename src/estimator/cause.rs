@@ -21,7 +21,7 @@ use super::constants::{
 };
 use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
 use super::parameters::Constants;
-use super::propagation::{ProcessNoise, Propagation, propagated, transformed};
+use super::propagation::{ProcessNoise, Propagation, transformed};
 use super::stored;
 use super::tangent::Frame;
 
@@ -283,8 +283,8 @@ impl Witness {
         let of = &TAKEN_AS_KNOWN;
         let white = scale * scale * of.white_torque[CAUSE_MODEL];
         let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
-        self.error = propagated(&step.f, &self.error);
-        self.ahead = propagated(&step.f, &self.ahead);
+        self.error = step.f * self.error;
+        self.ahead = step.f * self.ahead;
         self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);
         self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
         // What is of second order in the error of the rates is not followed.

@@ -11,6 +11,7 @@
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
+//! | `cause.rs` | explanations of an alarm, compared |
 //! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
 //!
 //! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
@@ -517,15 +518,16 @@ impl Estimator {
         self.learning.is_some() || self.causes.are_judged()
     }
 
-    /// Most probable cause of what is wrong, and its probability.
+    /// Most probable cause of the last alarm or fault, and its probability: 1 where an encoder's own samples show it.
     pub fn cause(&self, constants: &Constants) -> (Cause, f64) {
-        let fault = |i: usize| self.encoders[i].fault;
-        if [0, 1].into_iter().any(|i| matches!(fault(i), Fault::Late | Fault::Future)) {
+        let first = |is: &dyn Fn(&Encoder) -> bool| self.encoders.iter().position(is);
+        if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {
             return (Cause::Timing, 1.0);
         }
-        match [0, 1].into_iter().find(|i| matches!(fault(*i), Fault::Stuck | Fault::Invalid)) {
+        let is_missing = |encoder: &Encoder| encoder.is_silent() && !self.is_coasting();
+        match first(&|encoder| matches!(encoder.fault, Fault::Stuck | Fault::Invalid) || is_missing(encoder)) {
             Some(i) => (Cause::Encoder(i), 1.0),
-            None => self.causes.told(constants, [0, 1].into_iter().find(|i| self.encoders[*i].is_away())),
+            None => self.causes.told(constants, first(&Encoder::is_away)),
         }
     }
 

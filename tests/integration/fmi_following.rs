@@ -195,28 +195,30 @@ fn samples_change_no_output() {
     assert_eq!(host.free_state(&mut state), fmi2OK);
 }
 
-/// Faults of encoders: a status, one line in the log, and an estimate that continues.
+/// Faults of encoders: a status, a cause, one line in the log, and an estimate that continues.
 #[test]
 fn faults_are_told_once_and_survived() {
     type Seen = fn([f64; 2], f64) -> ([f64; 2], [f64; 2]);
-    let cases: [(&str, &str, Seen); 6] = [
-        ("late", "is older than estimator.maxDelay", |theta, time| (theta, [time - 0.02, time])),
-        ("future", "after the communication point", |theta, time| (theta, [time + 0.02, time])),
-        ("invalid", "is not finite", |theta, time| ([f64::NAN, theta[1]], [time; 2])),
-        ("oneEncoder", "has been silent", |theta, time| (theta, [0.049, time])),
-        ("stuck", "repeats its value", |theta, time| ([2.2, theta[1]], [time; 2])),
-        ("rejected", "too far from the predicted angle", |theta, time| {
+    let cases: [(&str, f64, &str, Seen); 6] = [
+        ("late", 7.0, "is older than estimator.maxDelay", |theta, time| (theta, [time - 0.02, time])),
+        ("future", 7.0, "after the communication point", |theta, time| (theta, [time + 0.02, time])),
+        ("invalid", 4.0, "is not finite", |theta, time| ([f64::NAN, theta[1]], [time; 2])),
+        ("oneEncoder", 4.0, "has been silent", |theta, time| (theta, [0.049, time])),
+        ("stuck", 4.0, "repeats its value", |theta, time| ([2.2, theta[1]], [time; 2])),
+        ("rejected", 0.0, "too far from the predicted angle", |theta, time| {
             // A wild sample now and then.
             let wild = if (time / H).round() as i64 % 10 == 9 { 0.2 } else { 0.0 };
             ([theta[0] + wild, theta[1]], [time; 2])
         }),
     ];
-    for (name, text, seen) in cases {
+    for (name, cause, text, seen) in cases {
         let (host, machine) = (following(1, &[]), machine());
         follow(&host, &machine, 0..50, at_once);
         assert_eq!(host.take(), [], "{name}");
+        assert_eq!(["estimated.cause", "estimated.cause.probability"].map(|name| real(&host, name)), [0.0, 1.0], "{name}");
         follow(&host, &machine, 50..80, seen);
         assert_eq!(status(&host), name);
+        assert_eq!(real(&host, "estimated.cause"), cause, "{name}");
         let lines = host.take();
         // One that gets stuck jumps here, and is wild before it repeats itself.
         assert_eq!(lines.len(), 1 + usize::from(name == "stuck"), "{name}: {lines:?}");
@@ -227,6 +229,35 @@ fn faults_are_told_once_and_survived() {
         assert!(tip_error(&host, &machine) < 1e-4, "{name}: {}", tip_error(&host, &machine));
         assert_eq!(host.take(), [], "{name}");
     }
+}
+
+/// A push at the tip is named, by a state that was stored while it was judged too, to the bit; a second later nothing is named any more.
+#[test]
+fn a_push_is_named() {
+    let (host, machine) = (following(1, &[]), machine());
+    follow(&host, &machine, 0..300, at_once);
+    assert_eq!(machine.set_real(&[reference("tip.fx")], &[0.5]), fmi2OK);
+    follow(&host, &machine, 300..320, at_once);
+    let (mut before, mut machine_before) = (host.state(), machine.state());
+    let told = |host: &Host| {
+        follow(host, &machine, 320..500, at_once);
+        let told = ["estimated.cause", "estimated.cause.probability"].map(|name| real(host, name));
+        // Of equal explanations one would have an eighth.
+        assert!(told[0] == 3.0 && told[1] > 0.5, "{told:?}");
+        reals(host)
+    };
+    let first = told(&host);
+    let other = following(1, &[]);
+    let bytes = bytes_of(&host, before);
+    let mut read = state_of(&other, &bytes);
+    assert_eq!(other.set_state(read), fmi2OK);
+    assert_eq!(machine.set_state(machine_before), fmi2OK);
+    assert_eq!(told(&other), first);
+    assert_eq!((other.free_state(&mut read), host.free_state(&mut before)), (fmi2OK, fmi2OK));
+    assert_eq!(machine.free_state(&mut machine_before), fmi2OK);
+    assert_eq!(machine.set_real(&[reference("tip.fx")], &[0.0]), fmi2OK);
+    follow(&other, &machine, 500..2500, at_once);
+    assert_eq!(real(&other, "estimated.cause"), 0.0);
 }
 
 /// A machine that is taken elsewhere while its encoders are silent: the estimate begins anew where they are, says so once, by its status and in

@@ -95,7 +95,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "forecast": {"fields": {"tip.x": 0.1}, "ahead": 0.5, "half_width": 0.01}
     | {"path": {name: [0.1] * 10 for name in ("ahead", "tip.x", "tip.y", "estimated.forecast.radius95")}}
     | {"singular": {"probability": 0.5, "time": None, "type": "none"}, "stop": {"probability": 0.0, "time": 5, "at": "lower[1]"}},
-    "alarm": {"fields": {}, "state": "anomaly", "cause": "force", "figures": {"estimated.nis": 40.0}, "reason": "acknowledged"},
+    "alarm": {"fields": {}, "state": "anomaly", "cause": "force", "named": "force at the tip", "probability": 0.9, "figures": {"estimated.nis": 40.0}, "reason": "acknowledged"},
     "param": {"fields": {"servo.kp[1]": 20.0}},
     "cmd": {"fields": {}, "command": "restart"},
     "state": {"fields": {}, "state": "AAAA", "clock": 0.1, "parameters": {"servo.kp[1]": 20.0}}

@@ -122,6 +122,19 @@ def test_the_watch_goes_through_its_states() -> None:
     assert [time for time, _ in said] == pytest.approx([5.04, 6.5, 8.5, 13.5], abs=0.011)
 
 
+def test_the_watch_tells_the_cause_that_the_twin_names() -> None:
+    """At once and, surer, at the end of the anomaly; the next anomaly has a name of its own."""
+    anomalies, said = Anomalies(), []
+    for i in range(6000):
+        now = 0.005 * i
+        number, probability = (3.0, 0.6) if now < 5.5 else (1.0, 0.9)
+        on = 5 <= now < 6 or 20 <= now < 21
+        fields = {"estimated.alarm": float(on), "estimated.cause": number if 5 <= now < 7 else 0.0, "estimated.cause.probability": probability}
+        said += [(each["state"], each.get("named"), each.get("probability")) for each in anomalies.see(fields, now)]
+    assert said[:3] == [("anomaly", "force at the tip", 0.6), ("calibrating", "torque at motor 1", 0.9), ("cooling down", None, None)]
+    assert said[4:] == [("anomaly", None, None), ("calibrating", None, None), ("cooling down", None, None), ("listening", None, None)]
+
+
 def test_the_watch_has_hysteresis_and_keeps_quiet_at_the_start() -> None:
     assert states(Anomalies(), [(0.0, 1.9)], 5.0) == []
     assert states(Anomalies(), [(5.0 + 0.1 * i, 5.02 + 0.1 * i) for i in range(3)], 6.0) == []

@@ -142,22 +142,31 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
     Told { fault: fault.number(), cause: told.0.number(), probability: told.1 }
 }
 
+/// Causes told of `runs` faults of each kind, servos on sines and falls alternately.
+fn trials(encoder: &Encoder, runs: u64, first: u64) -> Vec<Told> {
+    type Scene = fn(&mut Random) -> Scenario;
+    let scenes: [Scene; 2] = [|random| sines(random, 2.0), |random| fall(random, true)];
+    let one = |seed: u64| {
+        let mut random = Random::new(first + 8_200_000 + seed);
+        let scenario = scenes[(seed / 8 % 2) as usize](&mut random);
+        let fault = Fault::drawn((seed % 8) as usize, &mut random);
+        run(scenario, encoder, fault, &mut random)
+    };
+    (0..8 * runs).map(one).collect()
+}
+
+/// Number of faults that are named, of `runs` of each of eight kinds, by 16 bits and by 0.1°.
+pub fn named(runs: u64, first: u64) -> [usize; 2] {
+    [FINE, COARSE].map(|encoder| trials(&encoder, runs, first).iter().filter(|told| told.cause == told.fault).count())
+}
+
 /// Faults that are named, by encoder and kind.
 pub fn table(runs: u64, first: u64) -> Table {
     const NAMES: [&str; 8] =
         ["nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing"];
-    type Scene = fn(&mut Random) -> Scenario;
-    let scenes: [Scene; 2] = [|random| sines(random, 2.0), |random| fall(random, true)];
     let mut table = Table::new("Causes 0.4 s after the onset of a fault, servos on sines and falls alternately: right, %");
     for encoder in [FINE, COARSE] {
-        let all: Vec<Told> = (0..8 * runs)
-            .map(|seed| {
-                let mut random = Random::new(first + 8_200_000 + seed);
-                let scenario = scenes[(seed / 8 % 2) as usize](&mut random);
-                let fault = Fault::drawn((seed % 8) as usize, &mut random);
-                run(scenario, &encoder, fault, &mut random)
-            })
-            .collect();
+        let all = trials(&encoder, runs, first);
         let share = |of: &[Told]| 100.0 * of.iter().filter(|told| told.cause == told.fault).count() as f64 / of.len() as f64;
         for (number, name) in NAMES.iter().enumerate() {
             let of: Vec<Told> = all.iter().filter(|told| told.fault == number).copied().collect();

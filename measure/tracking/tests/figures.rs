@@ -18,12 +18,11 @@ fn the_benchmark_is_met() {
     assert!(table.figures.iter().all(tracking::report::Figure::is_reached), "{}", table.markdown());
 }
 
-/// Of four faults of each kind by both encoders, most are named: 90 % of 400 are, by 16 bits, and chance alone lets 20 of 32 drop below with a
-/// probability of 1e-4.
+/// Of 32 faults most are named: of 400 are 93 % by 16 bits and 83 % at 0.1°, with which fewer than 26 and 21 of 32 have a probability of 0.5 %.
 #[test]
 fn causes_are_named() {
     let named = causes::named(4, 0);
-    assert!(named[0] >= 24 && named[1] >= 18, "{named:?} of 32");
+    assert!(named[0] >= 26 && named[1] >= 21, "{named:?} of 32");
 }
 
 /// Machines whose masses are 5 % off, that carry an unknown payload or are pushed, are not lost.

@@ -73,6 +73,7 @@ class Story:
     estimated: Table = field(default_factory=lambda: Table(("time", *ESTIMATES, "band")))
     forecasts: Table = field(default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", "half_width", "last")))
     alarms: list[tuple[float, str, str]] = field(default_factory=list)
+    """Time, s, state and cause: the name that the twin has for it, or else the watch's."""
     gaps: "list[Gap]" = field(default_factory=list)
     bad: list[str] = field(default_factory=list)
     """Why rows are no messages."""
@@ -101,7 +102,7 @@ def read(file: Path) -> Story:
         elif message.kind == "forecast":
             _forecast(story, message.extra, time)
         elif message.kind == "alarm":
-            story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("cause"))))
+            story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("named", message.extra.get("cause")))))
         elif message.kind == "learned":
             story.learned = {"estimated": fields, "values": message.extra["values"]}
         else:
@@ -241,6 +242,8 @@ def summarise(
             "by_ahead": by_ahead,
         },
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
+        # At the end of an anomaly the twin has seen most of it.
+        "causes": [cause for _, state, cause in story.alarms if state == "calibrating"],
         "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,

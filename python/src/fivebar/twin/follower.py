@@ -37,7 +37,7 @@ ESTIMATED: Final = (
     *(f"estimated.{name}.sigma[{i}]" for name in ("theta", "omega") for i in LEGS),
     *(f"estimated.tip.cov[{i}]" for i in (1, 2, 3)),
     *(f"estimated.{name}[{i}]" for name in ("tau", "tau.sigma") for i in LEGS),
-    *("estimated.nis", "estimated.alarm", "estimated.status"),
+    *("estimated.nis", "estimated.alarm", "estimated.status", "estimated.cause", "estimated.cause.probability"),
 )
 """The fields of `est`."""
 

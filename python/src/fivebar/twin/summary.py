@@ -109,6 +109,7 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ),
         ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
+        ("causes of alarms", ", ".join(content["causes"]) or "none"),
         ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
         ("learned", f"{len(learned['values'])} start values, in {out / LEARNED}" if (learned := content["learned"]) else "nothing"),
         ("not recorded", _gaps(content["gaps"])),

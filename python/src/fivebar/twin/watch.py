@@ -16,6 +16,9 @@ from fivebar.twin.intake import Newest, Orders
 from fivebar.twin.messages import Message
 from fivebar.twin.process import Worker
 
+CAUSES: Final = ("nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing")
+"""Names of the values of `estimated.cause`."""
+
 STARTING: Final = 2.0
 """Seconds after the first estimate, or after a gap, in which nothing is an alarm."""
 
@@ -86,6 +89,8 @@ class Anomalies:
         self.since = math.nan
         self.causes = {name: Cause(name) for name in ("force", "silence")}
         self.cause = ""
+        self.named: dict[str, Any] = {}
+        """The twin's newest name for the cause of this anomaly, and its probability."""
         self.last: float = math.nan
         self.gathered = [0.0, 0.0, 0.0]
         """Number of samples and sums of the unknown torques, while calibrating."""
@@ -102,6 +107,8 @@ class Anomalies:
         alarm = fields.get("estimated.alarm", 0.0) != 0.0
         self.causes["force"].see(alarm, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off)
         self.causes["silence"].see(False, 0.0, now, 0.0, 0.0)
+        if self.state == "anomaly":
+            self._name(fields)
         if self.state == "calibrating":
             self.gathered[0] += 1
             for i in (1, 2):
@@ -136,6 +143,7 @@ class Anomalies:
                 self._go("listening", now)
         elif self.state == "listening":
             if force.holds(settings.on):
+                self._name(fields)
                 names = ("estimated.nis", "estimated.tau[1]", "estimated.tau[2]", "estimated.tau.sigma[1]", "estimated.tau.sigma[2]")
                 return self._raise("force", now, {name: fields[name] for name in names if name in fields})
         elif self.state == "anomaly":
@@ -151,13 +159,21 @@ class Anomalies:
             return [self._go("listening", now)]
         return []
 
+    def _name(self, fields: dict[str, float]) -> None:
+        """Takes over the cause that the twin names; the longer it has gone on, the surer it is."""
+        if number := int(fields.get("estimated.cause", 0)):
+            self.named = {"named": CAUSES[number], "probability": fields["estimated.cause.probability"]}
+
     def _raise(self, cause: str, now: float, figures: dict[str, float]) -> list[dict[str, Any]]:
         self.cause = cause
         return [self._go("anomaly", now, figures=figures)]
 
     def _go(self, state: str, now: float, **more: Any) -> dict[str, Any]:
         self.state, self.since = state, now
-        return {"state": state, "cause": self.cause} | more
+        told = {"state": state, "cause": self.cause} | (self.named if state in ("anomaly", "calibrating") else {}) | more
+        if state != "anomaly":
+            self.named = {}
+        return told
 
 
 class Histogram:

@@ -105,7 +105,7 @@ function takeAlarm(message) {
     const item = document.createElement("li");
     const figures = Object.entries({ ...alarm.figures, ...alarm.mean, ...(alarm.lasted ? { lasted: alarm.lasted } : {}) });
     const seconds = state.first ? (alarm.time / 1e9 - state.first).toFixed(2) : "?";
-    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.sentence ? ` · ${alarm.sentence}` : ""}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
+    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.named ? ` · ${alarm.named} (${(100 * alarm.probability).toFixed(0)} %)` : ""}${alarm.sentence ? ` · ${alarm.sentence}` : ""}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
     item.className = isRaised(alarm) ? "bad" : alarm.state === "listening" ? "good" : "warn";
     return item;
   }));
