@@ -25,7 +25,7 @@ use super::propagation::{ProcessNoise, Propagation, transformed};
 use super::stored;
 use super::tangent::Frame;
 
-/// What went wrong.
+/// Explanation of an alarm or a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Cause {
     /// Nothing.
@@ -287,7 +287,7 @@ impl Witness {
         self.ahead = step.f * self.ahead;
         self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);
         self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
-        // What is of second order in the error of the rates is not followed.
+        // Terms of second order in the error of the rates count as noise.
         let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
         for k in 2..4 {
             self.covariance[(k, k)] += bend * bend;
@@ -296,7 +296,7 @@ impl Witness {
         // Generalised forces of each fault act as the unknown force does, which stays as it is.
         let forces = generalised(&step.from, &step.mass, by);
         if self.age == 0.0 {
-            // What masses do has been in the unknown force before.
+            // The unknown force before the surprise contains the effect of the masses.
             let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * forces;
             let mut of = moved.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
             of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
@@ -329,7 +329,7 @@ impl Witness {
             self.explained(&Faults::from_fn(|k, _| if known.contains(&k) || free.contains(&k) { sizes[k] } else { 0.0 }))
         });
         let most = explained.iter().fold(0.0_f64, |most, (less, _)| most.max(*less));
-        // Where even the best explanation leaves more than noise, all say less.
+        // Evidence is divided by the scatter that the best explanation leaves, where that is more than noise.
         let scatter = ((self.squares - most) / self.samples.max(1.0)).max(LEAST_SCATTER);
         let evidence: [f64; Cause::ALL.len()] = std::array::from_fn(|k| {
             let ((less, freedom), cause) = (explained[k], Cause::ALL[k]);

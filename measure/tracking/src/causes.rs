@@ -84,7 +84,7 @@ impl Fault {
     }
 }
 
-/// What was told.
+/// Cause that a twin tells of a fault.
 #[derive(Clone, Copy, Debug)]
 struct Told {
     fault: usize,
