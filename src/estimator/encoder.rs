@@ -258,6 +258,17 @@ impl Encoder {
         self.fault > Fault::Rejected || self.rejected_in_a_row > 1
     }
 
+    /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
+    #[cold]
+    pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
+        (self.jump, self.rejected_in_a_row) = (residual, self.rejected_in_a_row.max(2));
+    }
+
+    /// Whether the last sample was rejected.
+    pub(super) fn was_rejected(&self) -> bool {
+        self.rejected_in_a_row > 0
+    }
+
     /// Whether the reading has jumped away from the estimate.
     pub(super) fn is_away(&self) -> bool {
         self.jump != 0.0

@@ -47,7 +47,7 @@ pub use belief::Belief;
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, LARGEST_NIS, LEARNING_PERSISTENCE,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCE,
     LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
 use encoder::Reading;
@@ -247,6 +247,10 @@ impl Estimator {
         samples: &[Option<Sample>; 2],
     ) -> Update {
         let Parameters { sigma, quantum, .. } = constants.parameters;
+        if self.are_exchanged((motion, frame), samples) {
+            let away = self.encoders.iter_mut().zip(samples.iter().flatten());
+            away.for_each(|(encoder, sample)| encoder.leave_out_lastingly(sample.innovation.residual));
+        }
         let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         for i in 0..2 {
@@ -296,6 +300,18 @@ impl Estimator {
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         update
+    }
+
+    /// Whether both encoders show angles, for the second time, that are far from the estimate and that it expects of the other encoder.
+    fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> bool {
+        self.encoders.iter().all(|encoder| encoder.was_rejected() && !encoder.is_away())
+            && samples.iter().enumerate().all(|(i, sample)| {
+                sample.as_ref().is_some_and(|Sample { angle, innovation, .. }| {
+                    let other = Innovation::new(motion, frame, 1 - i, *angle, innovation.noise);
+                    let [own, other] = [innovation, &other].map(|innovation| self.belief.bank.predict_sample(innovation).nis());
+                    innovation.residual.abs() > DIVERGED_INNOVATION && own > GATE && other <= GATE
+                })
+            })
     }
 
     /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where

@@ -394,6 +394,47 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
     }
 }
 
+/// Encoders that are exchanged from the start while servos swing axes that are 0.4 rad apart or more: both are left out from the first sample on, and by the
+/// servos' model the tip stays within 10 mm; wired rightly, they are believed after a second of silence.
+#[test]
+fn encoders_that_are_exchanged_are_left_out() {
+    let (h, course) = (1e-3, |time: f64| {
+        let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
+        Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
+    });
+    let mut parameters = followed(Method::Dop853);
+    (parameters.start.theta, parameters.start.omega) = (course(0.0).servo_theta, course(0.0).servo_omega);
+    (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [1e-4; 2]);
+    parameters.effects.servo.enabled = true;
+    (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1.0; 2], [0.01; 2]);
+    let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
+    let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+    let mut measured = Measured::default();
+    for step in 0..5000 {
+        let time = f64::from(step) * h;
+        let seen = [0, 1].map(|i| (machine.state().angles()[[0, 3][i]] / 1e-4).round() * 1e-4);
+        measured = match time {
+            ..3.0 => Measured { theta: [seen[1], seen[0]], time: [time; 2] },
+            ..4.2 => measured,
+            _ => Measured { theta: seen, time: [time; 2] },
+        };
+        following.correct(&measured, time);
+        let status = following.status();
+        let told = match time {
+            ..3.0 => status == Status::Faulty(Fault::Rejected),
+            ..4.3 => true,
+            _ => status == Status::Following,
+        };
+        assert!(told, "{status:?} at {time} s");
+        let [at, truth] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+            .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
+        assert!((at - truth).norm() < 0.01, "{at} instead of {truth} at {time} s");
+        let inputs = course(time + h / 2.0);
+        following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
+        machine.advance(&inputs, h, 1).expect("a step");
+    }
+}
+
 /// All methods and readings, through coasting and samples: n steps in one call are n calls of one, to the bit.
 #[test]
 fn grouping_does_not_matter() {
