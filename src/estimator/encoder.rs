@@ -264,11 +264,6 @@ impl Encoder {
         (self.jump, self.rejected_in_a_row) = (residual, self.rejected_in_a_row.max(2));
     }
 
-    /// Whether the last sample was rejected.
-    pub(super) fn was_rejected(&self) -> bool {
-        self.rejected_in_a_row > 0
-    }
-
     /// Whether the reading has jumped away from the estimate.
     pub(super) fn is_away(&self) -> bool {
         self.jump != 0.0

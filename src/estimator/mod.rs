@@ -248,8 +248,10 @@ impl Estimator {
     ) -> Update {
         let Parameters { sigma, quantum, .. } = constants.parameters;
         if self.are_exchanged((motion, frame), samples) {
-            let away = self.encoders.iter_mut().zip(samples.iter().flatten());
-            away.for_each(|(encoder, sample)| encoder.leave_out_lastingly(sample.innovation.residual));
+            for (i, sample) in samples.iter().flatten().enumerate() {
+                self.innovation[i] = sample.innovation.residual;
+                self.encoders[i].leave_out_lastingly(sample.innovation.residual);
+            }
         }
         let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
@@ -302,9 +304,10 @@ impl Estimator {
         update
     }
 
-    /// Whether both encoders show angles, for the second time, that are far from the estimate and that it expects of the other encoder.
+    /// Whether the first samples of both encoders are far from the estimate, each at the angle that it expects of the other encoder. Later
+    /// samples do not count: an estimate that is lost meets such angles by chance.
     fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> bool {
-        self.encoders.iter().all(|encoder| encoder.was_rejected() && !encoder.is_away())
+        self.encoders.iter().all(|encoder| encoder.interval() == 0.0)
             && samples.iter().enumerate().all(|(i, sample)| {
                 sample.as_ref().is_some_and(|Sample { angle, innovation, .. }| {
                     let other = Innovation::new(motion, frame, 1 - i, *angle, innovation.noise);
