@@ -114,8 +114,7 @@ impl Bank {
     pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
         for member in self.active_members() {
             member.error = turned(turn, &member.error);
-            member.covariance = turned(turn, &turned(turn, &member.covariance).transpose());
-            member.covariance.fill_upper_triangle_with_lower_triangle();
+            member.covariance = turned_covariance(turn, &member.covariance);
         }
     }
 
@@ -141,7 +140,7 @@ impl Bank {
         &mut self,
         f: &Matrix,
         noise: &ProcessNoise,
-        (Intensities { force_walk, mass_walk, white_torque }, [scale, inertia, further]): (&Intensities, [f64; 3]),
+        (intensities, scales): (&Intensities, [f64; 3]),
         (stay, priors): (f64, &[f64; MODELS]),
         mut end: impl FnMut(usize, &mut Member),
     ) {
@@ -154,8 +153,7 @@ impl Bank {
             }
             let off = member.error - mean;
             let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
-            let white = scale * scale * white_torque[j];
-            let walk = scale * scale * force_walk[j] + inertia * inertia * mass_walk[j] + further * further;
+            let [white, walk] = intensities.of_model(j, scales);
             member.error = f * (member.error * own + mean * any);
             member.covariance = transformed(f, &mixed, |moved| moved + noise.white * white + noise.walk * walk);
             end(j, member);
@@ -212,12 +210,7 @@ impl Bank {
             *likelihood = log_likelihood(residual * residual / variance, *variance);
             let gain = column / *variance;
             member.error += gain * *residual;
-            member.covariance -= gain * column.transpose();
-            member.covariance.fill_upper_triangle_with_lower_triangle();
-            for i in 0..ERRORS {
-                // A variance may turn negative by round-off only.
-                member.covariance[(i, i)] = member.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
-            }
+            reduce(&mut member.covariance, &gain, column);
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
         for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
@@ -284,9 +277,7 @@ impl Bank {
         let mut bank = *self;
         for Member { error, covariance, .. } in &mut bank.members {
             error.fixed_rows_mut::<2>(FORCE).fill(0.0);
-            covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
-            covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
-            (covariance[(FORCE, FORCE)], covariance[(FORCE + 1, FORCE + 1)]) = (variance, variance);
+            isolate_force(covariance, &Matrix2::from_diagonal_element(variance));
         }
         bank
     }
@@ -361,6 +352,40 @@ pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, 
         turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
     }
     turned
+}
+
+/// Covariance of errors whose angles, rates and force change alike, symmetric to the bit.
+pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Matrix {
+    let mut turned = turned(turn, &turned(turn, covariance).transpose());
+    turned.fill_upper_triangle_with_lower_triangle();
+    turned
+}
+
+/// Measurement update of a covariance, P − K (P Hᵀ)ᵀ, by the gain K and `column`, P Hᵀ.
+pub(super) fn reduce(covariance: &mut Matrix, gain: &Error, column: &Error) {
+    *covariance -= gain * column.transpose();
+    covariance.fill_upper_triangle_with_lower_triangle();
+    for i in 0..ERRORS {
+        // A variance may turn negative by round-off only.
+        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+    }
+}
+
+/// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
+#[cold]
+pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
+    covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
+    covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
+    covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(own);
+}
+
+impl Intensities {
+    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. The scales are
+    /// the torque scale and the inertia torques, N·m, and by how much more the force walks, N·m/√s.
+    pub(super) fn of_model(&self, j: usize, [scale, inertia, further]: [f64; 3]) -> [f64; 2] {
+        let walk = scale * scale * self.force_walk[j] + inertia * inertia * self.mass_walk[j] + further * further;
+        [scale * scale * self.white_torque[j], walk]
+    }
 }
 
 /// Bounds the variances of unobserved directions; `also` takes the index of each that is scaled, and the factor.

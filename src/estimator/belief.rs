@@ -3,7 +3,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, ERRORS, Error, FORCE, Matrix};
+use super::bank::{Bank, ERRORS, Error, FORCE, Matrix, isolate_force};
 use super::constants::{CAUSE_MODEL, LARGEST_RATE};
 use super::flow::unit_forces;
 use super::stored;
@@ -60,9 +60,7 @@ impl Belief {
         let (mut error, mut covariance) = self.bank.moments();
         let certain = self.bank.members[CAUSE_MODEL].covariance.fixed_view::<2, 2>(FORCE, FORCE).into_owned();
         error.fixed_rows_mut::<2>(FORCE).copy_from(change);
-        covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
-        covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
-        covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&certain);
+        isolate_force(&mut covariance, &certain);
         (error, covariance)
     }
 

@@ -14,7 +14,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
-use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, turned};
+use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, reduce, turned, turned_covariance};
 use super::constants::{
     CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LARGEST_NIS, LEAST_SCATTER, RATES_PERSIST, SAME_SURPRISE, SIZES,
     SURPRISE, TAKEN_AS_KNOWN, UNEXPLAINED,
@@ -86,10 +86,10 @@ struct Witness {
     /// Mean error about the estimate's motion.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     error: Error,
-    /// Error that follows its mean slowly, and so keeps the rates from before an encoder jumps.
+    /// Error that follows the mean slowly, and so keeps the rates from before an encoder jumps.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     ahead: Error,
-    /// Its covariance.
+    /// Covariance of the error.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     covariance: Matrix,
     /// Responses V.
@@ -117,9 +117,19 @@ pub(super) struct Causes {
 }
 
 impl Causes {
-    /// Whether responses of parameters are asked for.
+    /// Whether samples are judged, with the responses to parameters.
     pub(super) fn are_judged(&self) -> bool {
-        self.witness.is_some_and(|witness| witness.age < EVIDENCE_TIME)
+        self.witness.as_ref().is_some_and(|witness| witness.age < EVIDENCE_TIME)
+    }
+
+    /// Witness that still judges samples.
+    fn judge(&mut self) -> Option<&mut Witness> {
+        self.witness.as_mut().filter(|witness| witness.age < EVIDENCE_TIME)
+    }
+
+    /// Witness of what has been wrong.
+    fn confirmed(&self) -> Option<&Witness> {
+        self.witness.as_ref().filter(|witness| witness.confirmed)
     }
 
     /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
@@ -131,7 +141,7 @@ impl Causes {
             Some(witness) => surprises && self.calm > 0.0 && witness.age > SAME_SURPRISE,
         };
         if begins {
-            if let Some(witness) = self.witness.filter(|witness| witness.confirmed) {
+            if let Some(witness) = self.confirmed() {
                 let (cause, probability) = witness.told(constants, None);
                 self.last = Some((cause.number() as u8, probability));
             }
@@ -142,7 +152,7 @@ impl Causes {
 
     /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s, before the estimate's own.
     pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
-        if let Some(witness) = self.witness.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+        if let Some(witness) = self.judge() {
             let rate = rate + sample.row[0] * witness.ahead[2] + sample.row[1] * witness.ahead[3];
             witness.receive((i, rate), sample);
         }
@@ -159,11 +169,10 @@ impl Causes {
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
-        if let Some(witness) = self.witness.as_mut().filter(|witness| witness.age < EVIDENCE_TIME) {
+        if let Some(witness) = self.judge() {
             witness.error = turned(turn, &(witness.error - error));
             witness.ahead = turned(turn, &(witness.ahead - error));
-            witness.covariance = turned(turn, &turned(turn, &witness.covariance).transpose());
-            witness.covariance.fill_upper_triangle_with_lower_triangle();
+            witness.covariance = turned_covariance(turn, &witness.covariance);
             witness.responses = turned(turn, &witness.responses);
         }
     }
@@ -199,7 +208,7 @@ impl Causes {
 
     /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
     pub(super) fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
-        match (self.witness.filter(|witness| witness.confirmed), self.last) {
+        match (self.confirmed(), self.last) {
             (Some(witness), _) => witness.told(constants, away),
             (None, Some((cause, probability))) if self.calm < CAUSE_PERSISTS => (Cause::ALL[usize::from(cause)], probability),
             _ => (Cause::None, 1.0),
@@ -257,12 +266,7 @@ impl Witness {
         response[DELAY] -= rate;
         let gain = column / variance;
         self.error += gain * off;
-        self.covariance -= gain * column.transpose();
-        self.covariance.fill_upper_triangle_with_lower_triangle();
-        for k in 0..ERRORS {
-            // A variance may turn negative by round-off only.
-            self.covariance[(k, k)] = self.covariance[(k, k)].max(f64::EPSILON * gain[k] * column[k]);
-        }
+        reduce(&mut self.covariance, &gain, &column);
         self.responses -= gain * response.transpose();
         self.information += response * (response / variance).transpose();
         self.told += response * (off / variance);
@@ -280,9 +284,7 @@ impl Witness {
         by: &SMatrix<f64, 4, LEARNED>,
         h: f64,
     ) {
-        let of = &TAKEN_AS_KNOWN;
-        let white = scale * scale * of.white_torque[CAUSE_MODEL];
-        let walk = scale * scale * of.force_walk[CAUSE_MODEL] + inertia * inertia * of.mass_walk[CAUSE_MODEL];
+        let [white, walk] = TAKEN_AS_KNOWN.of_model(CAUSE_MODEL, [scale, inertia, 0.0]);
         self.error = step.f * self.error;
         self.ahead = step.f * self.ahead;
         self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);

@@ -259,18 +259,17 @@ impl Estimator {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
             let expected = self.belief.bank.predict_sample(&innovation);
             let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
+            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
             let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
             self.causes.look(constants, own, self.alarm.is_on(), before);
             if self.causes.are_judged() {
                 let reading = Reading { angle, noise: innovation.noise, age: 0.0, dead_zone: 0.0 };
-                let white = self.encoders[i].white_sigma(sigma[i], rate);
-                let seen = self.encoders[i].confined_to_interval(reading, (white, quantum[i]), rate);
+                let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate);
                 if seen.dead_zone == 0.0 {
                     let seen = Innovation { residual: innovation.residual + seen.angle - angle, noise: seen.noise, ..innovation };
                     self.causes.receive((i, rate), &seen);
                 }
             }
-            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
             let force = || self.alarm.reference_force(frame).norm();
             let change = innovation.residual - std::mem::replace(&mut self.innovation[i], innovation.residual);
             let witnessed = self.encoders[1 - i].is_settled();

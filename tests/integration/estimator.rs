@@ -336,15 +336,28 @@ fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
     }
 }
 
+/// Orders to servos that swing both axes by 0.25 rad at 2 rad/s, 0.4 rad apart or more.
+fn swing_course(time: f64) -> Inputs {
+    let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
+    Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
+}
+
+/// Machine that swings by [`swing_course`], and an estimate that begins with it; encoders of this step, rad.
+fn swinging(quantum: f64) -> (Simulation, Following) {
+    let mut parameters = followed(Method::Dop853);
+    (parameters.start.theta, parameters.start.omega) = (swing_course(0.0).servo_theta, swing_course(0.0).servo_omega);
+    (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [quantum; 2]);
+    parameters.effects.servo.enabled = true;
+    (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1.0; 2], [0.01; 2]);
+    let machine = Simulation::new(&parameters, &swing_course(0.0)).expect("a machine");
+    (machine, Following::new(&parameters, &swing_course(0.0)).expect("a scene"))
+}
+
 /// An encoder whose reading jumps while both axes swing, by 0.1 or 0.01 rad, fine or coarse, is left out from its first wrong sample until it
 /// jumps back; the other encoder and the servos keep the tip within 10 mm. After it has been silent for a second its reading counts as that of
 /// a new encoder, and is believed. Two readings that jump at once are believed: they tell of the estimate rather than of an encoder.
 #[test]
 fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
-    let course = |time: f64| {
-        let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
-        Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
-    };
     let (jumps, back) = (1.1, 3.1);
     for (quantum, h, by, silent, both) in [
         (1e-4, 1e-3, 0.1, false, false),
@@ -354,14 +367,7 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
         (1e-4, 1e-3, 0.1, true, false),
         (1e-4, 1e-3, 0.1, false, true),
     ] {
-        let mut parameters = followed(Method::Dop853);
-        (parameters.start.theta, parameters.start.omega) = (course(0.0).servo_theta, course(0.0).servo_omega);
-        parameters.estimator.sigma = [0.0; 2];
-        parameters.estimator.quantum = [quantum; 2];
-        parameters.effects.servo.enabled = true;
-        (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1.0; 2], [0.01; 2]);
-        let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
-        let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+        let (mut machine, mut following) = swinging(quantum);
         let mut stamp = 0.0;
         for step in 0..(3.5 / h) as u32 {
             let time = f64::from(step) * h;
@@ -382,12 +388,12 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
             } else if !both && since_back < 0.0 {
                 assert_eq!(faults, [Fault::Rejected, Fault::None], "{case}");
             }
-            let [at, truth] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+            let [at, truth] = [(following.simulation(), following.state_for(&swing_course(time))), (&machine, machine.state())]
                 .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
             if !both && since_back < 0.0 {
                 assert!((at - truth).norm() < 0.01, "{case}: {at} {truth}");
             }
-            let inputs = course(time + h / 2.0);
+            let inputs = swing_course(time + h / 2.0);
             following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
             machine.advance(&inputs, h, 1).expect("a step");
         }
@@ -398,17 +404,8 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
 /// servos' model the tip stays within 10 mm; wired rightly, they are believed after a second of silence.
 #[test]
 fn encoders_that_are_exchanged_are_left_out() {
-    let (h, course) = (1e-3, |time: f64| {
-        let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
-        Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
-    });
-    let mut parameters = followed(Method::Dop853);
-    (parameters.start.theta, parameters.start.omega) = (course(0.0).servo_theta, course(0.0).servo_omega);
-    (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [1e-4; 2]);
-    parameters.effects.servo.enabled = true;
-    (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1.0; 2], [0.01; 2]);
-    let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
-    let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+    let h = 1e-3;
+    let (mut machine, mut following) = swinging(1e-4);
     let mut measured = Measured::default();
     for step in 0..5000 {
         let time = f64::from(step) * h;
@@ -426,10 +423,10 @@ fn encoders_that_are_exchanged_are_left_out() {
             _ => status == Status::Following,
         };
         assert!(told, "{status:?} at {time} s");
-        let [at, truth] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+        let [at, truth] = [(following.simulation(), following.state_for(&swing_course(time))), (&machine, machine.state())]
             .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
         assert!((at - truth).norm() < 0.01, "{at} instead of {truth} at {time} s");
-        let inputs = course(time + h / 2.0);
+        let inputs = swing_course(time + h / 2.0);
         following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
         machine.advance(&inputs, h, 1).expect("a step");
     }
