@@ -315,14 +315,21 @@ impl Encoder {
     }
 
     /// Information for hypotheses of slow motions: an unchanged reading confines the axis to the quantisation interval; a changed one
-    /// locates it at the edge between two intervals.
-    pub(super) fn confined_to_interval(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
+    /// locates it at the edge between two intervals; neither better than a persistent error of variance `persistent`, rad², allows.
+    pub(super) fn confined_to_interval(
+        &self,
+        reading: Reading,
+        (sigma, quantum): (f64, f64),
+        rate: f64,
+        persistent: f64,
+    ) -> Reading {
         let Reading { angle, age, .. } = reading;
         if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
             return reading;
         }
         let passed = rate * self.interval;
-        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
+        let noise =
+            (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + persistent * self.most_correlated_samples();
         if self.repeated {
             Reading { angle, noise, age, dead_zone: quantum / 2.0 }
         } else {
@@ -414,6 +421,23 @@ mod tests {
         // Readings of 0, 1, 3 and 0, 2, 5 intervals: the last change differs from that of the rate.
         for steps in [1.4, 2.4] {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
+        }
+    }
+
+    /// Neither a reading that repeats nor one that passes an edge tells more of an axis than its mounting angle is known.
+    #[test]
+    fn edges_are_no_better_known_than_the_geometry() {
+        let (h, quantum, offset) = (1e-3, 1e-4, 2e-3);
+        for last in [0.0, quantum] {
+            let mut encoder = Encoder::NEW;
+            for (k, angle) in [0.0, 0.0, last].into_iter().enumerate() {
+                assert!(encoder.receive(angle, h * k as f64, h * k as f64, 0.0).is_some());
+            }
+            let noise = encoder.noise(0.0, quantum, 0.1, offset * offset);
+            let reading = Reading { angle: last, noise, age: 0.0, dead_zone: 0.0 };
+            let of = |persistent: f64| encoder.confined_to_interval(reading, (0.0, quantum), 0.1, persistent).noise;
+            // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
+            assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
         }
     }
 

@@ -203,8 +203,11 @@ impl Estimator {
                 self.learn_anew(constants);
             }
         }
-        let readings =
-            if self.hypotheses.are_quiet() { self.confined_to_intervals(constants, &motion, &readings) } else { readings };
+        let readings = if self.hypotheses.are_quiet() {
+            self.confined_to_intervals(constants, &motion, &readings, persistent)
+        } else {
+            readings
+        };
         if let Some(other) = self.hypotheses.correct(linkage, &readings, likelihood) {
             frame = self.take_over(other, constants, &mut motion);
         }
@@ -264,7 +267,7 @@ impl Estimator {
             self.causes.look(constants, own, self.alarm.is_on(), before);
             if self.causes.are_judged() {
                 let reading = Reading { angle, noise: innovation.noise, age: 0.0, dead_zone: 0.0 };
-                let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate);
+                let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, persistent[i]);
                 if seen.dead_zone == 0.0 {
                     let seen = Innovation { residual: innovation.residual + seen.angle - angle, noise: seen.noise, ..innovation };
                     self.causes.receive((i, rate), &seen);
@@ -401,12 +404,13 @@ impl Estimator {
         constants: &Constants,
         motion: &LinkState,
         readings: &[Option<Reading>; 2],
+        persistent: [f64; 2],
     ) -> [Option<Reading>; 2] {
         let Parameters { sigma, quantum, .. } = constants.parameters;
         [0, 1].map(|i| {
             let rate = motion.omega[MEASURED[i]];
             let sigma = self.encoders[i].white_sigma(sigma[i], rate);
-            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate))
+            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, persistent[i]))
         })
     }
 

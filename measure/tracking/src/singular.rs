@@ -12,9 +12,10 @@ use crate::machine::{
 use crate::quality::{fall, outcome, push};
 use crate::report::{Figure, Table};
 
-/// Speeds of the tip, m/s.
-const FAST: [f64; 2] = [0.5, 4.0];
-const SLOW: [f64; 2] = [0.02, 0.2];
+/// Speeds of the tip in fast crossings, m/s.
+pub const FAST: [f64; 2] = [0.5, 4.0];
+/// Speeds of the tip in slow crossings, m/s.
+pub const SLOW: [f64; 2] = [0.02, 0.2];
 /// Before and after a singularity, s.
 const AROUND: [f64; 2] = [0.15, 0.25];
 /// At most this many times as long before, until |sin(θ₃ − θ₂)| is larger than this.
