@@ -110,7 +110,6 @@ impl Bank {
     }
 
     /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
-    #[inline(never)]
     pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
         for member in self.active_members() {
             member.error = turned(turn, &member.error);
@@ -121,7 +120,6 @@ impl Bank {
     /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
     /// N·m, and by how much more the unknown force walks, N·m/√s. A model persists for `switch_time`, s, before one drawn from `priors`
     /// replaces it.
-    #[inline(never)]
     pub fn predict(
         &mut self,
         f: &Matrix,
@@ -135,7 +133,6 @@ impl Bank {
     }
 
     /// Time update with the share of a model that stays, in which `end` completes what has become of a model and bounds it.
-    #[inline(always)]
     pub(super) fn predict_with(
         &mut self,
         f: &Matrix,
@@ -161,7 +158,6 @@ impl Bank {
     }
 
     /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`LIKELY_MODELS`]; evidence of samples stays.
-    #[cold]
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
         for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
             member.weight *= prior / model_prior;
@@ -183,7 +179,6 @@ impl Bank {
     }
 
     /// Mean and covariance of the mixture.
-    #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
         let covariance = self
@@ -199,7 +194,6 @@ impl Bank {
     }
 
     /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
-    #[inline(never)]
     pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
@@ -227,7 +221,6 @@ impl Bank {
     }
 
     /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9
@@ -247,7 +240,6 @@ impl Bank {
     }
 
     /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
-    #[inline(never)]
     pub fn transform(&mut self, f: &Matrix) {
         for member in self.active_members() {
             member.error = f * member.error;
@@ -265,14 +257,12 @@ impl Bank {
     }
 
     /// Bank with the moments of this one in all models, and these probabilities.
-    #[cold]
     pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
         let (error, covariance) = self.moments();
         Self { members: priors.map(|weight| Member { weight, error, covariance }) }
     }
 
     /// Bank with zero mean of the force, of this variance, (N·m)², and uncorrelated with the motion.
-    #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
         for Member { error, covariance, .. } in &mut bank.members {
@@ -305,7 +295,6 @@ impl Bank {
     }
 
     /// Expectation of a sample.
-    #[inline(never)]
     pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
         let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
             if *weight == 0.0 {
@@ -331,7 +320,6 @@ pub(super) struct Mixing {
 
 impl Mixing {
     /// Of a model of this probability: it has stayed, or any model has switched to it. Shares of a model that takes no part are no numbers.
-    #[inline(always)]
     pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
         let (own, any) = (weight * stay, (1.0 - stay) * prior);
         let weight = own + any;
@@ -340,7 +328,6 @@ impl Mixing {
 }
 
 /// Probability that a model stays for h seconds, where it lasts for `switch_time`, s, on average.
-#[inline(always)]
 pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
     libm::exp(-h / switch_time)
 }
@@ -372,7 +359,6 @@ pub(super) fn reduce(covariance: &mut Matrix, gain: &Error, column: &Error) {
 }
 
 /// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
-#[cold]
 pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
     covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
     covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
@@ -389,7 +375,6 @@ impl Intensities {
 }
 
 /// Bounds the variances of unobserved directions; `also` takes the index of each that is scaled, and the factor.
-#[inline(always)]
 pub(super) fn bound(covariance: &mut Matrix, mut also: impl FnMut(usize, f64)) {
     for i in 0..FORCE {
         let (variance, most) = (covariance[(i, i)], LARGEST_VARIANCES[i / 2]);

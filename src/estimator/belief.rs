@@ -32,7 +32,6 @@ impl Belief {
 
     /// Injects the mean error into a motion and the force. Returns the error, the map between the tangent bases and the new frame; `None`,
     /// with nothing changed, where the loop cannot be closed.
-    #[inline(never)]
     pub(super) fn inject_error(
         &mut self,
         linkage: &Linkage,
@@ -55,7 +54,6 @@ impl Belief {
 
     /// Mean and covariance of the errors with another force, by its change on the tangent basis, N·m, which is as certain as that of a quiet
     /// model and uncorrelated with the motion.
-    #[cold]
     pub(super) fn with_force(&self, change: &Pair) -> (Error, Matrix) {
         let (mut error, mut covariance) = self.bank.moments();
         let certain = self.bank.members[CAUSE_MODEL].covariance.fixed_view::<2, 2>(FORCE, FORCE).into_owned();
@@ -65,7 +63,6 @@ impl Belief {
     }
 
     /// Whether a stored belief about a motion is possible: closed loop, finite force, sound bank.
-    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage, motion: &LinkState) -> bool {
         linkage.is_closed(motion) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
     }

@@ -159,7 +159,6 @@ impl Causes {
     }
 
     /// Ends the collection of evidence where the errors are no longer followed; `wrong`: because the estimate was.
-    #[cold]
     pub(super) fn close(&mut self, wrong: bool) {
         if let Some(witness) = &mut self.witness {
             witness.age = witness.age.max(EVIDENCE_TIME);
@@ -216,7 +215,6 @@ impl Causes {
     }
 
     /// Whether a stored value is possible.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let told = self.last.is_none_or(|(cause, of)| usize::from(cause) < Cause::ALL.len() && (0.0..=1.0).contains(&of));
         told && self.calm >= 0.0 && self.witness.as_ref().is_none_or(Witness::is_sound)
@@ -246,7 +244,6 @@ impl Witness {
     }
 
     /// Whether stored values are possible.
-    #[cold]
     fn is_sound(&self) -> bool {
         let p = &self.covariance;
         self.is_finite()
@@ -256,7 +253,6 @@ impl Witness {
     }
 
     /// Measurement update by a sample of encoder i of an axis that turns at `rate`, rad/s.
-    #[inline(never)]
     fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
         let Innovation { residual, row, noise } = sample;
         let column = self.covariance * row;
@@ -275,7 +271,6 @@ impl Witness {
     }
 
     /// Time update by h seconds; `by` are the accelerations by parameters.
-    #[inline(never)]
     fn predict(
         &mut self,
         step: &Propagation,

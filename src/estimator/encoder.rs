@@ -219,7 +219,6 @@ impl Encoder {
     }
 
     /// Whether stored values are possible.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let numbers = [self.time, self.angle, self.valid_time, self.change, self.jump];
         let durations =
@@ -259,7 +258,6 @@ impl Encoder {
     }
 
     /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
-    #[cold]
     pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
         (self.jump, self.rejected_in_a_row) = (residual, self.rejected_in_a_row.max(2));
     }

@@ -58,7 +58,6 @@ pub struct Flow<const P: usize = 0> {
 }
 
 /// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
-#[inline(never)]
 pub fn unit_forces(linkage: &Linkage, at: &Frame) -> Matrix4x2<f64> {
     let per_length = 1.0 / (linkage.length * linkage.length);
     let weights = Matrix4::from_diagonal(&Links::new(1.0, 1.0, per_length, per_length));
@@ -80,7 +79,6 @@ pub(super) fn steps(at: &Frame, near: &Linearised, scene: &impl Scene, (from, h)
 }
 
 /// Motion without variations: h seconds in equal steps.
-#[inline(never)]
 pub fn motion(scene: &impl Scene, from: &LinkState, force: &Links, h: f64, steps: u32) -> LinkState {
     let h = h / f64::from(steps);
     let mut at = *from;
@@ -128,7 +126,6 @@ impl<const P: usize> Point<P> {
 }
 
 /// Motion with variations from a state with its frame, under an unknown force, in the steps that it needs but at least `least`.
-#[inline(never)]
 pub fn flow<const P: usize>(
     linkage: &Linkage,
     scene: &impl Scene,

@@ -58,8 +58,6 @@ impl Point {
 
 impl SigmaPoints {
     /// Sigma points around an estimate, whose force has these variance rates.
-    #[cold]
-    #[inline(never)]
     fn around(linkage: &Linkage, motion: &LinkState, belief: &Belief, walk: [f64; 2]) -> Self {
         let frame = linkage.frame(&motion.theta);
         let inputs = unit_forces(linkage, &frame);

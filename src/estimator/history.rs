@@ -48,7 +48,6 @@ pub(super) struct History(ArrayVec<Past, REMEMBERED>);
 
 impl History {
     /// Time update by h seconds and a transition matrix from a motion; entries older than `max_age`, s, are dropped.
-    #[inline(never)]
     pub(super) fn step(&mut self, (motion, frame): (&LinkState, &Frame), transition: &Matrix, h: f64, max_age: f64) {
         if max_age == 0.0 {
             return;
@@ -86,7 +85,6 @@ impl History {
 
     /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the history is
     /// shorter.
-    #[inline(never)]
     pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
         let present = Past::present(motion, frame);
         let before = self.0.iter().rposition(|past| past.age >= age)?;
@@ -102,7 +100,6 @@ impl History {
     }
 
     /// Whether stored entries are possible: finite, the latest last.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let is_finite = |axis: &Axis| [axis.angle, axis.rate].iter().chain(&axis.row).all(|x| x.is_finite());
         self.0.iter().all(|past| past.age.is_finite() && past.age > 0.0 && past.axes.iter().all(is_finite))

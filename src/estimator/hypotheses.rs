@@ -131,7 +131,6 @@ impl Hypotheses {
     }
 
     /// Time update by a macro step of h seconds, after that of the estimate. `coasts`: no samples come.
-    #[inline(never)]
     pub(super) fn step(
         &mut self,
         constants: &Constants,
@@ -262,7 +261,6 @@ impl Hypotheses {
     }
 
     /// Lets a hypothesis replace the estimate. Behind a vertex the two change places; of two assemblies both go on beside the new estimate.
-    #[cold]
     pub(super) fn take_over(&mut self, which: usize, constants: &Constants, (motion, belief): (&mut LinkState, &mut Belief)) {
         let ahead = self.list[which].evidence;
         self.list.iter_mut().for_each(|other| other.evidence -= ahead);
@@ -287,8 +285,6 @@ impl Hypotheses {
 
     /// Motion from the angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if it can be; both assemblies
     /// are followed from then on. `None`, with nothing changed, where the loop cannot be closed or the assemblies coincide.
-    #[cold]
-    #[inline(never)]
     pub(super) fn restart(&mut self, constants: &Constants, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
         let own = assembly_of(motion);
         let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
@@ -301,7 +297,6 @@ impl Hypotheses {
     }
 
     /// Whether stored hypotheses are possible.
-    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         let first = self.list.first().map(|first| first.kind == Kind::Quiet);
         self.since_vertex >= 0.0
@@ -319,7 +314,6 @@ impl Hypotheses {
 
 impl Hypothesis {
     /// Motion of the estimate under nearly no unknown force.
-    #[cold]
     fn quiet(constants: &Constants, motion: &LinkState, belief: &Belief) -> Self {
         let sigma = INITIAL_FORCE_SIGMA * constants.torque_scale();
         let bank = belief.bank.with_priors(QUIET_MODELS).with_force(sigma * sigma);
@@ -328,8 +322,6 @@ impl Hypothesis {
     }
 
     /// Hypothesis in the mirrored assembly with equal angles and rates of the motors.
-    #[cold]
-    #[inline(never)]
     fn mirrored(&self, constants: &Constants) -> Option<Self> {
         let Self { motion, .. } = self;
         let assembly = if assembly_of(motion) == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
@@ -347,7 +339,6 @@ impl Hypothesis {
 
     /// Time update by h seconds under an unknown force, with the transition of a motion that is `close` where that is close enough; `None`
     /// where it fails.
-    #[inline(never)]
     fn propagate(
         &mut self,
         constants: &Constants,
@@ -383,7 +374,6 @@ impl Hypothesis {
     }
 
     /// Measurement update; returns the log-likelihood, `None` where the loop cannot be closed.
-    #[inline(never)]
     fn update(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
         let mut likelihood = 0.0;
         let frame = linkage.frame(&self.motion.theta);
@@ -445,8 +435,6 @@ fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkSta
 
 /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that
 /// fails.
-#[cold]
-#[inline(never)]
 fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkState, &Belief), aside: f64) -> Option<Hypothesis> {
     let fastest = motion.fastest();
     // At rest in a vertex there is no past motion.

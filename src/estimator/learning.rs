@@ -73,7 +73,6 @@ pub(super) struct Learning {
 
 impl Learning {
     /// Nothing learned yet.
-    #[cold]
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
         let model = Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance };
@@ -91,7 +90,6 @@ impl Learning {
     }
 
     /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number.
-    #[cold]
     pub(super) fn nees(&self, own: &Bank, truth: &Learned, which: Range<usize>) -> (f64, usize) {
         let Moments { covariance, .. } = self.moments(own);
         let free: Vec<usize> = which.filter(|i| covariance[(*i, *i)] > 0.0).collect();
@@ -106,7 +104,6 @@ impl Learning {
     }
 
     /// Moments of the mixture.
-    #[inline(never)]
     fn moments(&self, own: &Bank) -> Moments {
         let (mean, mean_own) = (self.mean(own), own.mean());
         let mut all = Moments { error: mean, cross: Cross::zeros(), covariance: Square::zeros() };
@@ -123,14 +120,12 @@ impl Learning {
     }
 
     /// Holds learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
-    #[cold]
     pub(super) fn hold(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
         self.models = [Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance }; MODELS];
     }
 
     /// A parameter begins anew.
-    #[cold]
     pub(super) fn begin_anew(&mut self, prior: &Prior, which: usize) {
         self.values[which] = prior.values[which];
         for Moments { error, cross, covariance } in &mut self.models {
@@ -181,7 +176,6 @@ impl Learning {
     }
 
     /// Measurement update by a sample of this row as the bank of the estimate has expected it, before that of this bank.
-    #[inline(never)]
     pub(super) fn update(&mut self, expected: &PredictedSample, row: &Error) {
         for ((model, weight), (residual, variance, own)) in self.models.iter_mut().zip(expected.weights).zip(&expected.each) {
             if weight == 0.0 {
@@ -234,7 +228,6 @@ impl Learning {
     }
 
     /// Whether stored values are possible beside a bank.
-    #[cold]
     pub(super) fn is_sound(&self, own: &Bank) -> bool {
         let is_within = |(i, value): (usize, &f64)| (bounds(i)[0]..=bounds(i)[1]).contains(value);
         self.values.iter().enumerate().all(is_within)
@@ -244,7 +237,6 @@ impl Learning {
 
 impl Moments {
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
-    #[inline(always)]
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
         let by = self.error - all.error;
         combine(&mut self.cross, own, (any, &all.cross), (own * any, off, &by));
@@ -254,7 +246,6 @@ impl Moments {
     }
 
     /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
-    #[inline(always)]
     fn step(&mut self, f: &Matrix, psi: &SMatrix<f64, FORCE, LEARNED>) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
         let pushed = psi * self.covariance;
         self.cross = f * self.cross;
@@ -267,7 +258,6 @@ impl Moments {
     }
 
     /// Whether stored moments are possible beside the covariance of motion and force.
-    #[cold]
     fn is_sound(&self, own: &Matrix) -> bool {
         let Self { error, cross, covariance: p } = self;
         let is_bounded = |element: f64, a: f64, b: f64| element * element <= 1.01 * a * b;
@@ -282,7 +272,6 @@ impl Moments {
 }
 
 /// Subtracts x yᵀ.
-#[inline(always)]
 fn subtract<const R: usize>(from: &mut SMatrix<f64, R, LEARNED>, x: &SVector<f64, R>, y: &Learned) {
     for (k, column) in from.data.0.iter_mut().enumerate() {
         for i in 0..R {
@@ -292,7 +281,6 @@ fn subtract<const R: usize>(from: &mut SMatrix<f64, R, LEARNED>, x: &SVector<f64
 }
 
 /// Becomes its multiple, plus one of another matrix, plus one of x yᵀ.
-#[inline(always)]
 fn combine<const R: usize>(
     matrix: &mut SMatrix<f64, R, LEARNED>,
     own: f64,

@@ -120,7 +120,6 @@ struct Sample {
 
 impl Estimator {
     /// Initial estimate of a scene.
-    #[cold]
     pub fn new(constants: &Constants) -> Self {
         Self {
             belief: Belief::new(constants.start_variances()),
@@ -357,13 +356,11 @@ impl Estimator {
     }
 
     /// Begins to learn anew where samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
-    #[cold]
     fn learn_anew(&mut self, constants: &Constants) {
         self.learning = constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior)));
     }
 
     /// Parameters that the master has set to other values begin anew; `tuned` is the prior with these values.
-    #[cold]
     pub fn begin_anew_where_tuned(&mut self, constants: &Constants, tuned: Option<&Prior>) {
         if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &constants.prior, tuned) {
             for i in (0..LEARNED).filter(|i| before.values[*i] != tuned.values[*i]) {
@@ -388,7 +385,6 @@ impl Estimator {
     }
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
-    #[cold]
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
@@ -562,7 +558,6 @@ impl Estimator {
     }
 
     /// Refuses a stored estimator that is not possible for this mechanism and motion.
-    #[cold]
     pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
         let linkage = &constants.linkage;
         if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) || !self.unaided.is_sound() {

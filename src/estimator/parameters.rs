@@ -56,7 +56,6 @@ pub struct Parameters {
 
 impl Parameters {
     /// Refuses invalid parameters; `step_size` is the macro step, s.
-    #[cold]
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
         for (name, value, unit) in [
             ("estimator.sigma[1]", self.sigma[0], "rad"),

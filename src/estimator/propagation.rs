@@ -37,7 +37,6 @@ impl Propagation {
     }
 
     /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
-    #[inline(never)]
     pub(super) fn along<const P: usize>(
         flow: &Flow<P>,
         mass: Matrix4<f64>,
@@ -108,7 +107,6 @@ impl ProcessNoise {
 }
 
 /// F P Fᵀ + Q, symmetric to the bit.
-#[inline(always)]
 pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> Matrix) -> Matrix {
     let mut product = noise(f * p * f.transpose());
     product.fill_upper_triangle_with_lower_triangle();
@@ -124,8 +122,6 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matri
 }
 
 /// Transition matrix without knowledge of the forces: angles follow the rates.
-#[cold]
-#[inline(never)]
 fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     let turn = from.basis_map_to(to);
     let mut f = turned(&turn, &Matrix::identity());

@@ -87,7 +87,6 @@ impl Linkage {
     }
 
     /// Posture at link angles, rad.
-    #[inline(never)]
     pub fn posture(&self, theta: &Links) -> Posture {
         let (sin_p, cos_p) = sin_cos(Legs::new([theta[0], theta[3]]));
         let (sin_d, cos_d) = sin_cos(Legs::new([theta[1], theta[2]]));
@@ -100,13 +99,11 @@ impl Linkage {
     }
 
     /// Tangent space at link angles, rad.
-    #[inline(never)]
     pub fn frame(&self, theta: &Links) -> Frame {
         Frame::new(self, self.posture(theta))
     }
 
     /// Newton iteration to the nearest closed state; `None` where it fails.
-    #[inline(never)]
     pub fn closed(&self, state: LinkState) -> Option<(LinkState, Frame)> {
         let LinkState { mut theta, omega } = state;
         for _ in 0..NEWTON_STEPS {
@@ -133,7 +130,6 @@ impl Linkage {
     }
 
     /// Whether a state closes the loop, up to the errors of low-accuracy settings and of straight motions through a vertex.
-    #[cold]
     pub fn is_closed(&self, state: &LinkState) -> bool {
         let (at, fastest) = (self.frame(&state.theta), state.fastest());
         let near = at.smallest < NEAR_VERTEX;

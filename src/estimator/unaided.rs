@@ -89,7 +89,6 @@ impl Unaided {
     }
 
     /// Whether a stored value is possible.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         self.without.as_ref().is_none_or(|(encoder, bank)| *encoder < 2 && bank.is_sound())
             && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())

@@ -37,7 +37,6 @@ impl Counters {
 impl<const N: usize, const M: usize> State<N, M> {
     /// Checks that all values are possible and that the loop is closed. Accelerations and joint forces are those of the past, or of whoever
     /// forged the state, until the next step.
-    #[cold]
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let energies = [self.work.input, self.work.dissipated, self.power.input, self.power.dissipated];
         let values = self.a.iter().chain(&self.jerk).chain(&self.lambda).chain(&energies);
@@ -59,7 +58,6 @@ impl<const N: usize, const M: usize> State<N, M> {
 
 impl Bounds {
     /// Refuses coordinates and rates that do not close the loop.
-    #[cold]
     pub(super) fn hold<const N: usize, const M: usize>(
         &self,
         system: &impl System<N, M>,

@@ -6,7 +6,6 @@ use crate::vector::Vector;
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
 ///
 /// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: λ has minimum norm there.
-#[inline(never)]
 pub fn equilibrium<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     q: &Vector<N>,
@@ -18,7 +17,6 @@ pub fn equilibrium<const N: usize, const M: usize>(
 }
 
 /// Solves for q̈ and λ at a given pose, and evaluates the power of the forces, W.
-#[inline(never)]
 pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
@@ -74,7 +72,6 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
 }
 
 /// q̈ and λ with the reaction of sticking friction, from those without.
-#[cold]
 fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     forces: &Vector<N>,
@@ -93,7 +90,6 @@ fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
 }
 
 /// Velocity q̇ without its component along the sticking direction: the projection that is smallest in the mass metric.
-#[cold]
 pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),

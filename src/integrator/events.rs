@@ -48,7 +48,6 @@ pub trait Events<const N: usize>: Clone {
     fn mode_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Mode;
 
     /// The mode with the closure branch on which a motion begins.
-    #[inline(always)]
     fn select_branch(&self, mode: Self::Mode, _q: &Vector<N>, _v: &Vector<N>) -> Self::Mode {
         mode
     }

@@ -344,7 +344,6 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     }
 
     /// Makes the attempt the new state.
-    #[inline(always)]
     fn accept(self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
         let Self { end, error, separated } = self;
         if h >= SHORTEST_FOR_JERK {
@@ -362,7 +361,6 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
 
 /// Local error of a step of h over the angles, rad (18): of the trapezoidal rule, from the change of q̈, and of the velocity
 /// projection.
-#[inline(always)]
 pub(super) fn local_error<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     h: f64,

@@ -78,7 +78,6 @@ impl<const K: usize> History<K> {
     const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; HISTORY_LENGTH] };
 
     /// Extrapolates by the polynomial of degree 5 through the last six steps of length `h`, or by a parabola through three.
-    #[inline(always)]
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
         match usize::from(known) {
@@ -89,7 +88,6 @@ impl<const K: usize> History<K> {
         }
     }
 
-    #[inline(always)]
     fn remember(&mut self, h: f64, x: Vector<K>) {
         if self.h != h {
             *self = Self { h, ..Self::NONE };
@@ -221,7 +219,6 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
-    #[cold]
     #[inline(never)]
     fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
@@ -255,7 +252,6 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Accepts a root and stores its unknowns in the history.
-    #[inline(always)]
     fn accept_root<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
@@ -270,7 +266,6 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted.
-    #[inline(always)]
     fn conclude<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,

@@ -145,7 +145,6 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there, and returns the mode in which the motion goes on.
     /// A transit has no mode: the power is that of the present state at both ends.
-    #[cold]
     pub(super) fn pass_through<S: System<N, M> + Events<N>>(
         &mut self,
         system: &S,

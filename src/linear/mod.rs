@@ -108,7 +108,6 @@ pub struct MassFactor<'a, const BARE: bool> {
 }
 
 impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
-    #[inline(always)]
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         if !BARE && self.solver.solve == LinearSolve::Dense {
             return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
@@ -152,7 +151,6 @@ impl LinearSolver {
     }
 
     /// Factorises the saddle-point matrix with M. `BARE`: the solve is known at compile time to be leg by leg.
-    #[inline(always)]
     pub fn factor_mass<const BARE: bool>(&self, pose: &Pose, regularization: f64) -> MassFactor<'_, BARE> {
         MassFactor { solver: self, two_leg: TwoLeg::factor_mass(&self.elimination, pose, regularization), regularization }
     }

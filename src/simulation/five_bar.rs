@@ -154,42 +154,34 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.pose(q)
     }
 
-    #[inline(always)]
     fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
         self.model.mechanism.phi(q, pose)
     }
 
-    #[inline(always)]
     fn phi_q_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
         pose.phi_q_times(v)
     }
 
-    #[inline(always)]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
         pose.phi_q_dot_times(v)
     }
 
-    #[inline(always)]
     fn mass_times(&self, _pose: &Pose, x: &Coordinates) -> Coordinates {
         self.model.mechanism.mass_times(x)
     }
 
-    #[inline(always)]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
         self.model.solver.factor_mass(pose, regularization)
     }
 
-    #[inline(always)]
     fn features(&self) -> Features {
         Features { work: self.follows_work, ..if BARE { Features::SMOOTH } else { self.model.features } }
     }
 
-    #[inline(always)]
     fn configuration_signs(&self, pose: &Pose) -> u8 {
         pose.configuration_signs()
     }
 
-    #[inline(always)]
     fn stuck(&self) -> Stuck {
         match &self.mode.stick_slip {
             _ if BARE || !self.model.features.may_stick => Stuck::Nothing,
@@ -211,12 +203,10 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         (forces, if self.follows_work { power } else { Work::default() })
     }
 
-    #[inline(always)]
     fn error_norm(&self, x: &Coordinates) -> f64 {
         largest_angle(x)
     }
 
-    #[inline(always)]
     fn length_scale(&self) -> f64 {
         self.model.length_scale
     }
@@ -229,7 +219,6 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         FiveBar::general(*self)
     }
 
-    #[inline(always)]
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
         pose.phi_q_transposed_times(lambda)
     }
@@ -275,7 +264,6 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
     }
 
     /// An iteration of the dense solve counts as several: its matrix has 22 rows.
-    #[inline(always)]
     fn iteration_work(&self) -> u64 {
         if !BARE && self.model.solver.linear_solve() == LinearSolve::Dense { DENSE_WORK } else { 1 }
     }

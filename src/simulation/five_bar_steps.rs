@@ -108,7 +108,6 @@ pub struct CutFiveBar<'a, const BARE: bool> {
 
 impl<const BARE: bool> CutFiveBar<'_, BARE> {
     /// Evaluates `of` on the finite step that belongs to a motion of the cut loop.
-    #[inline(always)]
     fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
         let &OpenStep { q, h, .. } = &self.step;
         let [d, v] = self.end(motion);

@@ -33,7 +33,6 @@ pub struct Estimate {
 
 impl Following {
     /// Simulation at its start, before the first sample.
-    #[cold]
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {
@@ -49,7 +48,6 @@ impl Following {
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
-    #[cold]
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
         let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
         let mut simulation = Simulation::restored(learned.as_ref().unwrap_or(parameters), run)?;
@@ -135,7 +133,6 @@ impl Following {
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].
-    #[cold]
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters().clone() };

@@ -36,7 +36,6 @@ pub(super) struct Motion {
 
 impl Discontinuity {
     /// Discontinuity between two models at the present state.
-    #[cold]
     pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
         let potential = present.potential_energy(before);
         let mass = |model: &Model| model.mechanism.geometry.mean_mass();

@@ -13,7 +13,6 @@ use crate::mechanism::{Link, Mechanism, SceneError};
 
 impl Parameters {
     /// Values and standard deviations of what is learned, before any sample; `None` where nothing is. What a scene does not have is known.
-    #[cold]
     pub(super) fn prior(&self) -> Option<Prior> {
         let Self { estimator, effects, .. } = self;
         estimator.learn_enabled.then(|| {
@@ -29,7 +28,6 @@ impl Parameters {
     }
 
     /// Values of all that may be learned, as the parameters say.
-    #[cold]
     pub(super) fn known(&self) -> Learned {
         let Self { effects, .. } = self;
         Learned::from_fn(|i, _| match i {

@@ -16,7 +16,6 @@ use crate::mechanism::Pose;
 
 impl FiveBar<'_> {
     /// Torques of wrench and weight on the links, N·m, by legs, and the power of the wrench, W.
-    #[inline(always)]
     pub(super) fn torques_and_power(&self, pose: &Pose, at: &Motion) -> (ByLink, Work) {
         let (wrench, power) = self.acting(at);
         let ([on_p, on_d], [weight_p, weight_d]) = (wrench.torques_in_angles(pose), self.model.weight_torques.torques(pose));
@@ -58,7 +57,6 @@ pub struct FollowedScene<'a> {
 
 impl FollowedScene<'_> {
     /// Answer of the equations of motion at a state, with the loads that act there.
-    #[inline(always)]
     pub(super) fn at<T>(
         &self,
         at: &LinkState,

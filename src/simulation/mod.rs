@@ -93,7 +93,6 @@ impl Simulation {
         Ok(simulation)
     }
 
-    #[cold]
     fn started(parameters: &Parameters, model: Model, run: Run) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), run, model };
         let state = simulation.state();
@@ -108,7 +107,6 @@ impl Simulation {
     }
 
     /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
-    #[cold]
     pub fn restored(parameters: &Parameters, mut run: Run) -> Result<Self, SceneError> {
         if run.is_model_exchange() {
             refuse_sticking(parameters)?;
@@ -133,7 +131,6 @@ impl Simulation {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
     }
 
-    #[cold]
     fn advance_changing(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.run.clone();
         let one = MacroSteps { h, count: 1, open_ended: false };

@@ -64,7 +64,6 @@ pub struct Model {
 
 impl Model {
     /// Checks the parameters and fixes everything that stays constant.
-    #[cold]
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
         settings.check()?;
@@ -178,7 +177,6 @@ impl Model {
 }
 
 /// Refusal of a payload whose inertia ratio exceeds the range of the linear solve of this run; names the mass that is still allowed.
-#[cold]
 fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
     let wanted = tuned.effects.payload.mass;
     let (mut taken, mut refused) = (in_force.payload.mass, wanted);

@@ -84,7 +84,6 @@ impl Passage<ANGLES> for AngleSystem<'_> {
         self.offset(q).is_none_or(|offset| offset.dot(&offset) >= UNPROJECTED_WITHIN * UNPROJECTED_WITHIN)
     }
 
-    #[cold]
     fn energy_to_keep(&self, q: &Angles, v: &Angles) -> Option<EnergyBalance> {
         (!self.can_project(q)).then(|| self.energy_balance(q, v))
     }
@@ -119,7 +118,6 @@ impl AngleSystem<'_> {
     }
 
     /// Passage, or step limits, near a vertex at this offset.
-    #[cold]
     fn approach_vertex(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let (distance, speed) = (offset.norm(), from.v.norm());
         let limited = |longest: f64| {

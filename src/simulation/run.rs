@@ -110,7 +110,6 @@ impl MacroStepped {
 
 impl Run {
     /// Starts from q and q̇, which satisfy the constraints.
-    #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
@@ -131,7 +130,6 @@ impl Run {
     }
 
     /// Starts a run whose proximal angles and rates are set by a master; they keep their whole turns. The distal links stay in `assembly`.
-    #[cold]
     pub(super) fn start_for_model_exchange(model: &Model, [q, v]: [Coordinates; 2], inputs: &Inputs, assembly: Assembly) -> Self {
         let states = ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]), assembly);
         let core = states.core(model, inputs);

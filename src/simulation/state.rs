@@ -79,7 +79,6 @@ pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
     remove_whole_turns_of_each(q, turns);
 }
 
-#[cold]
 fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
     for (turns, i) in turns.iter_mut().zip(THETA) {
         q[i] -= whole_turns(q[i], turns) * TAU;

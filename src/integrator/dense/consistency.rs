@@ -26,7 +26,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Checks that both ends are possible states and that the step leads from one to the other.
-    #[cold]
     pub fn check<S: Mechanics<N, M, Mode = K>>(
         &self,
         system: &S,
@@ -57,7 +56,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Checks the states from the present time to the end of the step, as they will be read.
-    #[cold]
     fn check_inside<S>(&self, system: &S, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency>
     where
         S: Mechanics<N, M, Mode = K>,

@@ -104,7 +104,6 @@ impl<const N: usize> Stages<N> {
 impl<T: Tableau, const N: usize> Explicit<T, N> {
     /// Increment from the beginning of the step to a stage, of q or of q̇: the sum of slopes is in units of its last coefficient, which
     /// saves a multiplication.
-    #[inline(always)]
     fn increment<const STAGE: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
         let mut sum = const { T::A[STAGE][0] / last(&T::A[STAGE]) } * part(&self.stages.slopes[0]);
         macro_rules! add {
@@ -159,7 +158,6 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
     }
 
     /// Error estimate in units of the tolerance: root mean square over coordinates, rates and work.
-    #[inline(always)]
     fn error(&self, weights: &ErrorWeights, [fine, coarse]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.stages.slopes[0].q, v_end];
         let mut fine = weights.mean_square(fine, rates, || self.stages.power(&T::FINE));
@@ -177,7 +175,6 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
 }
 
 /// Σ coefficient · slope over the stages; the compiler omits zero coefficients.
-#[inline(always)]
 fn row_sum(slopes: &[f64x2; MAX_STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
     let mut sum = f64x2::splat(coefficient(0)) * slopes[0];
     macro_rules! add {
@@ -197,14 +194,12 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     const CONTROLLER: StepSizeController = T::CONTROLLER;
     const EVALUATES_END: bool = T::EVALUATES_END;
 
-    #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
         let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };
         stages.slopes[0] = StageDerivative { q: from.v, v: from.a, power: from.power };
         Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
     }
 
-    #[inline(always)]
     fn judge<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
@@ -218,7 +213,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         (self.error(weights, [[fine_q, fine_v], [coarse_q, coarse_v]], &end[1]), end)
     }
 
-    #[inline(always)]
     fn work<const M: usize>(&self, _: &impl System<N, M>) -> Work {
         Work::default().plus(self.stages.h, self.stages.power(&T::END))
     }
@@ -235,7 +229,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         })
     }
 
-    #[cold]
     fn dense<const M: usize>(
         &mut self,
         system: &impl System<N, M>,

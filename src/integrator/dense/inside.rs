@@ -291,7 +291,6 @@ const NODE: f64 = 0.211_324_865_405_187_1;
 
 /// First higher coefficient of the work, J, between states `h` seconds apart, from the interpolant of the coordinates and the power at
 /// two inner nodes; computed only when the work is read.
-#[cold]
 fn work_coefficient<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     [from, to]: [&State<N, M>; 2],

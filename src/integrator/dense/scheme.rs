@@ -233,7 +233,6 @@ impl StiffnessDetector {
     }
 
     /// Takes the product of step and fastest rate of one step.
-    #[cold]
     pub(super) fn check(&mut self, step_times_rate: f64) {
         if step_times_rate > STABILITY_LIMIT {
             self.away_from_limit = 0;
@@ -258,7 +257,6 @@ impl StiffnessDetector {
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Longest step, s, in which oscillations of springs decay while friction holds everything else.
-    #[cold]
     pub(super) fn longest_at_rest<S: System<N, M>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) -> f64 {
         let rate = &mut self.memory.stiffness.rate_at_rest;
         if system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {

@@ -86,7 +86,6 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         self.step.end.counters.substeps += 1;
     }
 
-    #[cold]
     fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError> {
         self.step.next_mode_at_end = self.step.end.pass_through(system, transit, self.settings.regularization)?;
         (self.step.length, self.step.is_linear) = (transit.duration, true);

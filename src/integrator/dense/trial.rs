@@ -85,7 +85,6 @@ pub(super) trait Trial<const N: usize>: Sized {
 
     /// Ends the step at q and q̇: projects them onto the constraints and, where the scheme evaluates its ends, solves for q̈, λ and power
     /// there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
-    #[inline(always)]
     fn end<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
@@ -159,7 +158,6 @@ impl ErrorWeights {
     }
 
     /// Mean square of an error of q, q̇ and the work, in units of the admissible error, with the rates at both ends of the step.
-    #[inline(always)]
     pub(super) fn mean_square<const N: usize>(
         &self,
         [q, v]: [Vector<N>; 2],
@@ -176,7 +174,6 @@ impl ErrorWeights {
     }
 
     /// Work of a step, corrected by [`checked_work`]; with events that happens after their location.
-    #[inline]
     pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
         match follows {
             false => Ok(Work::default()),
@@ -194,7 +191,6 @@ impl ErrorWeights {
 
 /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
 /// exceeds the admissible error, the step is refused with the error in tolerances.
-#[inline]
 pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64> {
     let error = -work.dissipated / (settings.error_tolerance * settings.energy_scale);
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }

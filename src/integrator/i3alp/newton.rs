@@ -45,7 +45,6 @@ pub(super) struct Solution<const N: usize, P> {
 impl<const N: usize, const M: usize> Step<N, M> {
     /// Starts a step of h: δ is the increment against the predictor, which avoids the round-off of q̈ = 4/h² (q − …), and its first
     /// guess is β h times the jerk (19).
-    #[inline(always)]
     pub(super) fn predict(state: &State<N, M>, h: f64, tolerance: f64) -> Self {
         let State { q, v, a, jerk, lambda, .. } = *state;
         let beta = h * h / 4.0;
@@ -87,7 +86,6 @@ impl<const N: usize, const M: usize> Step<N, M> {
 }
 
 /// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met.
-#[inline(always)]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
@@ -174,7 +172,6 @@ fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
 }
 
 /// Bound on max |Φ|, m (17): proportional to the machine's size and to h², never below round-off.
-#[inline(always)]
 pub(super) fn constraint_tolerance(settings: &Settings, length_scale: f64, h: f64) -> f64 {
     let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
     length_scale * scaled.clamp(LEAST_TOLERANCE.min(settings.tolerance), settings.tolerance)

@@ -36,20 +36,17 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    #[inline(always)]
     pub(super) fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         let size = system.length_scale();
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
     }
 
     /// Bounds for the staggered iteration.
-    #[inline(always)]
     pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
     /// Largest element of M⁻¹f, Φ and J₁w/2, each relative to its bound.
-    #[inline(always)]
     fn violation(&self, [offset, phi, rate]: [f64; 3]) -> f64 {
         // A sum would be NaN where one of them is; a maximum would not.
         let most = (offset / self.offset).max(phi / self.phi).max(rate / self.rate);
@@ -72,7 +69,6 @@ impl IterationBudget<'_> {
     }
 
     /// Takes one iteration from the budget; `None` if it is exhausted.
-    #[inline(always)]
     fn take(&mut self) -> Option<()> {
         self.left = self.left.checked_sub(1)?;
         self.counters.iterations += 1;
@@ -82,7 +78,6 @@ impl IterationBudget<'_> {
 
 /// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
 /// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
-#[inline(always)]
 pub(super) fn staggered_newton<const N: usize, C: CutStep<N>, T>(
     cut: &C,
     mut x: C::Unknowns,
