@@ -3,13 +3,15 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bank::PredictedSample;
+use super::bank::{Innovation, PredictedSample};
 use super::constants::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS, SINGLE_EDGE,
     TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
-use super::tangent::wrapped;
+use super::history::History;
+use super::parameters::{Constants, Parameters};
+use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 
 /// Time of an encoder that has no sample, s.
 pub const NEVER: f64 = -1e30;
@@ -65,12 +67,14 @@ pub enum Fault {
     Stuck,
 }
 
-/// A valid sample.
-#[derive(Clone, Copy, Debug)]
+/// New, valid sample of an encoder.
+#[derive(Clone, Copy)]
 pub(super) struct Sample {
+    /// Angle, rad.
     pub(super) angle: f64,
     /// Age, s.
     pub(super) age: f64,
+    pub(super) innovation: Innovation,
 }
 
 /// Information of a sample about the angle of an axis.
@@ -139,8 +143,29 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Receives a sample and returns it if its time is new and it is valid. `max_delay` is the largest admissible age, s.
-    pub(super) fn receive(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
+    /// Sample of encoder `i` if it is new and valid, with its innovation y − h(x̂) about a motion. `persistent` is the variance of the
+    /// encoder's persistent error, rad².
+    pub(super) fn sample(
+        &mut self,
+        i: usize,
+        constants: &Constants,
+        (motion, frame, history): (&LinkState, &Frame, &History),
+        persistent: f64,
+        (measured, now): (&Measured, f64),
+    ) -> Option<Sample> {
+        let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
+        let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
+        let age = self.receive(angle, measured.time[i], now, max_delay)?;
+        let noise = self.noise(self.white_sigma(sigma[i], rate), quantum[i], rate, persistent);
+        let Some((expected, row)) = history.at(motion, frame, i, age) else {
+            self.fault = Fault::Late;
+            return None;
+        };
+        Some(Sample { angle, age, innovation: Innovation { residual: wrapped(angle - expected), row, noise } })
+    }
+
+    /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
+    fn receive(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<f64> {
         if time.to_bits() == self.time.to_bits() {
             return None;
         }
@@ -191,7 +216,7 @@ impl Encoder {
         let excess = if excess.abs() > 2.0 * rounded { excess } else { 0.0 };
         let timing = (self.jitter + excess * excess).sqrt();
         self.timing = if timing > rounded { timing } else { 0.0 };
-        Some(Sample { angle, age: if used <= rounded { 0.0 } else { used } })
+        Some(if used <= rounded { 0.0 } else { used })
     }
 
     /// Time update by h seconds.
@@ -281,15 +306,24 @@ impl Encoder {
         self.is_away()
     }
 
-    /// Gating: whether a sample is used whose innovation is `residual`, rad, and whose normalised innovation squared is `nis` in the mixture
-    /// and `least` in the loudest model. `overdue`: the reading should have changed; `patient`: the estimate is trusted rather than the
-    /// sample; `witnessed`: the estimate has settled on the other encoder.
-    pub(super) fn passes_gate(
+    /// Expected sample as the bank takes it, with its quantisation interval in place of white noise; `None` where the gate rejects the
+    /// sample. The axis turns at `rate`, rad/s, and the variance of the persistent error is `persistent`, rad². `overdue`: the reading
+    /// should have changed; `patient`: the estimate is trusted rather than the sample; `witnessed`: the estimate has settled on the other
+    /// encoder.
+    pub(super) fn admit(
         &mut self,
-        residual: f64,
-        [nis, least]: [f64; 2],
-        (overdue, patient, witnessed): (bool, bool, bool),
-    ) -> bool {
+        (expected, innovation): (&PredictedSample, &Innovation),
+        white: (f64, f64),
+        (rate, persistent): (f64, f64),
+        flags: (bool, bool, bool),
+    ) -> Option<PredictedSample> {
+        self.passes_gate(innovation.residual, [expected.nis(), expected.nis_of_loudest_model()], flags)
+            .then(|| self.with_quantisation_interval(expected, white, rate, [innovation.noise, persistent]))
+    }
+
+    /// Gating: whether a sample is used whose innovation is `residual`, rad, and whose normalised innovation squared is `nis` in the mixture
+    /// and `least` in the loudest model; for the other conditions see [`admit`](Self::admit).
+    fn passes_gate(&mut self, residual: f64, [nis, least]: [f64; 2], (overdue, patient, witnessed): (bool, bool, bool)) -> bool {
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
@@ -364,7 +398,7 @@ impl Encoder {
     }
 
     /// Expected sample with the quantisation interval in place of the white noise of variance `noise`, rad², that it was computed with.
-    pub(super) fn with_quantisation_interval(
+    fn with_quantisation_interval(
         &self,
         expected: &PredictedSample,
         (sigma, quantum): (f64, f64),
@@ -392,7 +426,7 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::bank::{Bank, Innovation};
+    use crate::estimator::bank::Bank;
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]

@@ -83,9 +83,12 @@ impl History {
         self.0.clear();
     }
 
-    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the history is
-    /// shorter.
+    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the sample is older
+    /// than the run or than the last change of hypothesis.
     pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
+        if age == 0.0 {
+            return Some((motion.theta[MEASURED[encoder]], frame.row(encoder)));
+        }
         let present = Past::present(motion, frame);
         let before = self.0.iter().rposition(|past| past.age >= age)?;
         let (past, next) = (&self.0[before], self.0.get(before + 1).unwrap_or(&present));

@@ -50,8 +50,8 @@ use constants::{
     BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCE,
     LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
-use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
+use encoder::{Reading, Sample};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -108,16 +108,6 @@ pub struct Estimator {
     nis: f64,
 }
 
-/// New sample of an encoder.
-#[derive(Clone, Copy)]
-struct Sample {
-    /// Angle, rad.
-    angle: f64,
-    /// Age, s.
-    age: f64,
-    innovation: Innovation,
-}
-
 impl Estimator {
     /// Initial estimate of a scene.
     pub fn new(constants: &Constants) -> Self {
@@ -150,7 +140,8 @@ impl Estimator {
         let (linkage, mut motion) = (&constants.linkage, *motion);
         let mut frame = linkage.frame(&motion.theta);
         let persistent = frame.motors_by_geometry(&constants.parameters);
-        let mut samples = [0, 1].map(|i| self.receive(i, constants, (&motion, &frame), persistent[i], (measured, now)));
+        let mut samples =
+            [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), persistent[i], (measured, now)));
         // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
@@ -214,32 +205,6 @@ impl Estimator {
         Some(motion)
     }
 
-    /// Sample of an encoder if it is new and valid, with its innovation y − h(x̂).
-    fn receive(
-        &mut self,
-        i: usize,
-        constants: &Constants,
-        (motion, frame): (&LinkState, &Frame),
-        persistent: f64,
-        (measured, now): (&Measured, f64),
-    ) -> Option<Sample> {
-        let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
-        let encoder::Sample { angle, age } = self.encoders[i].receive(measured.theta[i], measured.time[i], now, max_delay)?;
-        let rate = motion.omega[MEASURED[i]];
-        let noise = self.encoders[i].noise(self.encoders[i].white_sigma(sigma[i], rate), quantum[i], rate, persistent);
-        let innovation = if age > 0.0 {
-            let Some((expected, row)) = self.history.at(motion, frame, i, age) else {
-                // The sample is older than the run or than the last change of hypothesis.
-                self.encoders[i].fault = Fault::Late;
-                return None;
-            };
-            Innovation { residual: wrapped(angle - expected), row, noise }
-        } else {
-            Innovation::new(motion, frame, i, angle, noise)
-        };
-        Some(Sample { angle, age, innovation })
-    }
-
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
     fn update(
         &mut self,
@@ -282,10 +247,8 @@ impl Estimator {
             }
             let encoder = &mut self.encoders[i];
             nis += own;
-            let (least, patient) = (expected.nis_of_loudest_model(), self.hypotheses.is_branch_known());
-            if encoder.passes_gate(innovation.residual, [own, least], (overdue, patient, witnessed)) {
-                let told = [innovation.noise, persistent[i]];
-                let told = encoder.with_quantisation_interval(&expected, (sigma, quantum[i]), rate, told);
+            let (white, flags) = ((sigma, quantum[i]), (overdue, self.hypotheses.is_branch_known(), witnessed));
+            if let Some(told) = encoder.admit((&expected, &innovation), white, (rate, persistent[i]), flags) {
                 if let Some(learning) = &mut self.learning {
                     learning.update(&told, &innovation.row);
                 }
