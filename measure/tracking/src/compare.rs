@@ -36,7 +36,7 @@ pub enum Way {
 }
 
 /// A twin that is corrected from outside.
-struct Outside<'a> {
+pub(crate) struct Outside<'a> {
     way: Way,
     model: &'a Parameters,
     run: Simulation,
@@ -45,7 +45,7 @@ struct Outside<'a> {
     before: Option<[f64; 2]>,
 }
 
-fn assembled(model: &Parameters, x: &Error, assembly: Assembly, inputs: &Inputs) -> Option<Simulation> {
+pub(crate) fn assembled(model: &Parameters, x: &Error, assembly: Assembly, inputs: &Inputs) -> Option<Simulation> {
     let start = Start { theta: [x[0], x[1]], omega: [x[2], x[3]], assembly };
     Simulation::new(&Parameters { start, ..model.clone() }, inputs).ok()
 }
@@ -59,12 +59,12 @@ fn motors(run: &Simulation) -> [f64; 4] {
     [theta[0], theta[3], omega[0], omega[3]]
 }
 
-fn assembly(run: &Simulation) -> Assembly {
+pub(crate) fn assembly(run: &Simulation) -> Assembly {
     if side(&motion(&run.state()).0) > 0.0 { Assembly::Plus } else { Assembly::Minus }
 }
 
 impl<'a> Outside<'a> {
-    fn new(way: Way, model: &'a Parameters, inputs: &Inputs) -> Self {
+    pub(crate) fn new(way: Way, model: &'a Parameters, inputs: &Inputs) -> Self {
         let run = Simulation::new(model, inputs).unwrap_or_else(|error| panic!("the twin: {error}"));
         let m = motors(&run);
         let mut covariance = [[0.0; 6]; 6];
@@ -74,6 +74,11 @@ impl<'a> Outside<'a> {
         Self { way, model, run, mean: [m[0], m[1], m[2], m[3], 0.0, 0.0], covariance, before: None }
     }
 
+    /// The tip, m.
+    pub(crate) fn tip(&self) -> [f64; 2] {
+        tip(&self.run, &self.run.state())
+    }
+
     /// Goes on from the mean, where it can be assembled.
     fn restart(&mut self, inputs: &Inputs) {
         if let Some(run) = assembled(self.model, &self.mean, assembly(&self.run), &with_torques(inputs, &self.mean)) {
@@ -81,7 +86,7 @@ impl<'a> Outside<'a> {
         }
     }
 
-    fn correct(&mut self, sample: [f64; 2], encoder: &Encoder, inputs: &Inputs) {
+    pub(crate) fn correct(&mut self, sample: [f64; 2], encoder: &Encoder, inputs: &Inputs) {
         match self.way {
             Way::OpenLoop => {}
             Way::Anew => {
@@ -118,7 +123,7 @@ impl<'a> Outside<'a> {
         Some([m[0], m[1], m[2], m[3], x[4], x[5]])
     }
 
-    fn predict(&mut self, inputs: &Inputs) {
+    pub(crate) fn predict(&mut self, inputs: &Inputs) {
         let filters = matches!(self.way, Way::Extended | Way::Unscented);
         if filters {
             self.predict_covariance(inputs);
@@ -204,7 +209,7 @@ fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut R
         let (theta, _) = motion(&truth);
         let inputs = scenario.inputs(time + H / 2.0);
         twin.correct(MEASURED.map(|link| encoder.read(theta[link], random)), encoder, &inputs);
-        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(&twin.run, &twin.run.state()));
+        let ([x, y], [v, w]) = (tip(&machine, &truth), twin.tip());
         errors.push((x - v).hypot(y - w));
         twin.predict(&inputs);
         if machine.advance(&scenario.acting(time + H / 2.0), H, 1).is_err() {

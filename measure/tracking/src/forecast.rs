@@ -1,13 +1,17 @@
-//! Forecasts: how often the tip is within its bands, and how good the probability of a singularity is.
+//! Forecasts: how often the tip is within its bands, also after a push, their scores beside other ways, and how good the probability of a
+//! singularity is.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::flow::unit_forces;
 use fivebar::estimator::{Bands, Links, MEASURED, Measured};
 use fivebar::simulation::{Following, Signal, Simulation};
 
+use crate::compare::{Outside, Way, assembled, assembly};
+use crate::learning;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
-use crate::quality::{driven, fall};
-use crate::report::{Figure, Table};
+use crate::quality::{driven, fall, push, sines};
+use crate::report::{Figure, Table, median};
+use crate::scores::{ConstantVelocity, Scores, in_hindsight, mean, scores};
 
 /// When bands are looked at, s ahead.
 const AHEAD: [f64; 3] = [0.1, 0.3, 0.5];
@@ -20,6 +24,10 @@ const MEMBERS: usize = 100;
 /// Outcome of a forecast.
 struct Outcome {
     inside: [bool; 3],
+    /// Scores of the unit, by its covariance of the tip, and by its radius alone.
+    scores: [[Scores; 2]; 3],
+    /// Errors of the tip, m, by a constant velocity and by starting anew.
+    others: [[[f64; 2]; 2]; 3],
     meets: bool,
     probability: f64,
     of_members: f64,
@@ -29,14 +37,23 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     let mut scenario = scenario.clone();
     scenario.model.estimator.forecast = bands;
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
+    let (mut straight, mut anew) = (ConstantVelocity::default(), Outside::new(Way::Anew, &scenario.model, &scenario.inputs(0.0)));
     let followed = random.between(0.3, 1.0);
     let steps = (followed / H) as u64;
     let inputs = |step: u64| scenario.inputs((step as f64 + 0.5) * H);
+    // An encoder's step at the end of a link.
+    let noise = (scenario.model.geometry.links[0].length * encoder.quantum).powi(2) / 12.0;
     for step in 0..steps {
         let time = step as f64 * H;
         let (theta, _) = motion(&machine.state());
         let measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
         twin.correct(&measured, time);
+        anew.correct(measured.theta, encoder, &inputs(step));
+        anew.predict(&inputs(step));
+        let [left, right] = measured.theta;
+        if let Some(seen) = assembled(&scenario.model, &[left, right, 0.0, 0.0, 0.0, 0.0], assembly(&machine), &inputs(step)) {
+            straight.receive(tip(&seen, &seen.state()), noise, H);
+        }
         twin.advance_along(&Signal::held(inputs(step)), H, 1).ok()?;
         machine.advance(&inputs(step), H, 1).ok()?;
     }
@@ -46,8 +63,10 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     let start = side(&motion(&machine.state()).0);
     let of_members = ensemble(&twin, &scenario, &held, members, random);
     let (mut inside, mut meets, mut next) = ([false; 3], false, 0);
+    let (mut own, mut others) = ([[[0.0; 2]; 2]; 3], [[[0.0; 2]; 2]; 3]);
     for step in 1..=500 {
         twin.advance_along(&Signal::held(held), H, 1).ok()?;
+        anew.predict(&held);
         machine.advance(&held, H, 1).ok()?;
         meets |= side(&motion(&machine.state()).0) * start < 0.0;
         if (f64::from(step) * H - AHEAD[next]).abs() < H / 2.0 {
@@ -55,10 +74,14 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
             let ([xx, xy, yy], [dx, dy]) = (twin.tip_covariance(), [x - v, y - w]);
             let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy);
             inside[next] = squared <= ELLIPSE;
+            let round = twin.tip_radius().powi(2) / ELLIPSE;
+            own[next] = [[xx, xy, yy], [round, 0.0, round]].map(|covariance| scores(covariance, [dx, dy]));
+            // The last sample was taken a step before the forecast.
+            others[next] = [straight.ahead(AHEAD[next] + H), anew.tip()].map(|[v, w]| [x - v, y - w]);
             next = (next + 1).min(2);
         }
     }
-    Some(Outcome { inside, meets, probability, of_members })
+    Some(Outcome { inside, scores: own, others, meets, probability, of_members })
 }
 
 /// Part of random members of the estimate that meet a direct singularity within 0.5 s.
@@ -88,17 +111,44 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     met.count() as f64 / members as f64
 }
 
-/// Coverage and Brier scores.
+/// Forecasts of 0.3 s from every 50 ms of the second after a push on: whether the tip is within its radius; and the radius 20 ms after the push
+/// over that just before it.
+fn after_push(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Option<(Vec<bool>, f64)> {
+    let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
+    let pushed = (scenario.plan.from / H).round() as u64;
+    let (mut inside, mut radii) = (Vec::new(), [0.0; 2]);
+    for step in 0..pushed + 1000 {
+        let time = step as f64 * H;
+        let (theta, _) = motion(&machine.state());
+        twin.correct(&Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] }, time);
+        let ahead = || learning::forecast(&twin, &machine, scenario, step);
+        if step >= pushed && (step - pushed).is_multiple_of(50) {
+            inside.push(ahead().is_some_and(|[error, radius]| error <= radius));
+        }
+        for (radius, at) in radii.iter_mut().zip([pushed - 1, pushed + 20]) {
+            if step == at {
+                *radius = ahead()?[1];
+            }
+        }
+        twin.advance_along(&Signal::held(scenario.inputs(time + H / 2.0)), H, 1).ok()?;
+        machine.advance(&scenario.acting(time + H / 2.0), H, 1).ok()?;
+    }
+    Some((inside, radii[1] / radii[0]))
+}
+
+/// Coverage, scores, and forecasts after pushes.
 pub fn table(runs: u64, first: u64) -> Table {
     let mut table =
         Table::new("Forecasts by sigma points: part within the 95 % ellipse, and Brier score of a direct singularity within 0.5 s");
     type Scene = fn(&mut Random) -> Scenario;
-    let scenes: [(&str, Scene); 3] = [
-        ("free fall", |random| fall(random, false)),
-        ("fall, masses 5 % off", |random| fall(random, true)),
-        ("driven, masses 5 % off", driven),
+    // Scores of a machine that servos hold are told and not judged: in hindsight a width knows that nothing acts.
+    let scenes: [(&str, Scene, bool); 4] = [
+        ("free fall", |random| fall(random, false), true),
+        ("fall, masses 5 % off", |random| fall(random, true), true),
+        ("driven, masses 5 % off", driven, true),
+        ("sines, masses 5 % off", |random| sines(random, 2.0), false),
     ];
-    for (name, scene) in scenes {
+    for (name, scene, moves) in scenes {
         for encoder in [COARSE, FINE] {
             for bands in [Bands::SigmaPoints, Bands::Linear] {
                 let by_points = bands == Bands::SigmaPoints;
@@ -117,6 +167,20 @@ pub fn table(runs: u64, first: u64) -> Table {
                         true => Figure::between(label, covered, [90.0, 100.0], format!("of {count}")),
                         false => Figure::told(format!("{label}, linear"), covered, String::new()),
                     });
+                    if by_points {
+                        let own = [0, 1].map(|by| mean(outcomes.iter().map(|outcome| outcome.scores[i][by])));
+                        let others = [0, 1]
+                            .map(|way| in_hindsight(&outcomes.iter().map(|outcome| outcome.others[i][way]).collect::<Vec<_>>()));
+                        for (k, (score, unit)) in [("logarithmic score", 1.0), ("CRPS, mm", 1e3)].into_iter().enumerate() {
+                            let [[own, round], [straight, anew]] = [own, others].map(|pair| pair.map(|of| unit * of[k]));
+                            let label = format!("{name}, {}: {score}, {ahead} s", encoder.name);
+                            let note = format!("by its radius {round:.3}; constant velocity {straight:.3}, anew {anew:.3}");
+                            table.push(match moves {
+                                true => Figure::at_most(label, own, straight.min(anew), note),
+                                false => Figure::told(label, own, note),
+                            });
+                        }
+                    }
                 }
                 if by_points {
                     let brier = |of: &dyn Fn(&Outcome) -> f64| {
@@ -128,6 +192,25 @@ pub fn table(runs: u64, first: u64) -> Table {
                     table.push(Figure::at_most(label, own, members + 0.01, format!("100 members: {members:.4}")));
                 }
             }
+        }
+    }
+    let pushes: [(&str, Scene); 2] = [("a push of 0.5 N on sines", push), ("a push of 0.5 N in a fall, learned", learning::pushed)];
+    for (name, scene) in pushes {
+        for encoder in [COARSE, FINE] {
+            let outcomes: Vec<_> = (0..runs)
+                .filter_map(|seed| {
+                    let mut random = Random::new(first + 7_650_000 + seed);
+                    let scenario = scene(&mut random);
+                    after_push(&scenario, &encoder, &mut random)
+                })
+                .collect();
+            let all = || outcomes.iter().flat_map(|(inside, _)| inside);
+            let covered = 100.0 * all().filter(|inside| **inside).count() as f64 / all().count() as f64;
+            let label = |what: &str| format!("{name}, {}: {what}", encoder.name);
+            let note = format!("of {} runs", outcomes.len());
+            table.push(Figure::between(label("within 0.3 s in the second after it, %"), covered, [80.0, 100.0], note));
+            let wider = median(outcomes.iter().map(|(_, wider)| *wider));
+            table.push(Figure::at_least(label("radius 20 ms after it over that before"), wider, 1.0, "median".into()));
         }
     }
     table

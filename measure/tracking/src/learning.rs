@@ -7,7 +7,7 @@ use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
 
 use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, motion, tip};
-use crate::quality::{fall, servos};
+use crate::quality::{fall, push, servos};
 use crate::report::{Figure, Table, median};
 
 /// Time between samples, s.
@@ -50,6 +50,13 @@ fn scenario(random: &mut Random, (driven, viscous): (bool, bool), learns: bool) 
     scenario
 }
 
+/// A learned fall under known sines, pushed after a second by 0.5 N.
+pub(crate) fn pushed(random: &mut Random) -> Scenario {
+    let mut scenario = scenario(random, (true, false), true);
+    (scenario.plan.push, scenario.plan.from) = (push(random).plan.push, 1.0);
+    scenario
+}
+
 /// Values that an estimator of `model` would learn of the machine `truth`.
 fn of_machine(model: &Parameters, truth: &Parameters) -> Learned {
     let mut values = Learned::zeros();
@@ -80,13 +87,13 @@ struct Outcome {
 }
 
 /// Error and radius of 95 %, m, of a forecast from here.
-fn forecast(twin: &Following, machine: &Simulation, scenario: &Scenario, step: u64) -> Option<[f64; 2]> {
+pub(crate) fn forecast(twin: &Following, machine: &Simulation, scenario: &Scenario, step: u64) -> Option<[f64; 2]> {
     let (mut twin, mut machine) = (twin.clone(), machine.clone());
     let steps = (FORECASTS.1 / H).round() as u64;
     for ahead in 0..steps {
         let inputs = scenario.inputs(((step + ahead) as f64 + 0.5) * H);
         twin.advance_along(&Signal::held(inputs), H, 1).ok()?;
-        machine.advance(&inputs, H, 1).ok()?;
+        machine.advance(&scenario.acting(((step + ahead) as f64 + 0.5) * H), H, 1).ok()?;
     }
     let inputs = scenario.inputs(((step + steps) as f64 - 0.5) * H);
     let ([x, y], [v, w]) = (tip(&machine, &machine.state()), tip(twin.simulation(), &twin.state_for(&inputs)));

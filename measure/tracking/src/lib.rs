@@ -17,4 +17,5 @@ pub mod learning;
 pub mod machine;
 pub mod quality;
 pub mod report;
+pub mod scores;
 pub mod singular;

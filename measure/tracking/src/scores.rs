@@ -1,0 +1,91 @@
+//! Scores of forecasts of the tip by a normal distribution, the smaller the better (Gneiting and Raftery, J. American Statistical Association 102
+//! (2007) 359), and a way to forecast that knows no machine.
+
+use std::f64::consts::{FRAC_2_SQRT_PI, PI};
+
+/// Logarithmic score, −ln of the density per m² at the truth, and CRPS, m, the mean over both axes.
+pub type Scores = [f64; 2];
+
+/// Scores of a normal distribution, by its covariance (xx, xy, yy), m², whose mean is off by so much, m.
+pub fn scores([xx, xy, yy]: [f64; 3], [dx, dy]: [f64; 2]) -> Scores {
+    let determinant = xx * yy - xy * xy;
+    let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / determinant;
+    let crps = |off: f64, variance: f64| {
+        let off = off / (2.0 * variance).sqrt();
+        let size = FRAC_2_SQRT_PI * ((-off * off).exp() - 0.5f64.sqrt()) + 2.0 * off * libm::erf(off);
+        (variance / 2.0).sqrt() * size
+    };
+    [squared / 2.0 + (2.0 * PI).ln() + determinant.ln() / 2.0, (crps(dx, xx) + crps(dy, yy)) / 2.0]
+}
+
+/// Mean scores of errors, m, under the normal distribution that suits all of them best, of their mean square: of a way that has no band.
+pub fn in_hindsight(errors: &[[f64; 2]]) -> Scores {
+    let variance = errors.iter().flatten().map(|off| off * off).sum::<f64>() / (2 * errors.len()) as f64;
+    mean(errors.iter().map(|off| scores([variance, 0.0, variance], *off)))
+}
+
+/// Mean of scores.
+pub fn mean(all: impl Iterator<Item = Scores>) -> Scores {
+    let (sum, count) = all.fold(([0.0; 2], 0.0), |([a, b], count), [c, d]| ([a + c, b + d], count + 1.0));
+    sum.map(|sum| sum / count)
+}
+
+/// Kalman filter of a tip that moves straight on but for a white acceleration.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ConstantVelocity {
+    /// Position, m, and rate, m/s, of both axes.
+    axes: [[f64; 2]; 2],
+    /// Covariance of position and rate of an axis; `None` before the first sample.
+    covariance: Option<[f64; 3]>,
+}
+
+/// White acceleration, m²/s³: some metres per squared second that last for a tenth of a second.
+const ACCELERATION: f64 = 10.0;
+
+impl ConstantVelocity {
+    /// Takes the tip h seconds after the last time, by a sample whose variance is `noise`, m².
+    pub fn receive(&mut self, seen: [f64; 2], noise: f64, h: f64) {
+        let Some([xx, xv, vv]) = self.covariance else {
+            *self = Self { axes: seen.map(|x| [x, 0.0]), covariance: Some([noise, 0.0, 1.0]) };
+            return;
+        };
+        let q = ACCELERATION * h;
+        let [xx, xv, vv] = [xx + 2.0 * xv * h + vv * h * h + q * h * h / 3.0, xv + vv * h + q * h / 2.0, vv + q];
+        let gain = [xx, xv].map(|covariance| covariance / (xx + noise));
+        for ([x, v], seen) in self.axes.iter_mut().zip(seen) {
+            let residual = seen - (*x + *v * h);
+            (*x, *v) = (*x + *v * h + gain[0] * residual, *v + gain[1] * residual);
+        }
+        self.covariance = Some([xx - gain[0] * xx, xv - gain[0] * xv, vv - gain[1] * xv]);
+    }
+
+    /// The tip some seconds ahead, m.
+    pub fn ahead(&self, seconds: f64) -> [f64; 2] {
+        self.axes.map(|[x, v]| x + v * seconds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Scores of the standard normal distribution at its mean, ln 2π and √(2/π) − 1/√π, and a CRPS far off, the distance less 1/√π; all to
+    /// round-off.
+    #[test]
+    fn normal_scores_are_known() {
+        let standard = |off: f64| scores([1.0, 0.0, 1.0], [off; 2]);
+        let [log, crps] = standard(0.0);
+        assert!((log - (2.0 * PI).ln()).abs() < 1e-14 && (crps - ((2.0 / PI).sqrt() - 1.0 / PI.sqrt())).abs() < 1e-14);
+        assert!((standard(10.0)[1] - (10.0 - 1.0 / PI.sqrt())).abs() < 1e-13);
+    }
+
+    /// A tip that moves straight on is foretold.
+    #[test]
+    fn straight_motion_is_foretold() {
+        let (mut filter, h) = (ConstantVelocity::default(), 1e-3);
+        (0..1000).for_each(|k| filter.receive([0.1 + 0.5 * h * f64::from(k), -0.2], 1e-12, h));
+        let [x, y] = filter.ahead(0.5);
+        // The rate that it began with has decayed to round-off.
+        assert!((x - (0.1 + 0.5 * (999.0 * h + 0.5))).abs() < 1e-9 && (y + 0.2).abs() < 1e-9, "{x} {y}");
+    }
+}
