@@ -55,12 +55,14 @@ pub(crate) fn test(full: bool) -> Result<()> {
     steps.run("lints", || {
         process::run(process::cargo().args(["clippy", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]))
     })?;
+    // Valgrind has one core busy: all that follows goes on beside it.
+    let memory =
+        if full { Some(steps.run("program of the memory checks", || process::start("memory", &mut valgrind()?))?) } else { None };
     // Examples are built by the lints alone: built in full they take a quarter of a minute.
     steps.run("Rust tests", || {
         process::run(process::cargo().args(["test", "--locked", "--workspace", "--lib", "--bins", "--tests"]))?;
         process::run(process::cargo().args(["test", "--locked", "--workspace", "--doc"]))
     })?;
-    let memory = if full { Some(process::start("memory", &mut valgrind()?)?) } else { None };
     steps.run("Rust documentation", || {
         process::run(process::cargo().args(["doc", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     })?;

@@ -73,8 +73,10 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
         file.install(&python)?;
     }
     let mut command = process::program(python);
-    // Python's own settings of the caller must not reach into the private environment.
-    command.env_remove("PYTHONPATH").env_remove("PYTHONHOME");
+    // Python's own settings of the caller must not reach into the private environment. Without bytecode every process would compile all
+    // that it imports, a second of CPU or two.
+    command.env_remove("PYTHONPATH").env_remove("PYTHONHOME").env_remove("PYTHONDONTWRITEBYTECODE");
+    command.env("PYTHONPYCACHEPREFIX", paths::in_root("target/pycache"));
     Ok(command)
 }
 
