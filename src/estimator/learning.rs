@@ -92,10 +92,11 @@ impl Learning {
     /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number.
     pub(super) fn nees(&self, own: &Bank, truth: &Learned, which: Range<usize>) -> (f64, usize) {
         let Moments { covariance, .. } = self.moments(own);
-        let free: Vec<usize> = which.filter(|i| covariance[(*i, *i)] > 0.0).collect();
-        let p = nalgebra::DMatrix::from_fn(free.len(), free.len(), |i, k| covariance[(free[i], free[k])]);
-        let error = nalgebra::DVector::from_fn(free.len(), |i, _| truth[free[i]] - self.values[free[i]]);
-        (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), free.len())
+        let free = |i: usize| which.contains(&i) && covariance[(i, i)] > 0.0;
+        let p = Square::from_fn(|i, k| if free(i) && free(k) { covariance[(i, k)] } else { f64::from(u8::from(i == k)) });
+        let error = Learned::from_fn(|i, _| if free(i) { truth[i] - self.values[i] } else { 0.0 });
+        let count = (0..LEARNED).filter(|&i| free(i)).count();
+        (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), count)
     }
 
     /// Mean error of the mixture.
