@@ -34,7 +34,7 @@ FILE = PAGE / "fivebar.html"
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Any]:
     """A browser that has the page open from disk."""
-    for driver in open_browser(FILE, tmp_path):
+    with open_browser(FILE.as_uri(), tmp_path) as driver:
         wait(driver, lambda: data(driver, "state") == "ready")
         yield driver
 

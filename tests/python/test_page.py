@@ -2,7 +2,9 @@
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,24 +30,28 @@ def page(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def browser(page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the page open."""
-    yield from open_browser(page, tmp_path)
+    with open_browser(page.as_uri(), tmp_path) as driver:
+        yield driver
 
 
-def open_browser(page: Path, tmp_path: Path) -> Iterator[object]:
-    """A browser that has the page open; closed again, it must have had nothing to complain about."""
+@contextmanager
+def open_browser(address: str, folder: Path) -> Iterator[Any]:
+    """A browser that has the address open, with its profile in `folder`; at the end it must have had nothing to complain about."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
     options = webdriver.ChromeOptions()
     options.binary_location = "/usr/bin/chromium"
-    for flag in (*FLAGS.split(), f"--user-data-dir={tmp_path / 'profile'}"):
+    for flag in (*FLAGS.split(), f"--user-data-dir={folder / 'profile'}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service("/usr/bin/chromedriver"))
-    driver.get(page.as_uri())
-    yield driver
-    problems = driver.get_log("browser")
-    driver.quit()
+    try:
+        driver.get(address)
+        yield driver
+        problems = driver.get_log("browser")
+    finally:
+        driver.quit()
     assert problems == []
 
 
@@ -187,7 +193,8 @@ def map_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def map_browser(map_page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the map open."""
-    yield from open_browser(map_page, tmp_path)
+    with open_browser(map_page.as_uri(), tmp_path) as driver:
+        yield driver
 
 
 def test_the_machine_follows_the_pointer(map_browser: object) -> None:

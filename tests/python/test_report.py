@@ -240,7 +240,8 @@ def browser(page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the page open."""
     from test_page import open_browser
 
-    yield from open_browser(page, tmp_path)
+    with open_browser(page.as_uri(), tmp_path) as driver:
+        yield driver
 
 
 @pytest.mark.full

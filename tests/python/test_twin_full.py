@@ -305,18 +305,12 @@ def drawn(browser: Any, canvas: Any) -> bool:
 def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path) -> None:
     from PIL import Image
 
-    class Address:
-        """A page as `open_browser` asks for it."""
-
-        def as_uri(self) -> str:
-            return live.page
-
-    for browser in open_browser(Address(), tmp_path):
-        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
-        wait_until(lambda browser=browser: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text, 10)
+    with open_browser(live.page, tmp_path) as browser:
+        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
+        wait_until(lambda: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text, 10)
         first = float(browser.find_element("id", "clock").text)
-        wait_until(lambda browser=browser: float(browser.find_element("id", "clock").text) > first + 1, 5)
-        wait_until(lambda browser=browser: browser.find_element("id", "value-error").text.endswith("mm"), 5)
+        wait_until(lambda: float(browser.find_element("id", "clock").text) > first + 1, 5)
+        wait_until(lambda: browser.find_element("id", "value-error").text.endswith("mm"), 5)
         assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.8
         assert browser.find_element("id", "status").text == "Samples of both encoders are used"
         shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
@@ -348,27 +342,21 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
     """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
     run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600", "--learn", "--exact")
 
-    class Address:
-        """A page as `open_browser` asks for it."""
-
-        def as_uri(self) -> str:
-            return run.page
-
-    for browser in open_browser(Address(), tmp_path):
-        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
+    with open_browser(run.page, tmp_path) as browser:
+        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
         items = browser.find_elements("css selector", "#parameters li")
         assert len(items) == 10
         payload = next(item for item in items if "payload" in item.text)
         value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
         assert "before: 50 ± 20 g" in payload.text
-        wait_until(lambda value=value: "±" in value.text, 10)
+        wait_until(lambda: "±" in value.text, 10)
         # The stand-in's is 60 g.
         # Both at once, for they change every second.
         text, said = browser.execute_script("return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas)
         found, half = map(float, text.removesuffix(" g").split(" ± "))
         assert abs(found - 60) < 2 * half < 5, text
         assert said.startswith(f"Mass of the payload: {text}, a band ") and float(said.split()[-9]) < 20, said
-        wait_until(lambda browser=browser, canvas=canvas: drawn(browser, canvas), 5)
+        wait_until(lambda: drawn(browser, canvas), 5)
         assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
     run.process.send_signal(signal.SIGINT)
     assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
@@ -390,19 +378,13 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
     port = live.config["broker"]["port"]
     ear = Ear(port)
 
-    class Address:
-        """A page as `open_browser` asks for it."""
-
-        def as_uri(self) -> str:
-            return live.page
-
-    for browser in open_browser(Address(), tmp_path):
-        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
+    with open_browser(live.page, tmp_path) as browser:
+        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
         path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
         wrong = [("forecast", {"path": path}), ("forecast", {"singular": 5}), ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}), ("est", {"inputs": 5})]
         for kind, changes in wrong:
             # A page that draws slowly is sent the newest message of a kind only: one that was skipped is sent again.
-            def refused(browser: Any = browser, kind: str = kind, changes: dict[str, Any] = changes) -> bool:
+            def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
                 before = browser.find_element("id", "refused").text
                 ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(5)
                 time.sleep(0.3)
@@ -411,13 +393,13 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
 
             wait_until(refused, 10)
         before = float(browser.find_element("id", "clock").text)
-        wait_until(lambda browser=browser, before=before: float(browser.find_element("id", "clock").text) > before + 0.3, 10)
+        wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3, 10)
         assert browser.find_element("id", "connection").text == "live" and not browser.find_element("id", "undrawn").is_displayed()
         # An order from a clock that is ahead is answered in words.
         browser.execute_script("const now = Date.now; Date.now = () => now() + 90000; document.getElementById('restart').click(); Date.now = now;")
-        wait_until(lambda browser=browser: "ahead of the pipeline's own" in browser.find_element("id", "order").text, 10)
+        wait_until(lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text, 10)
         browser.execute_script("document.getElementById('restart').click()")
-        wait_until(lambda browser=browser: browser.find_element("id", "order").text.startswith("starting anew"), 10)
+        wait_until(lambda: browser.find_element("id", "order").text.startswith("starting anew"), 10)
         corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
         told = browser.execute_async_script(
             """const [corpus, done] = arguments;
@@ -435,20 +417,14 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
 def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
     """Pill and status stayed green for 4.6 s, on a telephone too."""
 
-    class Address:
-        """A page as `open_browser` asks for it."""
-
-        def as_uri(self) -> str:
-            return live.page
-
-    for browser in open_browser(Address(), tmp_path):
+    with open_browser(live.page, tmp_path) as browser:
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400})
         pill = browser.find_element("id", "connection")
-        wait_until(lambda pill=pill: pill.text == "live", 10)
+        wait_until(lambda: pill.text == "live", 10)
         pid = live.pids("follow")[-1]
         os.kill(pid, signal.SIGSTOP)
         try:
-            wait_until(lambda pill=pill: pill.text.startswith("no estimate for"), 5)
+            wait_until(lambda: pill.text.startswith("no estimate for"), 5)
             time.sleep(1)
             assert float(pill.text.split()[3]) >= 1.5 and "bad" in pill.get_attribute("class")
             status = browser.find_element("id", "status")
@@ -457,21 +433,15 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         finally:
             os.kill(pid, signal.SIGCONT)
-        wait_until(lambda pill=pill: pill.text == "live", 10)
+        wait_until(lambda: pill.text == "live", 10)
 
 
 def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
     """On a processor a twentieth as fast it was 7.3 s behind, and more and more: it leaves out instead."""
 
-    class Address:
-        """A page as `open_browser` asks for it."""
-
-        def as_uri(self) -> str:
-            return live.page
-
-    for browser in open_browser(Address(), tmp_path):
+    with open_browser(live.page, tmp_path) as browser:
         delay = browser.find_element("id", "value-delay")
-        wait_until(lambda delay=delay: delay.text.endswith("ms"), 10)
+        wait_until(lambda: delay.text.endswith("ms"), 10)
         browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 20})
         time.sleep(10)
         late = float(delay.text.split()[0])
