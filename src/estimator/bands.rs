@@ -3,7 +3,9 @@
 use nalgebra::{Matrix2, Vector4};
 
 use super::bank::{FORCE, Member};
-use super::constants::LEAST_TORQUE_DETERMINANT;
+use super::belief::Belief;
+use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
+use super::hypotheses::Hypothesis;
 use super::tangent::{LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};
 
@@ -24,16 +26,15 @@ const WIDEST: f64 = 2.5;
 const BISECTIONS: usize = 30;
 
 impl Estimator {
-    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion.
+    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the start is doubted both assemblies count
+    /// alike.
     pub fn sigmas(&self, constants: &Constants, motion: &LinkState) -> [Links; 2] {
-        if let Some(sigmas) = self.forecast.sigmas(motion) {
-            return sigmas;
-        }
-        let (frame, covariance) = (constants.linkage.frame(&motion.theta), self.belief.bank.covariance());
-        [0, 2].map(|first| {
-            let variances = frame.basis * covariance.fixed_view::<2, 2>(first, first) * frame.basis.transpose();
-            variances.diagonal().map(|variance| variance.max(0.0).sqrt())
-        })
+        let known = self.forecast.sigmas(motion).unwrap_or_else(|| sigmas(constants, motion, &self.belief));
+        let Some(other) = self.doubt.other() else { return known };
+        let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
+        let beside = sigmas(constants, &other.motion, &other.belief);
+        let of_both = |known: f64, beside: f64, off: f64| ((known * known + beside * beside + off * off) / 2.0).sqrt();
+        [0, 1].map(|k| Links::from_fn(|i, _| of_both(known[k][i], beside[k][i], off[k][i])))
     }
 
     /// Normalised estimation error squared of angles and rates against a true motion: 4 on average for a consistent covariance.
@@ -46,28 +47,34 @@ impl Estimator {
         covariance.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
     }
 
-    /// Covariance of the tip, m².
+    /// Covariance of the tip about that of a motion, m². While the start is doubted both assemblies count alike.
     pub fn tip_covariance(&self, constants: &Constants, motion: &LinkState) -> Matrix2<f64> {
         let frame = constants.linkage.frame(&motion.theta);
         let known = self.forecast.tip_covariance(motion, &constants.linkage).unwrap_or_else(|| {
             let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
             tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
         });
-        known + frame.tip_by_geometry(&constants.parameters)
+        let known = known + frame.tip_by_geometry(&constants.parameters);
+        let Some(other) = self.doubt.other() else { return known };
+        let apart = tip_apart(constants, motion, &other.motion);
+        let models = tip_of_models(constants, &other.motion, &other.belief);
+        let beside = models.iter().map(|(weight, about)| about * *weight).sum::<Matrix2<f64>>() + apart * apart.transpose();
+        (known + beside) / 2.0
     }
 
-    /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal.
+    /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
+    /// doubted, in either assembly.
     pub fn tip_radius(&self, constants: &Constants, motion: &LinkState) -> f64 {
-        let frame = constants.linkage.frame(&motion.theta);
-        let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
-        let models = self.belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
-            let off: Pair = tip * error.fixed_rows::<2>(0);
-            let about = tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + by_geometry;
-            let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
-            let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
-            (*weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
-        });
-        radius_of_95_percent(&models)
+        let radius = |motion: &LinkState, belief: &Belief| {
+            let models = tip_of_models(constants, motion, belief).map(|(weight, about)| {
+                let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
+                let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
+                (weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
+            });
+            radius_of_95_percent(&models)
+        };
+        let beside = |other: &Hypothesis| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief);
+        radius(motion, &self.belief).max(self.doubt.other().map_or(0.0, beside))
     }
 
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where
@@ -83,7 +90,35 @@ impl Estimator {
     }
 }
 
+/// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 of a motion with its belief.
+#[inline(never)]
+fn sigmas(constants: &Constants, motion: &LinkState, belief: &Belief) -> [Links; 2] {
+    let (frame, covariance) = (constants.linkage.frame(&motion.theta), belief.bank.covariance());
+    [0, 2].map(|first| {
+        let variances = frame.basis * covariance.fixed_view::<2, 2>(first, first) * frame.basis.transpose();
+        variances.diagonal().map(|variance| variance.max(0.0).sqrt())
+    })
+}
+
+/// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
+#[inline(never)]
+fn tip_of_models(constants: &Constants, motion: &LinkState, belief: &Belief) -> [(f64, Matrix2<f64>); MODELS] {
+    let frame = constants.linkage.frame(&motion.theta);
+    let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
+    belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
+        let off: Pair = tip * error.fixed_rows::<2>(0);
+        (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + by_geometry)
+    })
+}
+
+/// Way from the tip of a motion to that of another, m.
+#[inline(never)]
+fn tip_apart(constants: &Constants, from: &LinkState, to: &LinkState) -> Pair {
+    constants.linkage.tip(&to.theta) - constants.linkage.tip(&from.theta)
+}
+
 /// Radius that holds 95 % of a mixture of normal distributions about one centre, m, by probability and variances along both axes, m².
+#[inline(never)]
 fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
     // Over directions of the whitened error, along each of which its square is exponential.
     let within = |radius: f64| -> f64 {

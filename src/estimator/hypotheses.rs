@@ -13,14 +13,14 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, FORCE, Innovation, Matrix, turned};
+use super::bank::{Bank, Error, FORCE, Innovation, Matrix, turned};
 use super::belief::Belief;
 use super::constants::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
     LARGEST_ODDS_AFTER_CROSSING, LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS,
     LEAST_MOTOR_DETERMINANT, LEAST_ODDS_TO_OPEN, LEAST_RATE_CHANGE, LEAST_SINGULAR_VALUE, LIKELY_MODELS, MOST_FINE_STEPS,
-    NEAR_VERTEX, NEGLIGIBLE_ODDS, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE, SLOW_PASSAGE, START_DISTANCE,
-    TURNING_STEPS,
+    NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE, SLOW_PASSAGE,
+    START_DISTANCE, TURNING_STEPS,
 };
 use super::encoder::Reading;
 use super::flow::{self, Scene};
@@ -35,27 +35,33 @@ const MOST: usize = 3;
 
 /// Kind of a hypothesis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-enum Kind {
+pub(super) enum Kind {
     /// Straight on through a vertex, under the estimate's unknown force.
     Straight,
     /// Turned in a vertex, under the estimate's unknown force.
     Turned,
     /// Under nearly no unknown force.
     Quiet,
+    /// In the other assembly than the start, under an unknown force of its own.
+    Mirrored,
 }
 
 impl Kind {
     fn rules(self) -> &'static HypothesisRules {
-        if self == Self::Quiet { &QUIET } else { &AFTER_VERTEX }
+        match self {
+            Self::Quiet => &QUIET,
+            Self::Mirrored => &OF_START,
+            Self::Straight | Self::Turned => &AFTER_VERTEX,
+        }
     }
 }
 
 /// Motion beside the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Hypothesis {
+pub(super) struct Hypothesis {
     kind: Kind,
-    motion: LinkState,
-    belief: Belief,
+    pub(super) motion: LinkState,
+    pub(super) belief: Belief,
     /// Log-likelihood relative to what it is compared with; of a passage, of the mirror image relative to the motion.
     evidence: f64,
     /// Age, s.
@@ -237,7 +243,7 @@ impl Hypotheses {
     /// replaces the estimate, if any.
     pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2], likelihood: f64) -> Option<usize> {
         let told: ArrayVec<f64, MOST> =
-            self.list.iter_mut().map(|other| other.update(linkage, readings).unwrap_or(f64::NAN)).collect();
+            self.list.iter_mut().map(|other| other.update(linkage, readings).map_or(f64::NAN, |(told, ..)| told)).collect();
         let reference = if self.are_quiet() { told[0] } else { likelihood };
         self.list.iter_mut().zip(told).for_each(|(other, own)| other.evidence += own - reference);
         self.drop_refuted();
@@ -277,6 +283,11 @@ impl Hypotheses {
         }
     }
 
+    /// Takes over a doubt about the side of the estimate that ends undecided: the log-likelihood of the other one.
+    pub(super) fn doubt_side(&mut self, odds: f64) {
+        self.mirror_odds = self.mirror_odds.max(odds.clamp(NEGLIGIBLE_ODDS, 0.0));
+    }
+
     /// Counts samples that are `off`, each for `passed` seconds; whether the estimate is lost.
     pub(super) fn is_lost(&mut self, off: bool, passed: f64) -> bool {
         self.lost = (self.lost + if off { passed } else { -passed }).max(0.0);
@@ -303,16 +314,22 @@ impl Hypotheses {
             && self.lost.is_finite()
             && (NEGLIGIBLE_ODDS..=0.0).contains(&self.mirror_odds)
             && !(first == Some(true) && self.list.len() == MOST)
-            && self.list.iter().all(|other| {
-                first == Some(other.kind == Kind::Quiet)
-                    && other.evidence.is_finite()
-                    && (0.0..=other.kind.rules().lifetime).contains(&other.age)
-                    && other.belief.is_sound(linkage, &other.motion)
-            })
+            && self
+                .list
+                .iter()
+                .all(|other| first == Some(other.kind == Kind::Quiet) && other.kind != Kind::Mirrored && other.is_sound(linkage))
     }
 }
 
 impl Hypothesis {
+    /// Whether a stored hypothesis is possible.
+    #[cold]
+    pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
+        self.evidence.is_finite()
+            && (0.0..=self.kind.rules().lifetime).contains(&self.age)
+            && self.belief.is_sound(linkage, &self.motion)
+    }
+
     /// Motion of the estimate under nearly no unknown force.
     fn quiet(constants: &Constants, motion: &LinkState, belief: &Belief) -> Self {
         let sigma = INITIAL_FORCE_SIGMA * constants.torque_scale();
@@ -321,12 +338,26 @@ impl Hypothesis {
         Self { kind: Kind::Quiet, motion: *motion, belief, evidence: NEGLIGIBLE_ODDS, age: 0.0 }
     }
 
+    /// Whether this is in the other assembly than the start.
+    #[cold]
+    pub(super) fn is_of_start(&self) -> bool {
+        self.kind == Kind::Mirrored
+    }
+
+    /// Motion in the other assembly than the estimate's, with equal angles and rates of the motors, about which a start is as uncertain. `None`
+    /// where the assemblies cannot be told apart.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn of_start(constants: &Constants, motion: &LinkState) -> Option<Self> {
+        let mirrored = mirror_image(constants, motion).filter(|_| is_distinguishable(motion))?;
+        let belief = Belief::new(constants.start_variances());
+        Some(Self { kind: Kind::Mirrored, motion: mirrored, belief, evidence: 0.0, age: 0.0 })
+    }
+
     /// Hypothesis in the mirrored assembly with equal angles and rates of the motors.
     fn mirrored(&self, constants: &Constants) -> Option<Self> {
         let Self { motion, .. } = self;
-        let assembly = if assembly_of(motion) == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
-        let mirrored =
-            closed_by_motors(constants, MEASURED.map(|link| Pair::new(motion.theta[link], motion.omega[link])), assembly)?;
+        let mirrored = mirror_image(constants, motion)?;
         // Equal errors of the motors on the other tangent basis.
         let [from, to] = [motion, &mirrored].map(|of| constants.linkage.frame(&of.theta).motors());
         let turn = to.try_inverse().filter(|_| to.determinant().abs() >= LEAST_MOTOR_DETERMINANT)? * from;
@@ -338,15 +369,15 @@ impl Hypothesis {
     }
 
     /// Time update by h seconds under an unknown force, with the transition of a motion that is `close` where that is close enough; `None`
-    /// where it fails.
-    fn propagate(
+    /// where it fails. Returns the step.
+    pub(super) fn propagate(
         &mut self,
         constants: &Constants,
         scene: &impl Scene,
         force: &Links,
         close: Option<&Propagation>,
         h: f64,
-    ) -> Option<()> {
+    ) -> Option<Propagation> {
         let (linkage, rules) = (&constants.linkage, self.kind.rules());
         let from = linkage.frame(&self.motion.theta);
         let close = close.filter(|close| from.basis_map_to(&close.from).determinant().abs() >= LEAST_BASIS_OVERLAP);
@@ -370,11 +401,12 @@ impl Hypothesis {
         let (scale, timing) = (rules.force_scale * constants.torque_scale(), (h, constants.parameters.switch_time));
         self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, &rules.models);
         self.motion = end;
-        Some(())
+        Some(step)
     }
 
-    /// Measurement update; returns the log-likelihood, `None` where the loop cannot be closed.
-    fn update(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
+    /// Measurement update; returns the log-likelihood, the error that was injected and the map between the tangent bases, `None` where the loop
+    /// cannot be closed.
+    pub(super) fn update(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<(f64, Error, Matrix2<f64>)> {
         let mut likelihood = 0.0;
         let frame = linkage.frame(&self.motion.theta);
         for (encoder, reading) in readings.iter().enumerate() {
@@ -391,7 +423,8 @@ impl Hypothesis {
             likelihood += if dead_zone > 0.0 { -0.5 * expected.nis() } else { expected.log_likelihood() };
             self.belief.bank.update(&expected);
         }
-        self.belief.inject_error(linkage, &frame, &mut self.motion).map(|_| likelihood)
+        let (error, turn, _) = self.belief.inject_error(linkage, &frame, &mut self.motion)?;
+        Some((likelihood, error, turn))
     }
 }
 
@@ -416,6 +449,17 @@ fn mirror_odds(motion: &LinkState, belief: &Belief, at: &Frame) -> f64 {
 /// Assembly of a state.
 fn assembly_of(motion: &LinkState) -> Assembly {
     if motion.side()[0] > 0.0 { Assembly::Plus } else { Assembly::Minus }
+}
+
+/// Whether a motion is far enough from direct singularities that motors tell the assemblies apart by what they turn.
+pub(super) fn is_distinguishable(motion: &LinkState) -> bool {
+    motion.side()[0].abs() >= DISTINGUISHABLE
+}
+
+/// State of the other assembly with equal angles and rates of the motors.
+fn mirror_image(constants: &Constants, motion: &LinkState) -> Option<LinkState> {
+    let assembly = if assembly_of(motion) == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
+    closed_by_motors(constants, MEASURED.map(|link| Pair::new(motion.theta[link], motion.omega[link])), assembly)
 }
 
 /// State of an assembly with these angles, rad, and rates, rad/s, of the motors.

@@ -11,7 +11,8 @@
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
-//! | `cause.rs` | explanations of an alarm, compared |
+//! | `doubt.rs` | whether the start is in the right assembly |
+//! | `witness.rs`, `cause.rs` | filter that knows of no fault; explanations of an alarm, compared |
 //! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
 //!
 //! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
@@ -25,6 +26,7 @@ pub mod bank;
 pub mod belief;
 mod cause;
 mod constants;
+mod doubt;
 pub mod encoder;
 pub mod flow;
 pub mod forecast;
@@ -38,6 +40,7 @@ mod quantiser;
 mod stored;
 pub mod tangent;
 mod unaided;
+mod witness;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -50,6 +53,7 @@ use constants::{
     BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCE,
     LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
+use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{Reading, Sample};
 use flow::{Flow, flow};
@@ -57,7 +61,7 @@ pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
-use hypotheses::Hypotheses;
+use hypotheses::{Hypotheses, Hypothesis};
 use learning::{LEARNED, Learned, Learning, Prior};
 pub use parameters::{Bands, Constants, Parameters};
 use propagation::Propagation;
@@ -73,7 +77,7 @@ pub enum Status {
     Coasting,
     /// Too close to a vertex to know the branch: samples are not used.
     Holding,
-    /// Alternative hypotheses are followed after a singularity.
+    /// Several motions are followed: the start is doubted, or a singularity was passed.
     TwoBranches,
     /// One encoder is silent; the other is used.
     OneEncoder,
@@ -92,6 +96,7 @@ pub struct Estimator {
     /// Whether no samples arrived before the last macro step.
     coasts: bool,
     hypotheses: Hypotheses,
+    doubt: Doubt,
     unaided: Unaided,
     /// Learning of masses and friction; boxed, so that an estimator that does not learn is no larger.
     learning: Option<Box<Learning>>,
@@ -116,6 +121,7 @@ impl Estimator {
             held: false,
             coasts: true,
             hypotheses: Hypotheses::default(),
+            doubt: Doubt::NEW,
             unaided: Unaided::default(),
             learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
@@ -167,7 +173,7 @@ impl Estimator {
                 }
             }
         }
-        let Update { readings, likelihood, fit } = self.update(constants, (&motion, &frame), persistent, &samples);
+        let Update { readings, seen, likelihood, fit } = self.update(constants, (&motion, &frame), persistent, &samples);
         let used = readings.iter().flatten().count();
         if used == 0 {
             return favoured.map(|_| motion);
@@ -180,6 +186,7 @@ impl Estimator {
                 self.history.correct(&error, &turn);
                 self.unaided.correct(&error, &turn);
                 self.causes.correct(&error, &turn);
+                self.doubt.follow(&error, &turn);
                 if let Some(learning) = &mut self.learning {
                     learning.correct(&self.belief.bank, &turn);
                 }
@@ -191,15 +198,22 @@ impl Estimator {
                 self.unaided = Unaided::default();
                 self.causes.close(false);
                 self.learn_anew(constants);
+                self.end_doubt();
             }
         }
-        let readings = if self.hypotheses.are_quiet() {
+        let readings = if self.hypotheses.are_quiet() || self.doubt.is_open() {
             self.confined_to_intervals(constants, &motion, &readings, persistent)
         } else {
             readings
         };
         if let Some(other) = self.hypotheses.correct(linkage, &readings, likelihood) {
             frame = self.take_over(other, constants, &mut motion);
+        }
+        if let Some(other) = self.doubt.correct(constants, &readings, &seen) {
+            frame = self.leave_assembly(&other, constants, &mut motion);
+        }
+        if used == 2 {
+            self.doubt.begin(constants, &motion);
         }
         self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used));
         Some(motion)
@@ -220,7 +234,7 @@ impl Estimator {
                 self.encoders[i].leave_out_lastingly(sample.innovation.residual);
             }
         }
-        let mut update = Update { readings: [None; 2], likelihood: 0.0, fit: 0.0 };
+        let mut update = Update { readings: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         for i in 0..2 {
             let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
@@ -258,6 +272,17 @@ impl Estimator {
                 }
                 update.fit += own;
                 self.unaided.update(i, &innovation);
+                if self.doubt.is_open() {
+                    // Errors that persist are constant: they say nothing of accelerations.
+                    let reading =
+                        Reading { angle, noise: self.encoders[i].noise(sigma, quantum[i], rate, 0.0), age, dead_zone: 0.0 };
+                    let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, 0.0);
+                    if seen.dead_zone == 0.0 {
+                        let residual = innovation.residual + seen.angle - angle;
+                        self.doubt.receive((i, rate), &Innovation { residual, noise: seen.noise, ..innovation });
+                        update.seen[i] = Some(seen);
+                    }
+                }
                 update.readings[i] = Some(Reading { angle, noise: innovation.noise, age, dead_zone: 0.0 });
             } else if overdue && let Some(bank) = self.unaided.take() {
                 self.belief.bank = bank;
@@ -312,6 +337,7 @@ impl Estimator {
         self.history.clear();
         self.unaided = Unaided::default();
         self.learn_anew(constants);
+        self.doubt.end();
         self.encoders.iter_mut().for_each(Encoder::settle_anew);
         self.causes.close(true);
         (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
@@ -351,10 +377,33 @@ impl Estimator {
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
+        self.begin_anew_at(constants, motion)
+    }
+
+    /// Lets the motion in the other assembly than the start replace the estimate. Returns its frame.
+    #[cold]
+    fn leave_assembly(&mut self, other: &Hypothesis, constants: &Constants, motion: &mut LinkState) -> Frame {
+        self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
+        (*motion, self.belief) = (other.motion, other.belief);
+        self.begin_anew_at(constants, motion)
+    }
+
+    /// Forgets what belongs to the motion that another one has replaced. Returns the frame of that.
+    #[cold]
+    fn begin_anew_at(&mut self, constants: &Constants, motion: &LinkState) -> Frame {
         self.history.clear();
         self.unaided = Unaided::default();
         self.causes.close(false);
         constants.linkage.frame(&motion.theta)
+    }
+
+    /// Ends the doubt about the start undecided.
+    #[cold]
+    fn end_doubt(&mut self) {
+        if self.doubt.is_open() {
+            self.hypotheses.doubt_side(0.0);
+        }
+        self.doubt.end();
     }
 
     /// Readings as slow motions are judged by: an interval, or an edge between two.
@@ -389,10 +438,7 @@ impl Estimator {
         } else {
             (Propagation::new(linkage, scene, (from, &frame), to, &self.belief.force, h), None)
         };
-        // Inertia torques, link by link: in a fast passage next to a singularity those of two links nearly cancel on the basis, while
-        // errors of their masses do not.
-        let torques = step.mass * ((to.omega - from.omega) / h);
-        let inertia = (frame.basis.component_mul(&frame.basis).column_sum().dot(&torques.component_mul(&torques)) / 2.0).sqrt();
+        let inertia = step.inertia_torque(&((to.omega - from.omega) / h));
         let scale = constants.torque_scale();
         if coasts && parameters.forecast == Bands::SigmaPoints {
             self.forecast.step(constants, (from, &self.belief), scene, (h, [scale, inertia]));
@@ -412,7 +458,7 @@ impl Estimator {
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
         // A branch that is not known teaches nothing.
-        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
+        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet() && !self.doubt.is_open();
         match (&mut self.learning, &learned) {
             (Some(learning), Some(flow)) if known => {
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
@@ -427,6 +473,10 @@ impl Estimator {
         let by_parameters = || scene.by_learned(from, &self.belief.force, &((to.omega - from.omega) / h));
         self.causes.predict(&step, &noise, [scale, observable], (wrong, h), by_parameters);
         self.held = step.held;
+        let about = (&step, [from, to], &self.belief.force);
+        if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {
+            self.hypotheses.doubt_side(odds);
+        }
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h);
@@ -460,7 +510,7 @@ impl Estimator {
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.hypotheses.are_open() => Status::TwoBranches,
+            () if self.hypotheses.are_open() || self.doubt.is_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -498,7 +548,7 @@ impl Estimator {
 
     /// Whether derivatives by masses and friction are asked for.
     pub fn asks_for_parameters(&self) -> bool {
-        self.learning.is_some() || self.causes.are_judged()
+        self.learning.is_some() || self.causes.are_judged() || self.doubt.is_open()
     }
 
     /// Most probable cause of the last alarm or fault, and its probability: 1 where an encoder's own samples show it.
@@ -523,7 +573,11 @@ impl Estimator {
     /// Refuses a stored estimator that is not possible for this mechanism and motion.
     pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
         let linkage = &constants.linkage;
-        if !self.belief.is_sound(linkage, motion) || !self.hypotheses.is_sound(linkage) || !self.unaided.is_sound() {
+        if !self.belief.is_sound(linkage, motion)
+            || !self.hypotheses.is_sound(linkage)
+            || !self.doubt.is_sound(linkage)
+            || !self.unaided.is_sound()
+        {
             return Err("its estimate has a state or covariance that is not valid");
         }
         if !self.encoders.iter().all(Encoder::is_sound) || !self.history.is_sound() || !self.forecast.is_sound(linkage) {
@@ -545,6 +599,8 @@ impl Estimator {
 struct Update {
     /// Readings that were used.
     readings: [Option<Reading>; 2],
+    /// Those of them that tell assemblies apart: all but readings within a quantisation interval.
+    seen: [Option<Reading>; 2],
     /// Their log-likelihood.
     likelihood: f64,
     /// Their normalised innovation squared, summed.

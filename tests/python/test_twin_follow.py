@@ -157,7 +157,8 @@ def test_servos_that_are_told_nothing_hold_where_the_machine_starts(config: Conf
     """They hung on the start value of `servo.theta`, 0: 50 N·m that were not there, which late samples could not make up for."""
     twin = follower(config, library)
     said = estimates(twin, standing(STALLED))
-    assert all(each.fields["estimated.status"] == 2 for each in said) and not twin.failure
+    # A machine that has not moved yet does not tell its assembly: from the second sample on both are followed.
+    assert [each.fields["estimated.status"] for each in said[1:]] == [6] * (len(said) - 1) and not twin.failure
     # A step of the 16-bit encoder is 9.6e-5 rad.
     assert all(abs(each.fields["theta[1]"] - 2.7567) < 1e-4 for each in said)
     twin.close()
@@ -222,20 +223,22 @@ def test_parameters_are_taken_within_their_bounds(config: Config, library: Libra
 def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, library: Library, samples: list[Message]) -> None:
     twin, plain = follower(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
-    made: list[Message] = []
+    made: list[tuple[float, Message]] = []
     for message in samples:
         assert twin.meas(message)
-        twin.estimate()
+        status = twin.estimate().fields["estimated.status"]
         if message.seq % 40 == 20 and message.seq + 101 < len(samples):
             forecast = ahead.run(twin.state())
             assert forecast is not None
-            made.append(forecast)
+            made.append((status, forecast))
     estimates(plain, samples)
     assert encode(twin.state()) == encode(plain.state())
-    for forecast in made:
+    assert [status for status, _ in made].count(2) >= len(made) - 2, "the machine moves from 0.2 s on"
+    for status, forecast in made:
         assert forecast.extra["path"]["ahead"] == pytest.approx([0.05 * (i + 1) for i in range(10)])
         later = replace(forecast, time=forecast.time + 500_000_000)
-        assert off(later, samples) < forecast.extra["half_width"] < 0.02
+        # While the assembly of the start is doubted, a forecast covers both, whose tips are 0.2 m apart.
+        assert off(later, samples) < forecast.extra["half_width"] < (0.02 if status == 2 else 0.4)
         widths = forecast.extra["path"][RADIUS]
         assert widths[0] < widths[-1]
     for each in (twin, plain, ahead):

@@ -14,9 +14,9 @@ use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
 
 /// Half-width of a 95 % ellipse in standard deviations.
-const ELLIPSE: f64 = 2.4477;
+pub const ELLIPSE: f64 = 2.4477;
 /// Tip error that counts, m, and in half-widths; and how long it must last in silence, s.
-const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
+pub const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
 /// Time within which a failure is to be told, s.
 const SOON: f64 = 0.2;
 
@@ -71,12 +71,12 @@ fn swing_course(time: f64, plan: &Plan) -> Inputs {
 }
 
 /// Servos of 1 N·m/rad that swing both axes by 0.25 rad at 2 rad/s, masses 5 % off.
-fn swing(random: &mut Random) -> Scenario {
+pub fn swing(random: &mut Random) -> Scenario {
     swing_by(random, 1.0)
 }
 
 /// Servos of 20 N·m/rad, otherwise as [`swing`].
-fn stiff(random: &mut Random) -> Scenario {
+pub fn stiff(random: &mut Random) -> Scenario {
     swing_by(random, 20.0)
 }
 
@@ -101,7 +101,7 @@ fn fast(random: &mut Random) -> Scenario {
 
 /// The machine of `scenes/haptic.json`, which a hand presses onto a wall: masses 5 % off, a fifth more payload and unknown damping, as the
 /// twin's stand-in has them.
-fn haptic(random: &mut Random) -> Scenario {
+pub fn haptic(random: &mut Random) -> Scenario {
     let mut model = desk();
     model.settings.method = Method::Automatic;
     model.settings.error_tolerance = 1e-6;

@@ -19,3 +19,4 @@ pub mod quality;
 pub mod report;
 pub mod scores;
 pub mod singular;
+pub mod starts;

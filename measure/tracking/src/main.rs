@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use tracking::report::Table;
-use tracking::{benchmark, causes, compare, detection, faults, forecast, foreign, geometry, learning, quality, singular};
+use tracking::{benchmark, causes, compare, detection, faults, forecast, foreign, geometry, learning, quality, singular, starts};
 
 /// Figures of the estimator
 #[derive(Parser)]
@@ -31,7 +31,7 @@ fn main() -> ExitCode {
         compare::write(runs(10), seeds, &folder).unwrap_or_else(|error| panic!("{}: {error:#}", folder.display()));
         return ExitCode::SUCCESS;
     }
-    let tables: [(&str, &dyn Fn() -> Table); 11] = [
+    let tables: [(&str, &dyn Fn() -> Table); 12] = [
         ("benchmark", &|| benchmark::table(runs(60), seeds)),
         ("quality", &|| quality::table(runs(100), seeds)),
         ("compare", &|| compare::table(runs(10), seeds)),
@@ -39,6 +39,7 @@ fn main() -> ExitCode {
         ("forecast", &|| forecast::table(runs(100), seeds)),
         ("detection", &|| detection::table(runs(60), part, seeds)),
         ("faults", &|| faults::table(runs(20), seeds)),
+        ("starts", &|| starts::table(runs(20), seeds)),
         ("causes", &|| causes::table(runs(50), seeds)),
         ("foreign", &|| foreign::table(runs(20), seeds)),
         ("geometry", &|| geometry::table(runs(100), seeds)),

@@ -20,6 +20,9 @@ pub(crate) const FOLLOWING: &str = "following";
 /// Steps of the encoders, rad: 16 bits.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
+/// Steps after which the start is no longer doubted.
+const RUN_UP: u64 = 400;
+
 /// Samples of the encoders of a machine at a range of steps.
 fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64>) -> Result<Vec<(Measured, f64)>> {
     let mut samples = Vec::new();
@@ -50,8 +53,14 @@ fn followed(name: &'static str, speak: bool, learn: bool) -> Case {
         (effects.payload.enabled, effects.viscous.enabled) = (learn, learn);
         (effects.payload.mass, effects.viscous.b) = (5e-3, [1e-5; 5]);
         parameters.estimator.learn_enabled = learn;
-        let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..STEPS)?;
+        let run_up = if speak { RUN_UP } else { 0 };
+        let mut samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..run_up + STEPS)?;
         let mut twin = twin(parameters, &inputs)?;
+        for (measured, now) in samples.drain(..run_up as usize) {
+            twin.correct(&measured, now);
+            twin.advance_along(&Signal::held(inputs), H, 1).map_err(|failure| anyhow::anyhow!("{failure}"))?;
+        }
+        ensure!(!speak || twin.status() != Status::TwoBranches, "the start is still doubted");
         let work: Work = Box::new(move || {
             for (measured, now) in &samples {
                 if speak {

@@ -1,0 +1,116 @@
+//! Starts in the right assembly and in the wrong one: how soon the doubt ends, and how often it errs.
+
+use fivebar::estimator::{MEASURED, Measured, Status};
+use fivebar::mechanism::Assembly;
+use fivebar::simulation::Signal;
+
+use crate::faults::{ELLIPSE, SILENT, haptic, swing};
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, tip};
+use crate::quality::{driven, fall, friction, pick, push, sines};
+use crate::report::{Figure, Table, quantile};
+
+/// Longest part of a run that counts, s.
+const LONGEST: f64 = 2.0;
+/// Time for which a right start has to be off, undoubted, to count as taken away, s.
+const ASTRAY: f64 = 0.02;
+
+/// Outcome of a run.
+#[derive(Default)]
+struct Outcome {
+    /// Whether the tip was off with a status and bands that do not tell it.
+    silent: bool,
+    /// Whether the tip was off while one assembly alone was followed.
+    astray: bool,
+    /// Whether the tip is off at the end.
+    lost: bool,
+    /// Time at which the doubt ended, s.
+    doubted: f64,
+}
+
+/// A run of a machine that starts in an assembly, and of a twin that starts in the right or the wrong one.
+fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assembly, bool), random: &mut Random) -> Outcome {
+    let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
+    let mut told = scenario.clone();
+    told.truth.start.assembly = own;
+    told.model.start.assembly = if wrong { other } else { own };
+    let (mut machine, mut twin) = (told.machine(), told.twin(encoder));
+    let (mut outcome, mut silent, mut astray) = (Outcome::default(), 0.0, 0.0);
+    let macro_steps = (h / 1e-3).round().max(1.0);
+    for step in 0..(scenario.duration.min(LONGEST) / h).round() as u64 {
+        let (time, truth) = (step as f64 * h, machine.state());
+        let theta = motion(&truth).0;
+        twin.correct(&Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] }, time);
+        let estimate = twin.state_for(&scenario.inputs(time));
+        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
+        let off = (x - v).hypot(y - w);
+        let [xx, xy, yy] = twin.tip_covariance();
+        let half_width = ELLIPSE * ((xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy)).max(0.0).sqrt();
+        let fine = twin.status() == Status::Following && !twin.estimator().alarm();
+        let is_silent = time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine;
+        silent = if is_silent { silent + h } else { 0.0 };
+        outcome.silent |= silent >= SILENT.2;
+        if twin.status() == Status::TwoBranches {
+            outcome.doubted = time;
+        } else if off > SILENT.0 {
+            astray += h;
+        }
+        outcome.lost = off > SILENT.0;
+        let middle = time + h / 2.0;
+        let moved = twin.advance_along(&Signal::held(told.inputs(middle)), h / macro_steps, macro_steps as u64);
+        if moved.and_then(|()| machine.advance(&told.acting(middle), h / macro_steps, macro_steps as u64)).is_err() {
+            outcome.lost = true;
+            break;
+        }
+    }
+    outcome.astray = astray > ASTRAY;
+    outcome
+}
+
+/// Right and wrong starts in both assemblies, scene by scene.
+pub fn table(runs: u64, first: u64) -> Table {
+    type Scene = fn(&mut Random) -> Scenario;
+    let rows: [(&str, Scene, Encoder, f64, &[Assembly]); 11] = [
+        ("pick", pick, FINE, 1e-3, &BOTH),
+        ("pick", pick, COARSE, 5e-3, &BOTH),
+        ("sines", |random| sines(random, LONGEST), FINE, 1e-3, &BOTH),
+        ("sines", |random| sines(random, LONGEST), COARSE, 1e-3, &BOTH),
+        ("friction", friction, FINE, 1e-3, &BOTH),
+        ("push", push, FINE, 1e-3, &BOTH),
+        ("fall", |random| fall(random, true), FINE, 1e-3, &BOTH),
+        ("driven", driven, FINE, 1e-3, &BOTH),
+        ("swing", swing, FINE, 1e-3, &BOTH),
+        ("swing", swing, COARSE, 1e-3, &BOTH),
+        // In the other assembly its machine starts behind the wall.
+        ("haptic", haptic, FINE, 1e-3, &[Assembly::Plus]),
+    ];
+    const BOTH: [Assembly; 2] = [Assembly::Plus, Assembly::Minus];
+    let mut table = Table::new("Starts in the right assembly and in the wrong one, runs");
+    for (name, scene, encoder, h, assemblies) in rows {
+        for (own, wrong) in assemblies.iter().flat_map(|own| [(*own, false), (*own, true)]) {
+            let outcomes: Vec<Outcome> = (0..runs)
+                .map(|seed| {
+                    let mut random = Random::new(first + 7_920_000 + seed);
+                    let scenario = scene(&mut random);
+                    run(&scenario, (&encoder, h), (own, wrong), &mut random)
+                })
+                .collect();
+            let count = |of: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| of(outcome)).count();
+            let doubted = |part: f64| 1e3 * quantile(outcomes.iter().map(|outcome| outcome.doubted), part);
+            let remark = format!(
+                "of {runs}; silent {}, lost at the end {}, doubted for {:.0} ms (median), {:.0} (90 %), {:.0} (longest)",
+                count(&|o| o.silent),
+                count(&|o| o.lost),
+                doubted(0.5),
+                doubted(0.9),
+                doubted(1.0)
+            );
+            let label = format!("{name}, {}, {} ms, {own:?}, {}", encoder.name, 1e3 * h, if wrong { "wrong" } else { "right" });
+            table.push(if wrong {
+                Figure::at_most(format!("{label}: wrong in silence"), count(&|o| o.silent) as f64, (runs / 200) as f64, remark)
+            } else {
+                Figure::at_most(format!("{label}: taken away"), count(&|o| o.astray) as f64, 0.0, remark)
+            });
+        }
+    }
+    table
+}

@@ -1,0 +1,211 @@
+//! Doubt about the start: encoders do not see the assembly, and a start may be in the wrong one. Both are followed until motion has told them
+//! apart.
+//!
+//! The motion in the other assembly has an unknown force of its own. About each motion a witness (`witness.rs`) knows no force but one of any
+//! size that hardly changes, and leaves masses, payload and friction free. An assembly that is wrong needs a force that changes as the machine
+//! accelerates, which no such parameters explain. With the sum X of r²/S that the best parameters leave, and the determinant D that their
+//! freedom costs, the evidence for the start is
+//!
+//! ```text
+//! ½ [ (X' − X)/c + ln D' − ln D ]        c = max(1, min(X, X')/n)
+//! ```
+//!
+//! with a dash in the other assembly, after n samples.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::Matrix2;
+
+use super::bank::{Error, Innovation, Matrix};
+use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, NEITHER_FITS};
+use super::encoder::Reading;
+use super::flow::Scene;
+use super::hypotheses::{Hypothesis, is_distinguishable};
+use super::parameters::Constants;
+use super::propagation::Propagation;
+use super::tangent::{LinkState, Linkage, Links, MEASURED};
+use super::witness::{Faults, PARAMETERS, Witness, prior_sizes};
+
+/// Doubt about the assembly of a start.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Doubt {
+    /// Whether both encoders have not been heard yet.
+    pending: bool,
+    /// Both assemblies while they are followed.
+    branches: Option<Branches>,
+}
+
+/// Estimate and motion in the other assembly, in comparison.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Branches {
+    other: Hypothesis,
+    /// Witnesses about the estimate and about the other motion.
+    witnesses: [Witness; 2],
+    /// Logarithm of the odds of the start.
+    evidence: f64,
+}
+
+/// Verdict of the samples on the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// Nothing yet.
+    None,
+    /// The start is in the right assembly.
+    Right,
+    /// The start is in the wrong one.
+    Wrong,
+}
+
+impl Doubt {
+    /// Before the first sample.
+    pub(super) const NEW: Self = Self { pending: true, branches: None };
+
+    /// Whether both assemblies are followed.
+    pub(super) fn is_open(&self) -> bool {
+        self.branches.is_some()
+    }
+
+    /// Motion in the other assembly, while it is followed.
+    pub(super) fn other(&self) -> Option<&Hypothesis> {
+        self.branches.as_ref().map(|branches| &branches.other)
+    }
+
+    /// Begins with the first samples of both encoders, where the assemblies are not one.
+    pub(super) fn begin(&mut self, constants: &Constants, motion: &LinkState) {
+        if std::mem::take(&mut self.pending) {
+            let other = Hypothesis::of_start(constants, motion);
+            self.branches = other.map(|other| Branches { other, witnesses: witnesses(constants), evidence: 0.0 });
+        }
+    }
+
+    /// Receives a sample of encoder i of an axis that turns at `rate`, rad/s, as the estimate has expected it, before its own update.
+    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+        if let Some(branches) = &mut self.branches {
+            branches.witnesses[0].receive((i, rate), sample);
+        }
+    }
+
+    /// Follows a correction of the estimate by an error that turns its tangent basis.
+    pub(super) fn follow(&mut self, error: &Error, turn: &Matrix2<f64>) {
+        if let Some(branches) = &mut self.branches {
+            branches.witnesses[0].correct(error, turn);
+        }
+    }
+
+    /// Measurement update of the other motion by readings, and of its witness by those of them that it has `seen` as the estimate's, after that of
+    /// the estimate. Returns the motion that replaces the estimate, if it does.
+    #[inline(never)]
+    pub(super) fn correct(
+        &mut self,
+        constants: &Constants,
+        readings: &[Option<Reading>; 2],
+        seen: &[Option<Reading>; 2],
+    ) -> Option<Hypothesis> {
+        let branches = self.branches.as_mut()?;
+        let verdict = branches.correct(constants, readings, seen);
+        let other = branches.other;
+        if verdict != Verdict::None {
+            self.end();
+        }
+        (verdict == Verdict::Wrong).then_some(other)
+    }
+
+    /// Time update by h seconds, after that of the estimate by a step from a motion to another under an unknown force. Returns the logarithm of
+    /// the odds of the other assembly where the doubt ends undecided: at a direct singularity both assemblies are one.
+    #[inline(never)]
+    pub(super) fn step(
+        &mut self,
+        constants: &Constants,
+        scene: &impl Scene,
+        (step, [from, to], force): (&Propagation, [&LinkState; 2], &Links),
+        (has_intervals, h): (bool, f64),
+    ) -> Option<f64> {
+        let Branches { other, witnesses: [own, mirrored], evidence } = self.branches.as_mut()?;
+        let follow = |witness: &mut Witness, step: &Propagation, [from, to]: [&LinkState; 2], force: &Links| {
+            let alpha = (to.omega - from.omega) / h;
+            let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
+            let by = scene.by_learned(from, force, &alpha);
+            witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, h);
+        };
+        let (before, acts) = (other.motion, other.belief.force);
+        let Some(beside) = other.propagate(constants, scene, &acts, None, h) else {
+            // No motion in the other assembly goes on.
+            self.end();
+            return None;
+        };
+        if step.held || beside.held || ![to, &other.motion].into_iter().all(is_distinguishable) {
+            let odds = -*evidence;
+            self.end();
+            return Some(odds);
+        }
+        follow(own, step, [from, to], force);
+        follow(mirrored, &beside, [&before, &other.motion], &acts);
+        None
+    }
+
+    /// Ends.
+    #[cold]
+    pub(super) fn end(&mut self) {
+        *self = Self { pending: false, branches: None };
+    }
+
+    /// Whether stored values are possible.
+    #[cold]
+    pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
+        self.branches.as_ref().is_none_or(|Branches { other, witnesses, evidence }| {
+            other.is_of_start() && other.is_sound(linkage) && witnesses.iter().all(Witness::is_sound) && evidence.is_finite()
+        })
+    }
+}
+
+impl Branches {
+    /// Measurement update of the other motion and its witness.
+    fn correct(&mut self, constants: &Constants, readings: &[Option<Reading>; 2], seen: &[Option<Reading>; 2]) -> Verdict {
+        let Self { other, witnesses: [_, mirrored], .. } = self;
+        let frame = constants.linkage.frame(&other.motion.theta);
+        for (i, reading) in seen.iter().enumerate() {
+            if let Some(Reading { angle, noise, age, .. }) = *reading {
+                let rate = other.motion.omega[MEASURED[i]];
+                mirrored.receive((i, rate), &Innovation::new(&other.motion, &frame, i, angle + age * rate, noise));
+            }
+        }
+        let Some((_, error, turn)) = other.update(&constants.linkage, readings) else { return Verdict::Right };
+        mirrored.correct(&error, &turn);
+        self.judge(constants)
+    }
+
+    /// Weighs the evidence.
+    #[inline(never)]
+    fn judge(&mut self, constants: &Constants) -> Verdict {
+        let sizes = prior_sizes(constants);
+        let free = Faults::from_fn(|k, _| if k < PARAMETERS { 0.0 } else { sizes[k] });
+        let [own, other] = self.witnesses.each_ref().map(|witness| {
+            let (less, freedom) = witness.explained(&free);
+            (witness.squares - less, freedom)
+        });
+        let samples = self.witnesses[0].samples;
+        let scatter = own.0.min(other.0) / samples.max(1.0);
+        let [most, enough] = NEITHER_FITS;
+        let evidence = 0.5 * ((other.0 - own.0) / scatter.max(1.0) + other.1 - own.1);
+        if !evidence.is_finite() || scatter > most && samples > enough {
+            // Something acts that neither explains.
+            (self.witnesses, self.evidence) = (witnesses(constants), 0.0);
+            return Verdict::None;
+        }
+        self.evidence = evidence;
+        match () {
+            () if evidence >= DOUBT_ENDS => Verdict::Right,
+            () if evidence <= -DOUBT_ENDS => Verdict::Wrong,
+            () => Verdict::None,
+        }
+    }
+}
+
+/// Witnesses that have seen nothing, of errors as of a start, and of an unknown force of any size.
+#[cold]
+#[inline(never)]
+fn witnesses(constants: &Constants) -> [Witness; 2] {
+    let [angles, rates, _] = constants.start_variances();
+    let force = (DOUBT_FORCE * constants.torque_scale()).powi(2);
+    let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| [angles, rates, force][i / 2]));
+    [Witness::new(Error::zeros(), covariance); 2]
+}

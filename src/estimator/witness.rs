@@ -1,0 +1,204 @@
+//! Witness: a Kalman filter beside the estimate that knows of no fault, and what its innovations say of each.
+//!
+//! A fault of constant size u shows in its innovations r as a known response G, since the filter is linear (Friedland, IEEE Trans. Automatic
+//! Control 14 (1969) 359; Willsky and Jones, 21 (1976) 108):
+//!
+//! ```text
+//! V ← F V + B      G = H V + D      V ← V − K G      r ~ N(G u, S)
+//! ```
+//!
+//! with B by torques, tip forces and parameters, and D by encoders and clocks. Sums of GᵀG/S and G r/S give the evidence of each
+//! explanation, its size integrated over its prior, so that an explanation with more freedom pays for it.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
+
+use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, reduce, turned, turned_covariance};
+use super::constants::{LARGEST_NIS, RATES_PERSIST, SIZES, TAKEN_AS_KNOWN};
+use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
+use super::parameters::Constants;
+use super::propagation::{ProcessNoise, Propagation, transformed};
+use super::stored;
+use super::tangent::Frame;
+
+/// First columns of the responses: torques of both motors, force at the tip, offsets of both encoders, delay, parameters.
+pub(super) const TORQUES: usize = 0;
+pub(super) const TIP: usize = 2;
+pub(super) const OFFSETS: usize = 4;
+pub(super) const DELAY: usize = 6;
+pub(super) const PARAMETERS: usize = 7;
+/// Number of columns.
+pub(super) const FAULTS: usize = PARAMETERS + LEARNED;
+
+/// Responses of the errors to faults of unit size, by columns.
+type Responses = SMatrix<f64, ERRORS, FAULTS>;
+/// A number for each fault.
+pub(super) type Faults = SVector<f64, FAULTS>;
+
+/// Filter that knows of no fault, and what its innovations say of each.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Witness {
+    /// Mean error about the estimate's motion.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    error: Error,
+    /// Error that follows the mean slowly, and so keeps the rates from before an encoder jumps.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    ahead: Error,
+    /// Covariance of the error.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    covariance: Matrix,
+    /// Responses V.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    responses: Responses,
+    /// Sum of GᵀG/S.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    information: SMatrix<f64, FAULTS, FAULTS>,
+    /// Sums of G r/S.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    told: Faults,
+    /// Sum of r²/S.
+    pub(super) squares: f64,
+    /// Number of samples.
+    pub(super) samples: f64,
+}
+
+impl Witness {
+    /// Begins with a mean error and its covariance.
+    pub(super) fn new(error: Error, covariance: Matrix) -> Self {
+        Self {
+            error,
+            ahead: error,
+            covariance,
+            responses: Responses::zeros(),
+            information: SMatrix::zeros(),
+            told: Faults::zeros(),
+            squares: 0.0,
+            samples: 0.0,
+        }
+    }
+
+    /// Whether all numbers are finite.
+    #[inline(never)]
+    pub(super) fn is_finite(&self) -> bool {
+        let errors = self.error.iter().chain(&self.ahead).chain(&self.covariance).chain(&self.responses);
+        errors.chain(&self.information).chain(&self.told).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
+    }
+
+    /// Whether stored values are possible.
+    #[cold]
+    pub(super) fn is_sound(&self) -> bool {
+        let p = &self.covariance;
+        self.is_finite()
+            && *p == p.transpose()
+            && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
+            && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
+    }
+
+    /// Follows a correction of the motion by an error that turns its tangent basis.
+    #[inline(never)]
+    pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
+        self.error = turned(turn, &(self.error - error));
+        self.ahead = turned(turn, &(self.ahead - error));
+        self.covariance = turned_covariance(turn, &self.covariance);
+        self.responses = turned(turn, &self.responses);
+    }
+
+    /// Measurement update by a sample of encoder i of an axis that turns at the estimate's `rate`, rad/s.
+    #[inline(never)]
+    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+        let Innovation { residual, row, noise } = sample;
+        let rate = rate + row[0] * self.ahead[2] + row[1] * self.ahead[3];
+        let column = self.covariance * row;
+        let (off, variance) = (residual - row.dot(&self.error), row.dot(&column) + noise);
+        let mut response: Faults = self.responses.tr_mul(row);
+        response[OFFSETS + i] += 1.0;
+        response[DELAY] -= rate;
+        let gain = column / variance;
+        self.error += gain * off;
+        reduce(&mut self.covariance, &gain, &column);
+        self.responses -= gain * response.transpose();
+        self.information += response * (response / variance).transpose();
+        self.told += response * (off / variance);
+        self.squares += (off * off / variance).min(LARGEST_NIS);
+        self.samples += 1.0;
+    }
+
+    /// Time update by h seconds, with the process noise of a model of the bank; `by` are the accelerations by parameters.
+    #[inline(never)]
+    pub(super) fn predict(
+        &mut self,
+        step: &Propagation,
+        (noise, model, [scale, inertia]): (&ProcessNoise, usize, [f64; 2]),
+        by: &SMatrix<f64, 4, LEARNED>,
+        h: f64,
+    ) {
+        let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
+        self.error = step.f * self.error;
+        self.ahead = step.f * self.ahead;
+        self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);
+        self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
+        // Terms of second order in the error of the rates count as noise.
+        let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
+        for k in 2..4 {
+            self.covariance[(k, k)] += bend * bend;
+        }
+        let mut moved = step.f * self.responses;
+        // Generalised forces of each fault act as the unknown force does, which stays as it is.
+        let forces = generalised(&step.from, &step.mass, by);
+        let mut acted = moved.fixed_rows_mut::<FORCE>(0);
+        acted += step.f.fixed_view::<FORCE, 2>(0, FORCE) * forces;
+        self.responses = moved;
+    }
+
+    /// Lets the unknown force contain the effect of the masses from the begin of the step on that has just been followed, as it does where masses
+    /// have been off before.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &SMatrix<f64, 4, LEARNED>) {
+        let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * generalised(&step.from, &step.mass, by);
+        let mut of = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
+        of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
+    }
+
+    /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn explained(&self, sizes: &Faults) -> (f64, f64) {
+        let scaled = |x: &Faults| x.component_mul(sizes);
+        let mut free = SMatrix::<f64, FAULTS, FAULTS>::identity();
+        for k in 0..FAULTS {
+            let column: Faults = scaled(&self.information.column(k).into_owned()) * sizes[k];
+            let mut into = free.column_mut(k);
+            into += column;
+        }
+        let told = scaled(&self.told);
+        // Round-off alone keeps the matrix from being positive definite.
+        free.cholesky().map_or((0.0, 0.0), |factor| {
+            (told.dot(&factor.solve(&told)), 2.0 * factor.l_dirty().diagonal().iter().map(|x| libm::log(*x)).sum::<f64>())
+        })
+    }
+}
+
+/// Generalised forces on the tangent basis by faults of unit size, N·m.
+#[inline(never)]
+fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LEARNED>) -> SMatrix<f64, 2, FAULTS> {
+    let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
+    forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));
+    forces.fixed_columns_mut::<LEARNED>(PARAMETERS).copy_from(&(at.basis.tr_mul(mass) * by));
+    forces
+}
+
+/// Standard deviations of the sizes of all faults before any sample.
+pub(super) fn prior_sizes(constants: &Constants) -> Faults {
+    let (torque, length) = (constants.torque_scale(), constants.linkage.length);
+    Faults::from_fn(|k, _| match k {
+        _ if k < TIP => SIZES.torque * torque,
+        _ if k < OFFSETS => SIZES.torque * torque / length,
+        _ if k < DELAY => SIZES.offset,
+        DELAY => SIZES.delay,
+        _ if MASSES.contains(&(k - PARAMETERS)) => SIZES.mass,
+        _ if k - PARAMETERS == PAYLOAD => SIZES.torque * torque / (9.81 * length),
+        _ if VISCOUS.contains(&(k - PARAMETERS)) => SIZES.torque * torque / SIZES.rate,
+        _ => SIZES.friction,
+    })
+}
