@@ -21,7 +21,7 @@ def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth
     if done.returncode not in (0, 1):
         return {"from, s": begin, "exit code": done.returncode}
     told = json.loads((folder / "calibrate" / "calibration.json").read_text(encoding="utf-8"))
-    true = _named(truth)
+    true = true_values(truth)
     rows_of_table = {}
     for name, unknown in told["unknowns"].items():
         for member in unknown["scene"] or {name: 0.0}:
@@ -44,7 +44,7 @@ def _quiet(rows: np.ndarray, kinds: list[str]) -> float:
     return best * machine.SAMPLE
 
 
-def _named(truth: machine.Truth) -> dict[str, float]:
+def true_values(truth: machine.Truth) -> dict[str, float]:
     """True values, by the unit's names."""
     named = {f"link[{i}].length": float(value) for i, value in enumerate(truth.length, 1)}
     named |= {f"link[{i}].mass": float(value) for i, value in enumerate(truth.mass, 1)}

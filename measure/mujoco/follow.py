@@ -47,11 +47,21 @@ ESTIMATE = ("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[2]", "e
 
 STATUS = "estimated.status"
 
+LEARNED = {f"link[{i}].mass": f"estimated.mass[{i}]" for i in range(1, 5)} | {f"viscous.b[{i}]": f"estimated.viscous[{i}]" for i in range(1, 6)}
+"""Parameters that a unit learns if it is told to, and the variables that say what it has learned."""
+
+QUANTILE = 1.96
+"""95 % of a normal variable are within this many standard deviations."""
+
 
 class Unit:
-    """The unit as a user sets it for this machine."""
+    """The unit as a user sets it for this machine; with `learn` it learns masses and viscous friction.
 
-    def __init__(self, fmu: Path):
+    A unit learns from samples without delay. One that learns runs behind the machine by the delay of the bus, and takes a sample as of its own time.
+    """
+
+    def __init__(self, fmu: Path, learn: bool = False):
+        self.learns = learn
         self.model = fmpy.read_model_description(str(fmu))
         self.folder = fmpy.extract(str(fmu))
         self.log = Log()
@@ -64,7 +74,7 @@ class Unit:
         values |= {
             "estimator.enabled": True,
             # The user knows the delay of the bus, and that stamps are not exact.
-            "estimator.maxDelay": machine.SAMPLE,
+            "estimator.maxDelay": 0 if learn else machine.SAMPLE,
             # A workshop gives 0.2 mm and 2 mrad.
             "estimator.sigma0.length": 2e-4,
             "estimator.sigma0.offset": 2e-3,
@@ -72,7 +82,10 @@ class Unit:
             "estimator.sigma0.omega": 0.1,
             "solver.method": method,
             "solver.errorTolerance": 1e-7,
+            "estimator.learn.enabled": learn,
+            "viscous.enabled": learn,
         }
+        values |= {f"viscous.b[{i}]": 0 for i in range(1, 6)}
         set_values(self.slave, self.model, values)
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
@@ -96,6 +109,15 @@ class Unit:
         """Reals."""
         return self.slave.getReal([self.reference[name] for name in names])
 
+    def learned(self, truth: machine.Truth) -> dict[str, dict[str, float]]:
+        """What it has learned and half-widths of the 95 % bands, beside what is true."""
+        true = calibrate.true_values(truth)
+        told = {}
+        for name, variable in LEARNED.items():
+            found, sigma = self.read((variable, variable.replace("[", ".sigma[")))
+            told[name] = {"true": true[name], "found": found, "bar": QUANTILE * sigma, "inside": abs(found - true[name]) <= QUANTILE * sigma}
+        return told
+
     def end(self) -> None:
         """Frees the instance and its folder."""
         self.slave.terminate()
@@ -112,7 +134,7 @@ def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int
 
     A sample arrives `machine.DELAY` after it has been taken.
     """
-    wait = round(machine.DELAY / STEP)
+    wait = 0 if unit.learns else round(machine.DELAY / STEP)
     said, statuses = [], []
     ahead = {horizon: [] for horizon in HORIZONS}
     often = round(EVERY / machine.SAMPLE)
@@ -122,7 +144,8 @@ def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int
         unit.set(ORDERS, (p, q, v, w))
         for _ in range(wait):
             unit.step()
-        unit.set(MEASURED, (*shown, stamp, stamp))
+        taken = unit.time if unit.learns else stamp
+        unit.set(MEASURED, (*shown, taken, taken))
         for _ in range(TICKS - wait):
             unit.step()
         if (index + 1) % often == 0 and index + 1 + round(max(HORIZONS) / machine.SAMPLE) < len(rows):
@@ -148,7 +171,7 @@ def judge(said: np.ndarray, tips: np.ndarray) -> dict[str, np.ndarray]:
     return {"error": np.hypot(dx, dy), "half": np.sqrt(INSIDE * (middle + radius)), "inside": inside}
 
 
-def figures(rows, true, kinds, said, statuses, names, ahead) -> dict[str, object]:
+def figures(rows, true, kinds, names, said, statuses, ahead) -> dict[str, object]:
     """Figures of a run, in mm, %, s."""
     settled = round(2 / machine.SAMPLE)
     found = judge(said, true[:, 3:5])
@@ -243,8 +266,16 @@ def show(figures: dict[str, object]) -> str:
     named |= {f"estimate, {kind}": row for kind, row in figures["estimate, by motion"].items()}
     named |= {"estimate, pushed": figures["estimate, pushed"]}
     named |= {f"forecast, {horizon}": row for horizon, row in figures["forecasts"].items()}
+    learning = figures["learning"]
+    named |= {"learning: estimate": learning["estimate"], "learning: estimate, pushed": learning["estimate, pushed"]}
+    named |= {f"learning: forecast, {horizon}": row for horizon, row in learning["forecasts"].items()}
     lines += [f"| {name} | " + " | ".join(f"{value:g}" for value in row.values()) + " |" for name, row in named.items()]
     lines += [f"{name}: {figures[name]}" for name in ("lost, % of samples", "status, % of samples", "alarms")]
+    lines += [f"learning: {name}: {learning[name]}" for name in ("lost, % of samples", "status, % of samples", "alarms")]
+    lines += ["| learned | true | found | 95 % bar | inside |", "| --- | ---: | ---: | ---: | --- |"]
+    lines += [
+        f"| `{name}` | {row['true']:.5g} | {row['found']:.5g} | {row['bar']:.2g} | {'yes' if row['inside'] else 'no'} |" for name, row in learning["learned"].items()
+    ]
     return "\n".join(lines)
 
 
@@ -269,8 +300,13 @@ def main() -> None:
     unit = Unit(asked.fmu)
     said, statuses, ahead = follow(unit, rows, progress("the unit follows"))
     print(file=sys.stderr)
-    told = figures(rows, true, kinds, said, statuses, unit.status_names, ahead)
+    told = figures(rows, true, kinds, unit.status_names, said, statuses, ahead)
     unit.end()
+    learner = Unit(asked.fmu, learn=True)
+    told["learning"] = figures(rows, true, kinds, learner.status_names, *follow(learner, rows, progress("a unit that learns follows")))
+    told["learning"]["learned"] = learner.learned(truth)
+    learner.end()
+    print(file=sys.stderr)
     told["calibration"] = calibrate.calibrate(asked.out, asked.fmu, rows, kinds, truth)
     (asked.out / "figures.json").write_text(json.dumps(told, indent=1) + "\n")
     draw(asked.out / "follow.svg", rows, true, said, ahead)

@@ -91,7 +91,6 @@ impl Estimator {
 }
 
 /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 of a motion with its belief.
-#[inline(never)]
 fn sigmas(constants: &Constants, motion: &LinkState, belief: &Belief) -> [Links; 2] {
     let (frame, covariance) = (constants.linkage.frame(&motion.theta), belief.bank.covariance());
     [0, 2].map(|first| {
@@ -101,7 +100,6 @@ fn sigmas(constants: &Constants, motion: &LinkState, belief: &Belief) -> [Links;
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
-#[inline(never)]
 fn tip_of_models(constants: &Constants, motion: &LinkState, belief: &Belief) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
     let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
@@ -112,13 +110,11 @@ fn tip_of_models(constants: &Constants, motion: &LinkState, belief: &Belief) -> 
 }
 
 /// Way from the tip of a motion to that of another, m.
-#[inline(never)]
 fn tip_apart(constants: &Constants, from: &LinkState, to: &LinkState) -> Pair {
     constants.linkage.tip(&to.theta) - constants.linkage.tip(&from.theta)
 }
 
 /// Radius that holds 95 % of a mixture of normal distributions about one centre, m, by probability and variances along both axes, m².
-#[inline(never)]
 fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
     // Over directions of the whitened error, along each of which its square is exponential.
     let within = |radius: f64| -> f64 {

@@ -16,7 +16,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::bank::{Error, Innovation, Matrix};
-use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, NEITHER_FITS};
+use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, NEITHER_FITS, START_ODDS};
 use super::encoder::Reading;
 use super::flow::Scene;
 use super::hypotheses::{Hypothesis, is_distinguishable};
@@ -93,7 +93,6 @@ impl Doubt {
 
     /// Measurement update of the other motion by readings, and of its witness by those of them that it has `seen` as the estimate's, after that of
     /// the estimate. Returns the motion that replaces the estimate, if it does.
-    #[inline(never)]
     pub(super) fn correct(
         &mut self,
         constants: &Constants,
@@ -111,7 +110,6 @@ impl Doubt {
 
     /// Time update by h seconds, after that of the estimate by a step from a motion to another under an unknown force. Returns the logarithm of
     /// the odds of the other assembly where the doubt ends undecided: at a direct singularity both assemblies are one.
-    #[inline(never)]
     pub(super) fn step(
         &mut self,
         constants: &Constants,
@@ -133,7 +131,7 @@ impl Doubt {
             return None;
         };
         if step.held || beside.held || ![to, &other.motion].into_iter().all(is_distinguishable) {
-            let odds = -*evidence;
+            let odds = START_ODDS - *evidence;
             self.end();
             return Some(odds);
         }
@@ -143,13 +141,11 @@ impl Doubt {
     }
 
     /// Ends.
-    #[cold]
     pub(super) fn end(&mut self) {
         *self = Self { pending: false, branches: None };
     }
 
     /// Whether stored values are possible.
-    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         self.branches.as_ref().is_none_or(|Branches { other, witnesses, evidence }| {
             other.is_of_start() && other.is_sound(linkage) && witnesses.iter().all(Witness::is_sound) && evidence.is_finite()
@@ -174,7 +170,6 @@ impl Branches {
     }
 
     /// Weighs the evidence.
-    #[inline(never)]
     fn judge(&mut self, constants: &Constants) -> Verdict {
         let sizes = prior_sizes(constants);
         let free = Faults::from_fn(|k, _| if k < PARAMETERS { 0.0 } else { sizes[k] });
@@ -201,8 +196,6 @@ impl Branches {
 }
 
 /// Witnesses that have seen nothing, of errors as of a start, and of an unknown force of any size.
-#[cold]
-#[inline(never)]
 fn witnesses(constants: &Constants) -> [Witness; 2] {
     let [angles, rates, _] = constants.start_variances();
     let force = (DOUBT_FORCE * constants.torque_scale()).powi(2);

@@ -19,8 +19,8 @@ use super::constants::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
     LARGEST_ODDS_AFTER_CROSSING, LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS,
     LEAST_MOTOR_DETERMINANT, LEAST_ODDS_TO_OPEN, LEAST_RATE_CHANGE, LEAST_SINGULAR_VALUE, LIKELY_MODELS, MOST_FINE_STEPS,
-    NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE, SLOW_PASSAGE,
-    START_DISTANCE, TURNING_STEPS,
+    NEAR_SINGULARITY, NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE,
+    SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
 use super::encoder::Reading;
 use super::flow::{self, Scene};
@@ -323,7 +323,6 @@ impl Hypotheses {
 
 impl Hypothesis {
     /// Whether a stored hypothesis is possible.
-    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         self.evidence.is_finite()
             && (0.0..=self.kind.rules().lifetime).contains(&self.age)
@@ -339,15 +338,12 @@ impl Hypothesis {
     }
 
     /// Whether this is in the other assembly than the start.
-    #[cold]
     pub(super) fn is_of_start(&self) -> bool {
         self.kind == Kind::Mirrored
     }
 
     /// Motion in the other assembly than the estimate's, with equal angles and rates of the motors, about which a start is as uncertain. `None`
     /// where the assemblies cannot be told apart.
-    #[cold]
-    #[inline(never)]
     pub(super) fn of_start(constants: &Constants, motion: &LinkState) -> Option<Self> {
         let mirrored = mirror_image(constants, motion).filter(|_| is_distinguishable(motion))?;
         let belief = Belief::new(constants.start_variances());
@@ -451,9 +447,9 @@ fn assembly_of(motion: &LinkState) -> Assembly {
     if motion.side()[0] > 0.0 { Assembly::Plus } else { Assembly::Minus }
 }
 
-/// Whether a motion is far enough from direct singularities that motors tell the assemblies apart by what they turn.
+/// Whether a motion is so far from direct singularities that forces tell the assemblies apart.
 pub(super) fn is_distinguishable(motion: &LinkState) -> bool {
-    motion.side()[0].abs() >= DISTINGUISHABLE
+    motion.side()[0].abs() >= NEAR_SINGULARITY
 }
 
 /// State of the other assembly with equal angles and rates of the motors.

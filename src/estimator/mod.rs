@@ -381,7 +381,6 @@ impl Estimator {
     }
 
     /// Lets the motion in the other assembly than the start replace the estimate. Returns its frame.
-    #[cold]
     fn leave_assembly(&mut self, other: &Hypothesis, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
         (*motion, self.belief) = (other.motion, other.belief);
@@ -389,7 +388,6 @@ impl Estimator {
     }
 
     /// Forgets what belongs to the motion that another one has replaced. Returns the frame of that.
-    #[cold]
     fn begin_anew_at(&mut self, constants: &Constants, motion: &LinkState) -> Frame {
         self.history.clear();
         self.unaided = Unaided::default();
@@ -398,7 +396,6 @@ impl Estimator {
     }
 
     /// Ends the doubt about the start undecided.
-    #[cold]
     fn end_doubt(&mut self) {
         if self.doubt.is_open() {
             self.hypotheses.doubt_side(0.0);

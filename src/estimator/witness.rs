@@ -78,14 +78,12 @@ impl Witness {
     }
 
     /// Whether all numbers are finite.
-    #[inline(never)]
     pub(super) fn is_finite(&self) -> bool {
         let errors = self.error.iter().chain(&self.ahead).chain(&self.covariance).chain(&self.responses);
         errors.chain(&self.information).chain(&self.told).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
     }
 
     /// Whether stored values are possible.
-    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let p = &self.covariance;
         self.is_finite()
@@ -95,7 +93,6 @@ impl Witness {
     }
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
-    #[inline(never)]
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         self.error = turned(turn, &(self.error - error));
         self.ahead = turned(turn, &(self.ahead - error));
@@ -104,7 +101,6 @@ impl Witness {
     }
 
     /// Measurement update by a sample of encoder i of an axis that turns at the estimate's `rate`, rad/s.
-    #[inline(never)]
     pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
         let Innovation { residual, row, noise } = sample;
         let rate = rate + row[0] * self.ahead[2] + row[1] * self.ahead[3];
@@ -124,7 +120,6 @@ impl Witness {
     }
 
     /// Time update by h seconds, with the process noise of a model of the bank; `by` are the accelerations by parameters.
-    #[inline(never)]
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
@@ -152,8 +147,6 @@ impl Witness {
 
     /// Lets the unknown force contain the effect of the masses from the begin of the step on that has just been followed, as it does where masses
     /// have been off before.
-    #[cold]
-    #[inline(never)]
     pub(super) fn contain_masses(&mut self, step: &Propagation, by: &SMatrix<f64, 4, LEARNED>) {
         let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * generalised(&step.from, &step.mass, by);
         let mut of = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
@@ -161,8 +154,6 @@ impl Witness {
     }
 
     /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.
-    #[cold]
-    #[inline(never)]
     pub(super) fn explained(&self, sizes: &Faults) -> (f64, f64) {
         let scaled = |x: &Faults| x.component_mul(sizes);
         let mut free = SMatrix::<f64, FAULTS, FAULTS>::identity();
@@ -180,7 +171,6 @@ impl Witness {
 }
 
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
-#[inline(never)]
 fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LEARNED>) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
     forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));

@@ -5,6 +5,7 @@ use fivebar::mechanism::Assembly;
 use fivebar::simulation::Signal;
 
 use crate::faults::{ELLIPSE, SILENT, haptic, swing};
+use crate::geometry::{Scene, as_built};
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, tip};
 use crate::quality::{driven, fall, friction, pick, push, sines};
 use crate::report::{Figure, Table, quantile};
@@ -39,7 +40,8 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
     for step in 0..(scenario.duration.min(LONGEST) / h).round() as u64 {
         let (time, truth) = (step as f64 * h, machine.state());
         let theta = motion(&truth).0;
-        twin.correct(&Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] }, time);
+        let shown = [0, 1].map(|i| encoder.read(scenario.plan.systematic[i].shown(theta[MEASURED[i]]), random));
+        twin.correct(&Measured { theta: shown, time: [time; 2] }, time);
         let estimate = twin.state_for(&scenario.inputs(time));
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
         let off = (x - v).hypot(y - w);
@@ -68,8 +70,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
 
 /// Right and wrong starts in both assemblies, scene by scene.
 pub fn table(runs: u64, first: u64) -> Table {
-    type Scene = fn(&mut Random) -> Scenario;
-    let rows: [(&str, Scene, Encoder, f64, &[Assembly]); 11] = [
+    let rows: [(&str, Scene, Encoder, f64, &[Assembly]); 15] = [
         ("pick", pick, FINE, 1e-3, &BOTH),
         ("pick", pick, COARSE, 5e-3, &BOTH),
         ("sines", |random| sines(random, LONGEST), FINE, 1e-3, &BOTH),
@@ -82,6 +83,10 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("swing", swing, COARSE, 1e-3, &BOTH),
         // In the other assembly its machine starts behind the wall.
         ("haptic", haptic, FINE, 1e-3, &[Assembly::Plus]),
+        ("pick, as built", |random| as_built(pick, random), FINE, 1e-3, &BOTH),
+        ("sines, as built", |random| as_built(|random| sines(random, LONGEST), random), FINE, 1e-3, &BOTH),
+        ("fall, as built", |random| as_built(|random| fall(random, true), random), FINE, 1e-3, &BOTH),
+        ("swing, as built", |random| as_built(swing, random), FINE, 1e-3, &BOTH),
     ];
     const BOTH: [Assembly; 2] = [Assembly::Plus, Assembly::Minus];
     let mut table = Table::new("Starts in the right assembly and in the wrong one, runs");
