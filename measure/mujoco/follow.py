@@ -110,7 +110,7 @@ class Unit:
         return self.slave.getReal([self.reference[name] for name in names])
 
     def learned(self, truth: machine.Truth) -> dict[str, dict[str, float]]:
-        """What it has learned and half-widths of the 95 % bands, beside what is true."""
+        """Learned values and half-widths of their 95 % bands, beside true values."""
         true = calibrate.true_values(truth)
         told = {}
         for name, variable in LEARNED.items():

@@ -1,5 +1,5 @@
 //! A machine that is followed, beside the bare step: with samples of both encoders at every step, also while masses and friction are learned,
-//! without, and while both assemblies are followed behind a direct singularity.
+//! without, and while both assemblies are followed, from the start on or behind a direct singularity.
 
 use std::hint::black_box;
 
@@ -22,6 +22,11 @@ const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
 /// Steps after which the start is no longer doubted.
 const RUN_UP: u64 = 400;
+
+/// Steps that are counted while both assemblies are followed.
+const DOUBTFUL: u64 = 100;
+/// Step after the last of them.
+const LATEST: u64 = 1600;
 
 /// Samples of the encoders of a machine at a range of steps.
 fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64>) -> Result<Vec<(Measured, f64)>> {
@@ -73,38 +78,50 @@ fn followed(name: &'static str, speak: bool, learn: bool) -> Case {
     })
 }
 
-/// A free machine that has crossed the line of its distal links slowly, so that samples do not tell for some time whether it has.
-fn doubtful() -> Case {
-    /// The crossing takes place at this step,
+/// A twin, and the samples of its encoders with their times, s.
+type Sampled = (Following, Vec<(Measured, f64)>);
+
+/// A fall, whose start is doubted until the machine has moved.
+fn start() -> Result<Sampled> {
+    let Scene { parameters, inputs, .. } = Scene::fall();
+    let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..LATEST)?;
+    Ok((twin(parameters, &inputs)?, samples))
+}
+
+/// A free machine that crosses the line of its distal links slowly, so that samples do not tell for some time whether it has.
+fn crossing() -> Result<Sampled> {
+    /// The crossing takes place at this step.
     const CROSSING: u64 = 1000;
-    /// and both assemblies are followed from one before this on,
-    const LATEST: u64 = 1500;
-    /// for at least so many steps.
-    const DOUBTFUL: u64 = 100;
     /// Rate along the first direction of the tangent basis, rad/s.
     const SLOW: f64 = 0.2;
-    Case::new(FOLLOWING, "a step with a sample of both encoders, two assemblies followed", DOUBTFUL, || {
-        let Scene { mut parameters, inputs, .. } = Scene::fall();
-        parameters.effects.gravity.enabled = false;
-        parameters.geometry.base_distance = 0.1;
-        // Distal links in line above the base: elbows as far apart as both are long.
-        let [left, right] = [0, 1].map(|leg| parameters.geometry.links[1 + leg].length);
-        let reach = (left + right - parameters.geometry.base_distance) / 2.0 / parameters.geometry.links[0].length;
-        let pi = std::f64::consts::PI;
-        let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
-        let frame = Linkage::new(&parameters.geometry).frame(&crossing.into());
-        let omega: [f64; 4] = (frame.basis * Pair::new(SLOW, 0.0)).into();
-        // Start of the crossing, found by a run with reversed rates.
-        let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
-        back.advance(&inputs, H, CROSSING)?;
-        let state = back.state();
-        let (theta, omega) = (state.angles(), THETA.map(|i| -state.core.v[i]));
-        let mut machine = Simulation::at(&parameters, &inputs, theta, omega)?;
-        parameters.start.theta = MEASURED.map(|link| theta[link]);
-        parameters.start.omega = MEASURED.map(|link| omega[link]);
-        parameters.start.assembly = if (theta[2] - theta[1]).sin() > 0.0 { Assembly::Plus } else { Assembly::Minus };
-        let mut twin = twin(parameters, &inputs)?;
-        let samples = samples(&mut machine, &inputs, 0..LATEST + DOUBTFUL)?;
+    let Scene { mut parameters, inputs, .. } = Scene::fall();
+    parameters.effects.gravity.enabled = false;
+    parameters.geometry.base_distance = 0.1;
+    // Distal links in line above the base: elbows as far apart as both are long.
+    let [left, right] = [0, 1].map(|leg| parameters.geometry.links[1 + leg].length);
+    let reach = (left + right - parameters.geometry.base_distance) / 2.0 / parameters.geometry.links[0].length;
+    let pi = std::f64::consts::PI;
+    let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
+    let frame = Linkage::new(&parameters.geometry).frame(&crossing.into());
+    let omega: [f64; 4] = (frame.basis * Pair::new(SLOW, 0.0)).into();
+    // Start of the crossing, found by a run with reversed rates.
+    let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
+    back.advance(&inputs, H, CROSSING)?;
+    let state = back.state();
+    let (theta, omega) = (state.angles(), THETA.map(|i| -state.core.v[i]));
+    let mut machine = Simulation::at(&parameters, &inputs, theta, omega)?;
+    parameters.start.theta = MEASURED.map(|link| theta[link]);
+    parameters.start.omega = MEASURED.map(|link| omega[link]);
+    parameters.start.assembly = if (theta[2] - theta[1]).sin() > 0.0 { Assembly::Plus } else { Assembly::Minus };
+    let samples = samples(&mut machine, &inputs, 0..LATEST)?;
+    Ok((twin(parameters, &inputs)?, samples))
+}
+
+/// A machine of which both assemblies are followed.
+fn doubtful(name: &'static str, machine: fn() -> Result<Sampled>) -> Case {
+    Case::new(FOLLOWING, name, DOUBTFUL, move || {
+        let (mut twin, samples) = machine()?;
+        let inputs = Scene::fall().inputs;
         let follow = move |twin: &mut Following, (measured, now): &(Measured, f64)| {
             twin.correct(black_box(measured), *now);
             twin.advance_along(black_box(&Signal::held(inputs)), H, 1)
@@ -136,6 +153,7 @@ pub(super) fn cases() -> Vec<Case> {
         followed("a step with a sample of both encoders", true, false),
         followed("a step with a sample of both encoders, masses, payload and viscous friction learned", true, true),
         followed("a coasting step", false, false),
-        doubtful(),
+        doubtful("a step with a sample of both encoders, the start doubted", start),
+        doubtful("a step with a sample of both encoders, two assemblies followed", crossing),
     ]
 }
