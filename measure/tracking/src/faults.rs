@@ -7,18 +7,27 @@ use fivebar::effects::Inputs;
 use fivebar::estimator::{Fault, MEASURED, Measured, Status};
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::Assembly;
-use fivebar::simulation::{Method, Signal};
+use fivebar::simulation::{Following, Method, Signal};
 
 use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, no_inputs, start_off, tip};
 use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
 
 /// Half-width of a 95 % ellipse in standard deviations.
-pub const ELLIPSE: f64 = 2.4477;
+const ELLIPSE: f64 = 2.4477;
 /// Tip error that counts, m, and in half-widths; and how long it must last in silence, s.
 pub const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
 /// Time within which a failure is to be told, s.
 const SOON: f64 = 0.2;
+
+/// Whether the tip of a twin, which is off by so much, m, is beyond its band while nothing is said.
+pub fn is_wrong_in_silence(twin: &Following, time: f64, off: f64) -> bool {
+    let [xx, xy, yy] = twin.tip_covariance();
+    let largest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
+    let half_width = ELLIPSE * largest.max(0.0).sqrt();
+    let fine = twin.status() == Status::Following && !twin.estimator().alarm();
+    time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine
+}
 
 /// Failure of encoder 1, of both clocks, or of the start.
 #[derive(Clone, Copy, Debug)]
@@ -159,12 +168,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let estimate = twin.state_for(&inputs);
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
         let off = (x - v).hypot(y - w);
-        let [xx, xy, yy] = twin.tip_covariance();
-        let largest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
-        let half_width = ELLIPSE * largest.max(0.0).sqrt();
-        let fine = twin.status() == Status::Following && !twin.estimator().alarm();
-        let is_silent = time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine;
-        wrong = if is_silent { wrong + h } else { 0.0 };
+        wrong = if is_wrong_in_silence(&twin, time, off) { wrong + h } else { 0.0 };
         outcome.silent |= wrong >= SILENT.2;
         outcome.lost = off > SILENT.0;
         let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);

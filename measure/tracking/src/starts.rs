@@ -1,12 +1,11 @@
 //! Starts in the right assembly and in the wrong one: how soon the doubt ends, and how often it errs.
 
-use fivebar::estimator::{MEASURED, Measured, Status};
+use fivebar::estimator::Status;
 use fivebar::mechanism::Assembly;
-use fivebar::simulation::Signal;
 
-use crate::faults::{ELLIPSE, SILENT, haptic, swing};
+use crate::faults::{SILENT, haptic, is_wrong_in_silence, swing};
 use crate::geometry::{Scene, as_built};
-use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, tip};
+use crate::machine::{COARSE, Encoder, FINE, Instant, Random, Scenario, follow};
 use crate::quality::{driven, fall, friction, pick, push, sines};
 use crate::report::{Figure, Table, quantile};
 
@@ -34,36 +33,19 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
     let mut told = scenario.clone();
     told.truth.start.assembly = own;
     told.model.start.assembly = if wrong { other } else { own };
-    let (mut machine, mut twin) = (told.machine(), told.twin(encoder));
+    told.duration = told.duration.min(LONGEST);
     let (mut outcome, mut silent, mut astray) = (Outcome::default(), 0.0, 0.0);
-    let macro_steps = (h / 1e-3).round().max(1.0);
-    for step in 0..(scenario.duration.min(LONGEST) / h).round() as u64 {
-        let (time, truth) = (step as f64 * h, machine.state());
-        let theta = motion(&truth).0;
-        let shown = [0, 1].map(|i| encoder.read(scenario.plan.systematic[i].shown(theta[MEASURED[i]]), random));
-        twin.correct(&Measured { theta: shown, time: [time; 2] }, time);
-        let estimate = twin.state_for(&scenario.inputs(time));
-        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
-        let off = (x - v).hypot(y - w);
-        let [xx, xy, yy] = twin.tip_covariance();
-        let half_width = ELLIPSE * ((xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy)).max(0.0).sqrt();
-        let fine = twin.status() == Status::Following && !twin.estimator().alarm();
-        let is_silent = time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine;
-        silent = if is_silent { silent + h } else { 0.0 };
+    let done = follow(&told, encoder, h, random, |&Instant { time, twin, tip_error, .. }| {
+        silent = if is_wrong_in_silence(twin, time, tip_error) { silent + h } else { 0.0 };
         outcome.silent |= silent >= SILENT.2;
         if twin.status() == Status::TwoBranches {
             outcome.doubted = time;
-        } else if off > SILENT.0 {
+        } else if tip_error > SILENT.0 {
             astray += h;
         }
-        outcome.lost = off > SILENT.0;
-        let middle = time + h / 2.0;
-        let moved = twin.advance_along(&Signal::held(told.inputs(middle)), h / macro_steps, macro_steps as u64);
-        if moved.and_then(|()| machine.advance(&told.acting(middle), h / macro_steps, macro_steps as u64)).is_err() {
-            outcome.lost = true;
-            break;
-        }
-    }
+        outcome.lost = tip_error > SILENT.0;
+    });
+    outcome.lost |= done.is_err();
     outcome.astray = astray > ASTRAY;
     outcome
 }
