@@ -14,6 +14,16 @@ from instance import Instance
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
+# Files of tests that take longest. Two processes take a file each, in the order of collection: one that begins late keeps the other
+# process waiting.
+LONGEST = ("test_conformance.py", "test_twin_full.py", "test_wheel.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files that take longest come first."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
 
 @pytest.fixture(autouse=True)
 def working_directory() -> Iterator[None]:

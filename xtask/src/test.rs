@@ -242,8 +242,8 @@ fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     };
     let mut command = venv::python(packages)?;
     command
-        // Two files of tests at a time: a third one makes browsers late.
-        .args(["-m", "pytest", "tests/python", "--numprocesses", "2", "--dist", "loadfile"])
+        // Two files of tests at a time: a third one makes browsers late. tests/python/conftest.py says which files come first.
+        .args(["-m", "pytest", "tests/python", "--numprocesses", "2", "--dist", "loadfile", "--no-loadscope-reorder"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
