@@ -67,14 +67,53 @@ pub enum Fault {
     Stuck,
 }
 
-/// New, valid sample of an encoder.
+/// New, valid sample of an encoder, about a motion.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
     /// Angle, rad.
     pub(super) angle: f64,
     /// Age, s.
     pub(super) age: f64,
+    /// Rate of the axis in the motion, rad/s.
+    pub(super) rate: f64,
+    /// Standard deviation of the white noise, rad, by the encoder and by a stamp that errs.
+    pub(super) sigma: f64,
+    /// Quantisation interval, rad.
+    pub(super) quantum: f64,
+    /// Variance of the persistent error, rad².
+    pub(super) persistent: f64,
+    /// Innovation y − h(x̂), with the quantisation error as noise.
     pub(super) innovation: Innovation,
+}
+
+impl Sample {
+    /// The sample of encoder i about another motion, of which the present alone is known.
+    pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
+        let innovation = Innovation::new(motion, frame, i, self.angle, self.innovation.noise);
+        Self { age: 0.0, rate: motion.omega[MEASURED[i]], innovation, ..*self }
+    }
+
+    /// Information of the sample with the quantisation error as noise.
+    pub(super) fn reading(&self) -> Reading {
+        Reading { angle: self.angle, noise: self.innovation.noise, age: self.age, dead_zone: 0.0 }
+    }
+
+    /// Innovation with other information of the sample.
+    pub(super) fn innovation_of(&self, reading: &Reading) -> Innovation {
+        let residual = self.innovation.residual + reading.angle - self.angle;
+        Innovation { residual, noise: reading.noise, ..self.innovation }
+    }
+}
+
+/// Conditions under which the gate judges a sample.
+#[derive(Clone, Copy)]
+pub(super) struct GateConditions {
+    /// Whether the reading should have changed.
+    pub(super) overdue: bool,
+    /// Whether the estimate is trusted rather than the sample.
+    pub(super) patient: bool,
+    /// Whether the estimate has settled on the other encoder.
+    pub(super) witnessed: bool,
 }
 
 /// Information of a sample about the angle of an axis.
@@ -143,8 +182,7 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Sample of encoder `i` if it is new and valid, with its innovation y − h(x̂) about a motion. `persistent` is the variance of the
-    /// encoder's persistent error, rad².
+    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the variance of the encoder's persistent error, rad².
     pub(super) fn sample(
         &mut self,
         i: usize,
@@ -156,12 +194,14 @@ impl Encoder {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
-        let noise = self.noise(self.white_sigma(sigma[i], rate), quantum[i], rate, persistent);
+        let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
+        let noise = self.noise(sigma, quantum, rate, persistent);
         let Some((expected, row)) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
-        Some(Sample { angle, age, innovation: Innovation { residual: wrapped(angle - expected), row, noise } })
+        let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
+        Some(Sample { angle, age, rate, sigma, quantum, persistent, innovation })
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -233,7 +273,7 @@ impl Encoder {
 
     /// Standard deviation of the white noise of the last sample, rad, whose encoder has the noise `sigma`, rad, on an axis that turns at
     /// `rate`, rad/s, under a stamp that errs.
-    pub(super) fn white_sigma(&self, sigma: f64, rate: f64) -> f64 {
+    fn white_sigma(&self, sigma: f64, rate: f64) -> f64 {
         if self.timing == 0.0 { sigma } else { libm::hypot(sigma, self.timing * rate) }
     }
 
@@ -307,30 +347,28 @@ impl Encoder {
     }
 
     /// Expected sample as the bank takes it, with its quantisation interval in place of white noise; `None` where the gate rejects the
-    /// sample. The axis turns at `rate`, rad/s, and the variance of the persistent error is `persistent`, rad². `overdue`: the reading
-    /// should have changed; `patient`: the estimate is trusted rather than the sample; `witnessed`: the estimate has settled on the other
-    /// encoder.
+    /// sample.
     pub(super) fn admit(
         &mut self,
-        (expected, innovation): (&PredictedSample, &Innovation),
-        white: (f64, f64),
-        (rate, persistent): (f64, f64),
-        flags: (bool, bool, bool),
+        expected: &PredictedSample,
+        sample: &Sample,
+        conditions: GateConditions,
     ) -> Option<PredictedSample> {
-        self.passes_gate(innovation.residual, [expected.nis(), expected.nis_of_loudest_model()], flags)
-            .then(|| self.with_quantisation_interval(expected, white, rate, [innovation.noise, persistent]))
+        self.passes_gate(expected, sample.innovation.residual, conditions)
+            .then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gating: whether a sample is used whose innovation is `residual`, rad, and whose normalised innovation squared is `nis` in the mixture
-    /// and `least` in the loudest model; for the other conditions see [`admit`](Self::admit).
-    fn passes_gate(&mut self, residual: f64, [nis, least]: [f64; 2], (overdue, patient, witnessed): (bool, bool, bool)) -> bool {
+    /// Gating: whether a sample is used whose innovation is `residual`, rad.
+    fn passes_gate(&mut self, expected: &PredictedSample, residual: f64, conditions: GateConditions) -> bool {
+        let GateConditions { overdue, patient, witnessed } = conditions;
+        let least = expected.nis_of_loudest_model();
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if overdue => Fault::Stuck,
             _ if self.is_away() => Fault::Rejected,
             // NaN exceeds the gate.
-            _ if nis <= GATE => Fault::None,
+            _ if expected.nis() <= GATE => Fault::None,
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
@@ -346,18 +384,12 @@ impl Encoder {
         false
     }
 
-    /// Information for hypotheses of slow motions: an unchanged reading confines the axis to the quantisation interval; a changed one
-    /// locates it at the edge between two intervals; neither better than a persistent error of variance `persistent`, rad², allows.
-    pub(super) fn confined_to_interval(
-        &self,
-        reading: Reading,
-        (sigma, quantum): (f64, f64),
-        rate: f64,
-        persistent: f64,
-    ) -> Reading {
-        let Reading { angle, age, .. } = reading;
+    /// Information of a sample for filters that know no quantiser: an unchanged reading confines the axis to the quantisation interval; a
+    /// changed one locates it at the edge between two intervals; neither better than the persistent error allows.
+    pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
+        let &Sample { angle, age, rate, sigma, quantum, persistent, .. } = sample;
         if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
-            return reading;
+            return sample.reading();
         }
         let passed = rate * self.interval;
         let noise =
@@ -367,6 +399,18 @@ impl Encoder {
         } else {
             Reading { angle: angle - self.change / 2.0, noise, age, dead_zone: 0.0 }
         }
+    }
+
+    /// Information of a sample that is not confined to a quantisation interval; `None` of one that is.
+    pub(super) fn unconfined(&self, sample: &Sample) -> Option<Reading> {
+        Some(self.confined_to_interval(sample)).filter(|reading| reading.dead_zone == 0.0)
+    }
+
+    /// The sample without its persistent error, which is constant: accelerations do not show it.
+    pub(super) fn without_persistent_error(&self, sample: &Sample) -> Sample {
+        let mut other = Sample { persistent: 0.0, ..*sample };
+        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, 0.0);
+        other
     }
 
     /// Largest number of samples that share a persistent error.
@@ -392,19 +436,14 @@ impl Encoder {
 
     /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
     /// average out while the axis rests.
-    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
+    fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
         let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
         self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0 * repeated
     }
 
-    /// Expected sample with the quantisation interval in place of the white noise of variance `noise`, rad², that it was computed with.
-    fn with_quantisation_interval(
-        &self,
-        expected: &PredictedSample,
-        (sigma, quantum): (f64, f64),
-        rate: f64,
-        [noise, persistent]: [f64; 2],
-    ) -> PredictedSample {
+    /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
+    fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
+        let &Sample { rate, sigma, quantum, persistent, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -426,7 +465,7 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::bank::Bank;
+    use crate::estimator::bank::{Bank, Error};
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
@@ -442,8 +481,10 @@ mod tests {
             }
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
-            let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&Innovation { residual: 0.4 * quantum, row, noise });
-            encoder.with_quantisation_interval(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
+            let innovation = Innovation { residual: 0.4 * quantum, row, noise };
+            let sample = Sample { angle: 0.0, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, innovation };
+            let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
+            encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known
         };
         let rest = variance(0.0);
         for steps in [1.0, -1.0, 3.0] {
@@ -466,8 +507,11 @@ mod tests {
                 assert!(encoder.receive(angle, h * k as f64, h * k as f64, 0.0).is_some());
             }
             let noise = encoder.noise(0.0, quantum, 0.1, offset * offset);
-            let reading = Reading { angle: last, noise, age: 0.0, dead_zone: 0.0 };
-            let of = |persistent: f64| encoder.confined_to_interval(reading, (0.0, quantum), 0.1, persistent).noise;
+            let innovation = Innovation { residual: 0.0, row: Error::zeros(), noise };
+            let of = |persistent: f64| {
+                let sample = Sample { angle: last, age: 0.0, rate: 0.1, sigma: 0.0, quantum, persistent, innovation };
+                encoder.confined_to_interval(&sample).noise
+            };
             // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
             assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
         }

@@ -22,7 +22,7 @@ use super::constants::{
     NEAR_SINGULARITY, NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE,
     SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
-use super::encoder::Reading;
+use super::encoder::{Reading, Sample};
 use super::flow::{self, Scene};
 use super::parameters::Constants;
 use super::propagation::Propagation;
@@ -221,17 +221,17 @@ impl Hypotheses {
     }
 
     /// Hypothesis that the first samples (innovation, angle) after a vertex favour by far.
-    pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<(Innovation, f64)>; 2]) -> Option<usize> {
+    pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<Sample>; 2]) -> Option<usize> {
         if !self.are_after_vertex() {
             return None;
         }
         let favour = self.list.iter().map(|other| {
             let frame = linkage.frame(&other.motion.theta);
             let told = samples.iter().enumerate().filter_map(|(encoder, sample)| {
-                let (innovation, angle) = (*sample)?;
-                let expected = Innovation::new(&other.motion, &frame, encoder, angle, innovation.noise);
-                let [own, of_estimate] = [(other.belief.bank, expected), (belief.bank, innovation)]
-                    .map(|(bank, innovation)| bank.predict_sample(&innovation).log_likelihood());
+                let sample = sample.as_ref()?;
+                let about_other = sample.about(encoder, &other.motion, &frame);
+                let [own, of_estimate] = [(other.belief.bank, &about_other), (belief.bank, sample)]
+                    .map(|(bank, sample)| bank.predict_sample(&sample.innovation).log_likelihood());
                 Some(own - of_estimate)
             });
             told.sum()

@@ -55,7 +55,7 @@ use constants::{
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
-use encoder::{Reading, Sample};
+use encoder::{GateConditions, Reading, Sample};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -162,19 +162,13 @@ impl Estimator {
             return None;
         }
         // While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected.
-        let told = samples.map(|sample| sample.map(|sample| (sample.innovation, sample.angle)));
-        let favoured = self.hypotheses.favoured(linkage, &self.belief, &told);
+        let favoured = self.hypotheses.favoured(linkage, &self.belief, &samples);
         if let Some(other) = favoured {
             frame = self.take_over(other, constants, &mut motion);
-            for (i, sample) in samples.iter_mut().enumerate() {
-                if let Some(Sample { angle, age, innovation }) = sample {
-                    *innovation = Innovation::new(&motion, &frame, i, *angle, innovation.noise);
-                    *age = 0.0;
-                }
-            }
+            samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
         }
-        let Update { readings, seen, likelihood, fit } = self.update(constants, (&motion, &frame), persistent, &samples);
-        let used = readings.iter().flatten().count();
+        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), &samples);
+        let used = samples.iter().flatten().count();
         if used == 0 {
             return favoured.map(|_| motion);
         }
@@ -201,11 +195,11 @@ impl Estimator {
                 self.end_doubt();
             }
         }
-        let readings = if self.hypotheses.are_quiet() || self.doubt.is_open() {
-            self.confined_to_intervals(constants, &motion, &readings, persistent)
-        } else {
-            readings
-        };
+        let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
+        let readings = [0, 1].map(|i| {
+            let sample = Sample { rate: motion.omega[MEASURED[i]], ..samples[i]? };
+            Some(if confined { self.encoders[i].confined_to_interval(&sample) } else { sample.reading() })
+        });
         if let Some(other) = self.hypotheses.correct(linkage, &readings, likelihood) {
             frame = self.take_over(other, constants, &mut motion);
         }
@@ -220,77 +214,74 @@ impl Estimator {
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
-    fn update(
-        &mut self,
-        constants: &Constants,
-        (motion, frame): (&LinkState, &Frame),
-        persistent: [f64; 2],
-        samples: &[Option<Sample>; 2],
-    ) -> Update {
-        let Parameters { sigma, quantum, .. } = constants.parameters;
+    fn update(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> Update {
         if self.are_exchanged((motion, frame), samples) {
             for (i, sample) in samples.iter().flatten().enumerate() {
                 self.innovation[i] = sample.innovation.residual;
                 self.encoders[i].leave_out_lastingly(sample.innovation.residual);
             }
         }
-        let mut update = Update { readings: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
+        let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
-        for i in 0..2 {
-            let Some(Sample { angle, age, innovation }) = samples[i] else { continue };
-            let expected = self.belief.bank.predict_sample(&innovation);
-            let (rate, own) = (motion.omega[MEASURED[i]], expected.nis());
-            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
-            let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
-            self.causes.look(constants, own, self.alarm.is_on(), before);
-            if self.causes.are_judged() {
-                let reading = Reading { angle, noise: innovation.noise, age: 0.0, dead_zone: 0.0 };
-                let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, persistent[i]);
-                if seen.dead_zone == 0.0 {
-                    let seen = Innovation { residual: innovation.residual + seen.angle - angle, noise: seen.noise, ..innovation };
-                    self.causes.receive((i, rate), &seen);
-                }
-            }
-            let force = || self.alarm.reference_force(frame).norm();
-            let change = innovation.residual - std::mem::replace(&mut self.innovation[i], innovation.residual);
-            let witnessed = self.encoders[1 - i].is_settled();
-            let mut overdue = false;
-            if !self.encoders[i].stays_away(change, witnessed) {
-                self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), &models);
-                overdue = self.unaided.contradicts(i, &innovation, (sigma, quantum[i]));
-            }
-            let encoder = &mut self.encoders[i];
+        for (i, sample) in samples.iter().enumerate() {
+            let Some(sample) = sample else { continue };
+            let expected = self.belief.bank.predict_sample(&sample.innovation);
+            let own = expected.nis();
             nis += own;
-            let (white, flags) = ((sigma, quantum[i]), (overdue, self.hypotheses.is_branch_known(), witnessed));
-            if let Some(told) = encoder.admit((&expected, &innovation), white, (rate, persistent[i]), flags) {
+            self.watch(constants, frame, (i, sample), own);
+            let conditions = self.gate_conditions((i, sample), frame, &models);
+            if let Some(told) = self.encoders[i].admit(&expected, sample, conditions) {
                 if let Some(learning) = &mut self.learning {
-                    learning.update(&told, &innovation.row);
+                    learning.update(&told, &sample.innovation.row);
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
                     update.likelihood += expected.log_likelihood();
                 }
                 update.fit += own;
-                self.unaided.update(i, &innovation);
+                update.used[i] = Some(*sample);
+                self.unaided.update(i, &sample.innovation);
                 if self.doubt.is_open() {
-                    // Errors that persist are constant: they say nothing of accelerations.
-                    let reading =
-                        Reading { angle, noise: self.encoders[i].noise(sigma, quantum[i], rate, 0.0), age, dead_zone: 0.0 };
-                    let seen = self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, 0.0);
-                    if seen.dead_zone == 0.0 {
-                        let residual = innovation.residual + seen.angle - angle;
-                        self.doubt.receive((i, rate), &Innovation { residual, noise: seen.noise, ..innovation });
-                        update.seen[i] = Some(seen);
+                    let encoder = &self.encoders[i];
+                    update.seen[i] = encoder.unconfined(&encoder.without_persistent_error(sample));
+                    if let Some(reading) = &update.seen[i] {
+                        self.doubt.receive((i, sample.rate), &sample.innovation_of(reading));
                     }
                 }
-                update.readings[i] = Some(Reading { angle, noise: innovation.noise, age, dead_zone: 0.0 });
-            } else if overdue && let Some(bank) = self.unaided.take() {
+            } else if conditions.overdue
+                && let Some(bank) = self.unaided.take()
+            {
                 self.belief.bank = bank;
                 self.learn_anew(constants);
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         update
+    }
+
+    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
+    fn watch(&mut self, constants: &Constants, frame: &Frame, (i, sample): (usize, &Sample), nis: f64) {
+        let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
+        self.causes.look(constants, nis, self.alarm.is_on(), before);
+        if self.causes.are_judged()
+            && let Some(reading) = self.encoders[i].unconfined(sample)
+        {
+            self.causes.receive((i, sample.rate), &sample.innovation_of(&reading));
+        }
+    }
+
+    /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder.
+    fn gate_conditions(&mut self, (i, sample): (usize, &Sample), frame: &Frame, models: &[f64; MODELS]) -> GateConditions {
+        let residual = sample.innovation.residual;
+        let change = residual - std::mem::replace(&mut self.innovation[i], residual);
+        let witnessed = self.encoders[1 - i].is_settled();
+        let away = self.encoders[i].stays_away(change, witnessed);
+        if !away {
+            let force = || self.alarm.reference_force(frame).norm();
+            self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), models);
+        }
+        let overdue = !away && self.unaided.contradicts(i, sample);
+        GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }
     }
 
     /// Whether the first samples of both encoders are far from the estimate, each at the angle that it expects of the other encoder. Later
@@ -401,22 +392,6 @@ impl Estimator {
             self.hypotheses.doubt_side(0.0);
         }
         self.doubt.end();
-    }
-
-    /// Readings as slow motions are judged by: an interval, or an edge between two.
-    fn confined_to_intervals(
-        &self,
-        constants: &Constants,
-        motion: &LinkState,
-        readings: &[Option<Reading>; 2],
-        persistent: [f64; 2],
-    ) -> [Option<Reading>; 2] {
-        let Parameters { sigma, quantum, .. } = constants.parameters;
-        [0, 1].map(|i| {
-            let rate = motion.omega[MEASURED[i]];
-            let sigma = self.encoders[i].white_sigma(sigma[i], rate);
-            readings[i].map(|reading| self.encoders[i].confined_to_interval(reading, (sigma, quantum[i]), rate, persistent[i]))
-        })
     }
 
     /// Time update by a macro step of h seconds from a motion to another, in a scene without the unknown force.
@@ -594,9 +569,9 @@ impl Estimator {
 
 /// Measurement update by the samples of both encoders.
 struct Update {
-    /// Readings that were used.
-    readings: [Option<Reading>; 2],
-    /// Those of them that tell assemblies apart: all but readings within a quantisation interval.
+    /// Those that were used.
+    used: [Option<Sample>; 2],
+    /// Information of those of them that tell assemblies apart: all that are not confined to a quantisation interval.
     seen: [Option<Reading>; 2],
     /// Their log-likelihood.
     likelihood: f64,

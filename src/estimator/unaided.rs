@@ -7,7 +7,7 @@ use nalgebra::Matrix2;
 
 use super::bank::{Bank, Error, Innovation};
 use super::constants::{CARRIED_WALK, GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
-use super::encoder::{Encoder, Fault};
+use super::encoder::{Encoder, Fault, Sample};
 use super::propagation::{ProcessNoise, Propagation};
 
 /// Errors about the motion of the estimate that one encoder has no part in since its reading last changed.
@@ -44,13 +44,14 @@ impl Unaided {
         }
     }
 
-    /// Whether a repeated reading of encoder i, of white noise `sigma` and quantisation interval `quantum`, rad, is no longer possible: its axis
-    /// has turned by more, and neither a force of any model nor a push that happens to hold the axis for a while explains it.
-    pub(super) fn contradicts(&self, i: usize, sample: &Innovation, (sigma, quantum): (f64, f64)) -> bool {
+    /// Whether a repeated reading of encoder i is no longer possible: its axis has turned by more, and neither a force of any model nor a push
+    /// that happens to hold the axis for a while explains it.
+    pub(super) fn contradicts(&self, i: usize, sample: &Sample) -> bool {
+        let Sample { sigma, quantum, innovation, .. } = sample;
         self.without.as_ref().filter(|(encoder, _)| usize::from(*encoder) == i).is_some_and(|(_, bank)| {
-            let expected = bank.predict_sample(sample);
+            let expected = bank.predict_sample(innovation);
             let (off, variance) = expected.mixture_moments();
-            let of_angle = (variance - sample.noise).max(0.0).sqrt();
+            let of_angle = (variance - innovation.noise).max(0.0).sqrt();
             off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle
                 && (self.time > LONGEST_CHANCE || expected.nis_of_loudest_model() > GATE)
         })
