@@ -3,11 +3,9 @@
 use std::f64::consts::TAU;
 
 use super::wrench::TipArm;
-use crate::effects::{
-    FiniteMotion, Inputs, JOINTS, JointMotion, Mode, Motion, MotionChange, Planar, TypicalInertia, across_joints,
-};
+use crate::effects::{FiniteMotion, Inputs, JOINTS, JointMotion, Mode, Motion, MotionChange, TypicalInertia, across_joints};
 use crate::mechanism::coordinates::{THETA, X, Y};
-use crate::mechanism::placement::{ByLink, by_links, proximal_arm};
+use crate::mechanism::placement::{ByLink, by_links, tip_levers};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Mechanism, Pose};
 
@@ -91,13 +89,6 @@ impl<'a> Conditions<'a> {
             inputs: self.inputs,
         }
     }
-}
-
-/// Arms from the motor axis to the elbow and from the elbow to the tip, of the left leg, m.
-pub(super) fn tip_levers(pose: &Pose) -> [Planar; 2] {
-    let l = proximal_arm(pose);
-    let of = |x: crate::mechanism::legs::Legs| x.to_array()[0];
-    [[of(l.x), of(l.y)], [of(pose.a_d.x) + of(pose.sigma_b_d.x), of(pose.a_d.y) + of(pose.sigma_b_d.y)]]
 }
 
 /// Change of the motion for changes δq and δv of coordinates and velocities at velocities v.

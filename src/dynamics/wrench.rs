@@ -13,11 +13,10 @@
 //!
 //! with ṗ = J q̇, ∂ṗ/∂q = J', the slopes k_j and d_j of the joints tridiagonal over the links.
 
-use super::motion::tip_levers;
 use crate::effects::{JOINT_LINKS, Matrix, Planar, Slopes, Wrench, dot, times};
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::legs::Legs;
-use crate::mechanism::placement::{ByLink, by_legs, by_links};
+use crate::mechanism::placement::{ByLink, by_legs, by_links, tip_levers};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Pose};
 

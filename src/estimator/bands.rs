@@ -2,9 +2,10 @@
 
 use nalgebra::{Matrix2, Vector4};
 
-use super::bank::{FORCE, Member};
+use super::bank::Member;
 use super::belief::Belief;
 use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
+use super::error_state::FORCE;
 use super::hypotheses::Hypothesis;
 use super::tangent::{LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};

@@ -1,28 +1,18 @@
 //! Interacting multiple models: four process noises in parallel, each with its own error mean and covariance about one estimate, mixed by
 //! their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
 //!
-//! The error state has six elements: angles and rates on the tangent basis N, and the unknown force on the same basis. The models differ in
-//! the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
+//! The models differ in the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::Matrix2;
 
 use super::constants::{
     Intensities, LARGEST_VARIANCES, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
 };
-use super::propagation::{ProcessNoise, transformed};
+use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force, reduce, transformed, turned, turned_covariance};
+use super::propagation::ProcessNoise;
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
-
-/// Number of error components: two of the angles, two of the rates, two of the unknown force.
-pub const ERRORS: usize = 6;
-/// Index of the first force component in an error.
-pub(super) const FORCE: usize = 4;
-
-/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m.
-pub type Error = SVector<f64, ERRORS>;
-/// Covariance or transition matrix of the error state.
-pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -330,39 +320,6 @@ impl Mixing {
 /// Probability that a model stays for h seconds, where it lasts for `switch_time`, s, on average.
 pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
     libm::exp(-h / switch_time)
-}
-
-/// Errors, by columns, whose angles, rates and force change alike.
-pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
-    let mut turned = *errors;
-    for pair in (0..ERRORS).step_by(2) {
-        turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
-    }
-    turned
-}
-
-/// Covariance of errors whose angles, rates and force change alike, symmetric to the bit.
-pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Matrix {
-    let mut turned = turned(turn, &turned(turn, covariance).transpose());
-    turned.fill_upper_triangle_with_lower_triangle();
-    turned
-}
-
-/// Measurement update of a covariance, P − K (P Hᵀ)ᵀ, by the gain K and `column`, P Hᵀ.
-pub(super) fn reduce(covariance: &mut Matrix, gain: &Error, column: &Error) {
-    *covariance -= gain * column.transpose();
-    covariance.fill_upper_triangle_with_lower_triangle();
-    for i in 0..ERRORS {
-        // A variance may turn negative by round-off only.
-        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
-    }
-}
-
-/// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
-pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
-    covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
-    covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
-    covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(own);
 }
 
 impl Intensities {

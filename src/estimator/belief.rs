@@ -3,8 +3,9 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, ERRORS, Error, FORCE, Matrix, isolate_force};
+use super::bank::Bank;
 use super::constants::{CAUSE_MODEL, LARGEST_RATE};
+use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force};
 use super::flow::unit_forces;
 use super::stored;
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair};

@@ -6,11 +6,11 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix};
 
-use super::bank::{Error, Innovation, Matrix};
+use super::bank::Innovation;
 use super::constants::{
     CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
 };
-use super::learning::{LEARNED, MASSES};
+use super::error_state::{Error, LEARNED, MASSES, Matrix};
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
 use super::witness::{DELAY, FAULTS, Faults, OFFSETS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};

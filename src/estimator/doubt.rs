@@ -15,9 +15,10 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Error, Innovation, Matrix};
+use super::bank::Innovation;
 use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, NEITHER_FITS, START_ODDS};
 use super::encoder::Reading;
+use super::error_state::{Error, Matrix};
 use super::flow::Scene;
 use super::hypotheses::{Hypothesis, is_distinguishable};
 use super::parameters::Constants;

@@ -465,7 +465,8 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::bank::{Bank, Error};
+    use crate::estimator::bank::Bank;
+    use crate::estimator::error_state::Error;
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]

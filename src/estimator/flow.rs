@@ -8,7 +8,7 @@ use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 use super::constants::{
     EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
 };
-use super::learning::LEARNED;
+use super::error_state::LEARNED;
 use super::tangent::{Frame, LinkState, Linkage, Links};
 
 /// Equations of motion linearised at a state.

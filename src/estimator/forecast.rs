@@ -4,9 +4,9 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Cholesky, Matrix2, Matrix4x2};
 
-use super::bank::{ERRORS, FORCE};
 use super::belief::Belief;
 use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA};
+use super::error_state::{ERRORS, FORCE};
 use super::flow::{self, Scene, unit_forces};
 use super::parameters::Constants;
 use super::stored;

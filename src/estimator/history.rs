@@ -7,8 +7,8 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Error, Matrix, turned};
 use super::constants::{LARGEST_INVERSE, LEAST_TURN};
+use super::error_state::{Error, Matrix, turned};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 

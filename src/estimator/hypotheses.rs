@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, Error, FORCE, Innovation, Matrix, turned};
+use super::bank::{Bank, Innovation};
 use super::belief::Belief;
 use super::constants::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
@@ -23,6 +23,7 @@ use super::constants::{
     SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
 use super::encoder::{Reading, Sample};
+use super::error_state::{Error, FORCE, Matrix, turned};
 use super::flow::{self, Scene};
 use super::parameters::Constants;
 use super::propagation::Propagation;

@@ -15,33 +15,13 @@ use std::ops::Range;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::bank::{Bank, ERRORS, Error, FORCE, Matrix, Mixing, PredictedSample, bound, persistence, turned};
+use super::bank::{Bank, Mixing, PredictedSample, bound, persistence};
 use super::constants::{LARGEST_FACTORS, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
+use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, Learned, MASSES, Matrix, turned};
 use super::flow::Flow;
+use super::parameters::Prior;
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
-
-/// Number of parameters that may be learned.
-pub const LEARNED: usize = 11;
-/// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
-pub const MASSES: Range<usize> = 0..4;
-/// Mass of the payload, kg.
-pub const PAYLOAD: usize = 4;
-/// Coefficients of viscous friction in joints 1 to 5, N·m·s/rad.
-pub const VISCOUS: Range<usize> = 5..10;
-/// Logarithm of the factor of dry friction in all joints.
-pub const DRY: usize = 10;
-/// Values of the parameters: logarithms, kg, N·m·s/rad.
-pub type Learned = SVector<f64, LEARNED>;
-
-/// Parameters before any sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
-    /// Values.
-    pub values: Learned,
-    /// Standard deviations; 0: known.
-    pub sigma: Learned,
-}
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;

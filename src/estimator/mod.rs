@@ -3,7 +3,7 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | `tangent.rs` | the closed loop: J, N, closure |
+//! | `tangent.rs`, `error_state.rs` | the closed loop: J, N, closure; errors on N and their covariance |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
 //! | `learning.rs` | masses and friction as parameters behind the errors |
@@ -28,12 +28,13 @@ mod cause;
 mod constants;
 mod doubt;
 pub mod encoder;
+pub mod error_state;
 pub mod flow;
 pub mod forecast;
 mod geometry;
 mod history;
 mod hypotheses;
-pub mod learning;
+mod learning;
 mod parameters;
 mod propagation;
 mod quantiser;
@@ -56,14 +57,15 @@ use constants::{
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Reading, Sample};
+use error_state::{LEARNED, Learned};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, Hypothesis};
-use learning::{LEARNED, Learned, Learning, Prior};
-pub use parameters::{Bands, Constants, Parameters};
+use learning::Learning;
+pub use parameters::{Bands, Constants, Parameters, Prior};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 use unaided::Unaided;

@@ -1,8 +1,9 @@
 //! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
 use super::constants::UNKNOWN_FORCE;
-use super::learning::Prior;
-use super::{Linkage, REMEMBERED};
+use super::error_state::Learned;
+use super::history::REMEMBERED;
+use super::tangent::Linkage;
 use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
 
 /// Method of the covariance in a forecast without samples.
@@ -100,6 +101,15 @@ impl Parameters {
         }
         Ok(())
     }
+}
+
+/// Parameters before any sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// Values.
+    pub values: Learned,
+    /// Standard deviations; 0: known.
+    pub sigma: Learned,
 }
 
 /// Data of the estimator that stay constant between changes of parameters.

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix2, Matrix4};
 
-use super::bank::{FORCE, Matrix, turned};
 use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
+use super::error_state::{FORCE, Matrix, turned};
 use super::flow::{Flow, Scene, flow};
 use super::tangent::{Frame, LinkState, Linkage, Links, wrapped};
 
@@ -111,13 +111,6 @@ impl ProcessNoise {
         }
         Self { white, walk }
     }
-}
-
-/// F P Fᵀ + Q, symmetric to the bit.
-pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> Matrix) -> Matrix {
-    let mut product = noise(f * p * f.transpose());
-    product.fill_upper_triangle_with_lower_triangle();
-    product
 }
 
 /// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.

@@ -5,9 +5,10 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, Error, Innovation};
+use super::bank::{Bank, Innovation};
 use super::constants::{CARRIED_WALK, GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault, Sample};
+use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
 
 /// Errors about the motion of the estimate that one encoder has no part in since its reading last changed.

@@ -13,11 +13,13 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
-use super::bank::{ERRORS, Error, FORCE, Innovation, Matrix, reduce, turned, turned_covariance};
+use super::bank::Innovation;
 use super::constants::{LARGEST_NIS, RATES_PERSIST, SIZES, TAKEN_AS_KNOWN};
-use super::learning::{LEARNED, MASSES, PAYLOAD, VISCOUS};
+use super::error_state::{
+    ERRORS, Error, FORCE, LEARNED, MASSES, Matrix, PAYLOAD, VISCOUS, reduce, transformed, turned, turned_covariance,
+};
 use super::parameters::Constants;
-use super::propagation::{ProcessNoise, Propagation, transformed};
+use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::Frame;
 

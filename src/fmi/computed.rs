@@ -3,7 +3,7 @@
 
 use super::bindings::{self, Field};
 use crate::estimator;
-use crate::estimator::learning::{DRY, MASSES, PAYLOAD, VISCOUS};
+use crate::estimator::error_state::{DRY, MASSES, PAYLOAD, VISCOUS};
 use crate::observers::{self, Estimated, Observed, Point};
 use crate::scalar::Scalar;
 use crate::variables::{

@@ -11,7 +11,7 @@
 
 use arrayvec::ArrayVec;
 
-use super::guards::Extremes;
+use super::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 use crate::integrator::{Kkt, StickingConstraint, System, held_at_zero};
 use crate::mechanism::{LINKS, SceneError};

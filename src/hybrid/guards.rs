@@ -3,14 +3,11 @@
 
 use arrayvec::ArrayVec;
 
+use super::Extremes;
 use super::friction::FrictionGuards;
-use super::mode::{INDICATORS, Mode, SPRINGS, StickSlip};
-use super::unilateral::{Phase, UnilateralGuard};
-use crate::integrator::{self, Residuals};
-use crate::mechanism::LINKS;
-
-/// Bounds on the derivatives of the link angles over a step.
-pub type Extremes = integrator::Extremes<LINKS>;
+use super::mode::{INDICATORS, Mode, Phase, SPRINGS, StickSlip};
+use super::unilateral::UnilateralGuard;
+use crate::integrator::Residuals;
 
 /// Guard values of a scene at a state.
 pub struct GuardValues<'a> {

@@ -12,6 +12,12 @@ pub use friction::{
     FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, FrictionPlaces, Frictional, Law,
     stick_velocity,
 };
-pub use guards::{Extremes, GuardValues};
+pub use guards::GuardValues;
 pub use mode::{CONTACT, FRICTION_PLACES, INDICATORS, Mode, SPRINGS, STOPS, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 pub use unilateral::{MeanReaction, UnilateralGuard, UnilateralSpring};
+
+use crate::integrator;
+use crate::mechanism::LINKS;
+
+/// Bounds on the derivatives of the link angles over a step.
+pub type Extremes = integrator::Extremes<LINKS>;

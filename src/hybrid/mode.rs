@@ -5,7 +5,6 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::unilateral::Phase;
 use crate::mechanism::ClosureBranch;
 
 /// Number of unilateral springs: one of the contact, two stops on each motor axis.
@@ -25,6 +24,17 @@ pub const FRICTION_PLACES: usize = 6;
 
 /// Index of the tip among the friction places.
 pub const TIP_FRICTION: usize = FRICTION_PLACES - 1;
+
+/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly past the guards of the phase.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum Phase {
+    /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
+    Free,
+    /// Reaction on the ramp, 0 < d < width.
+    Ramp,
+    /// Reaction past the ramp, d ≥ width.
+    Full,
+}
 
 /// Mode of the hybrid system: phases of the springs, stick-slip states of friction, branch of the closure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]

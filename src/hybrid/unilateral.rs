@@ -13,10 +13,8 @@
 //! higher derivatives, a function lies below two parabolas, below the parabola over its chord, and within a remainder of the cubic Hermite
 //! polynomial.
 
-use borsh::{BorshDeserialize, BorshSerialize};
-
-use super::guards::Extremes;
-use super::mode::Mode;
+use super::Extremes;
+use super::mode::{Mode, Phase};
 use crate::mechanism::LINKS;
 
 /// A unilateral spring and damper.
@@ -28,17 +26,6 @@ pub struct UnilateralSpring {
     pub damping: f64,
     /// Penetration over which the ramp rises, m or rad.
     pub width: f64,
-}
-
-/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly past the guards of the phase.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Phase {
-    /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
-    Free,
-    /// Reaction on the ramp, 0 < d < width.
-    Ramp,
-    /// Reaction past the ramp, d ≥ width.
-    Full,
 }
 
 /// A guard of a phase.

@@ -20,6 +20,13 @@ pub fn proximal_arm(pose: &Pose) -> Legs2 {
     pose.a_p + pose.b_p
 }
 
+/// Arms from the motor axis to the elbow and from the elbow to the tip, of the left leg, m.
+pub fn tip_levers(pose: &Pose) -> [[f64; 2]; 2] {
+    let l = proximal_arm(pose);
+    let of = |x: Legs| x.to_array()[0];
+    [[of(l.x), of(l.y)], [of(pose.a_d.x) + of(pose.sigma_b_d.x), of(pose.a_d.y) + of(pose.sigma_b_d.y)]]
+}
+
 /// Coordinates with these values of the proximal and distal centres of mass and of the link angles.
 fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
     let mut x = Coordinates::ZERO;

@@ -9,7 +9,7 @@ use super::run::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
-use crate::estimator::learning::{DRY, Learned, MASSES};
+use crate::estimator::error_state::{DRY, Learned, MASSES};
 use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, Measured, Status};
 use crate::mechanism::SceneError;
 
@@ -165,7 +165,7 @@ impl Following {
         self.estimate.estimator.nees(&self.constants, &self.motion(), &LinkState::new(*theta, *omega))
     }
 
-    /// Learned values with standard deviations, in the order of [`estimator::learning`]: masses, kg, friction, N·m·s/rad, factor of dry
+    /// Learned values with standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of dry
     /// friction. Where nothing is learned, the parameters in force.
     pub fn learned(&self) -> [Learned; 2] {
         let parameters = self.parameters();

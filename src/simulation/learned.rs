@@ -7,7 +7,8 @@ use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
 use crate::dynamics::placement::by_legs;
 use crate::effects::payload::CARRIER;
 use crate::effects::{Effect, ForceLaw, JOINT_LINKS, JOINTS};
-use crate::estimator::learning::{DRY, LEARNED, Learned, MASSES, PAYLOAD, Prior, VISCOUS};
+use crate::estimator::Prior;
+use crate::estimator::error_state::{DRY, LEARNED, Learned, MASSES, PAYLOAD, VISCOUS};
 use crate::estimator::{LinkState, Links, MEASURED};
 use crate::mechanism::{Link, Mechanism, SceneError};
 

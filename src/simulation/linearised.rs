@@ -9,7 +9,7 @@ use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
-use crate::estimator::learning::LEARNED;
+use crate::estimator::error_state::LEARNED;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::Work;
 use crate::mechanism::Pose;

@@ -2,7 +2,7 @@
 //! machines have, kept in stored states.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::learning::{Learned, MASSES, PAYLOAD, VISCOUS};
+use fivebar::estimator::error_state::{Learned, MASSES, PAYLOAD, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::ffi::{fmi2Error, fmi2OK};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};

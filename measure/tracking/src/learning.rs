@@ -1,7 +1,7 @@
 //! Masses and friction that are learned while a machine is followed, against the true ones; alarms that mean nothing, and forecasts.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::learning::{Learned, MASSES, VISCOUS};
+use fivebar::estimator::error_state::{Learned, MASSES, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};

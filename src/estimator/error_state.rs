@@ -1,0 +1,70 @@
+//! Error state of the filters on the tangent basis N: two components of the angles, two of the rates, two of the unknown force; and what becomes
+//! of its covariance P by a transition, by a sample and by another basis. Every covariance is symmetric to the bit. Behind it stand the parameters that
+//! may be learned.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix2, SMatrix, SVector};
+
+/// Number of error components: two of the angles, two of the rates, two of the unknown force.
+pub const ERRORS: usize = 6;
+/// Index of the first force component in an error.
+pub(super) const FORCE: usize = 4;
+
+/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m.
+pub type Error = SVector<f64, ERRORS>;
+/// Covariance or transition matrix of the error state.
+pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
+
+/// Number of parameters that may be learned.
+pub const LEARNED: usize = 11;
+/// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
+pub const MASSES: Range<usize> = 0..4;
+/// Mass of the payload, kg.
+pub const PAYLOAD: usize = 4;
+/// Coefficients of viscous friction in joints 1 to 5, N·m·s/rad.
+pub const VISCOUS: Range<usize> = 5..10;
+/// Logarithm of the factor of dry friction in all joints.
+pub const DRY: usize = 10;
+/// Values of the parameters: logarithms, kg, N·m·s/rad.
+pub type Learned = SVector<f64, LEARNED>;
+
+/// F P Fᵀ + Q, symmetric to the bit.
+pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> Matrix) -> Matrix {
+    let mut product = noise(f * p * f.transpose());
+    product.fill_upper_triangle_with_lower_triangle();
+    product
+}
+
+/// Errors, by columns, whose angles, rates and force change alike.
+pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
+    let mut turned = *errors;
+    for pair in (0..ERRORS).step_by(2) {
+        turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
+    }
+    turned
+}
+
+/// Covariance of errors whose angles, rates and force change alike, symmetric to the bit.
+pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Matrix {
+    let mut turned = turned(turn, &turned(turn, covariance).transpose());
+    turned.fill_upper_triangle_with_lower_triangle();
+    turned
+}
+
+/// Measurement update of a covariance, P − K (P Hᵀ)ᵀ, by the gain K and `column`, P Hᵀ.
+pub(super) fn reduce(covariance: &mut Matrix, gain: &Error, column: &Error) {
+    *covariance -= gain * column.transpose();
+    covariance.fill_upper_triangle_with_lower_triangle();
+    for i in 0..ERRORS {
+        // A variance may turn negative by round-off only.
+        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+    }
+}
+
+/// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
+pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
+    covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
+    covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
+    covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(own);
+}
