@@ -442,7 +442,7 @@ impl Encoder {
     }
 
     /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
-    fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
+    pub(super) fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
         let &Sample { rate, sigma, quantum, persistent, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;

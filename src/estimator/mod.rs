@@ -99,7 +99,7 @@ pub struct Estimator {
     coasts: bool,
     hypotheses: Hypotheses,
     doubt: Doubt,
-    unaided: Unaided,
+    unaided: [Unaided; 2],
     /// Learning of masses and friction; boxed, so that an estimator that does not learn is no larger.
     learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
@@ -124,7 +124,7 @@ impl Estimator {
             coasts: true,
             hypotheses: Hypotheses::default(),
             doubt: Doubt::NEW,
-            unaided: Unaided::default(),
+            unaided: [Unaided::default(), Unaided::default()],
             learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
@@ -180,7 +180,7 @@ impl Estimator {
         match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
-                self.unaided.correct(&error, &turn);
+                self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
                 self.causes.correct(&error, &turn);
                 self.doubt.follow(&error, &turn);
                 if let Some(learning) = &mut self.learning {
@@ -191,7 +191,7 @@ impl Estimator {
             // No closed configuration is near the corrected one: the covariance is worthless.
             None => {
                 self.belief.bank = bank::Bank::new(constants.start_variances());
-                self.unaided = Unaided::default();
+                self.unaided = Default::default();
                 self.causes.close(false);
                 self.learn_anew(constants);
                 self.end_doubt();
@@ -242,7 +242,7 @@ impl Estimator {
                 }
                 update.fit += own;
                 update.used[i] = Some(*sample);
-                self.unaided.update(i, &sample.innovation);
+                self.unaided[1 - i].update(&self.encoders[i], sample);
                 if self.doubt.is_open() {
                     let encoder = &self.encoders[i];
                     update.seen[i] = encoder.unconfined(&encoder.without_persistent_error(sample));
@@ -251,7 +251,7 @@ impl Estimator {
                     }
                 }
             } else if conditions.overdue
-                && let Some(bank) = self.unaided.take()
+                && let Some(bank) = self.unaided[i].take()
             {
                 self.belief.bank = bank;
                 self.learn_anew(constants);
@@ -278,11 +278,9 @@ impl Estimator {
         let change = residual - std::mem::replace(&mut self.innovation[i], residual);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(change, witnessed);
-        if !away {
-            let force = || self.alarm.reference_force(frame).norm();
-            self.unaided.receive(i, &self.encoders, (&self.belief.bank, force), models);
-        }
-        let overdue = !away && self.unaided.contradicts(i, sample);
+        let force = self.belief.tangent_force(frame).norm();
+        self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], (&self.belief.bank, force), models);
+        let overdue = !away && self.unaided[i].contradicts(sample);
         GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }
     }
 
@@ -328,7 +326,7 @@ impl Estimator {
         self.belief = Belief::new(variances);
         self.innovation = [left, right].map(|sample| sample.innovation.residual);
         self.history.clear();
-        self.unaided = Unaided::default();
+        self.unaided = Default::default();
         self.learn_anew(constants);
         self.doubt.end();
         self.encoders.iter_mut().for_each(Encoder::settle_anew);
@@ -383,7 +381,7 @@ impl Estimator {
     /// Forgets what belongs to the motion that another one has replaced. Returns the frame of that.
     fn begin_anew_at(&mut self, constants: &Constants, motion: &LinkState) -> Frame {
         self.history.clear();
-        self.unaided = Unaided::default();
+        self.unaided = Default::default();
         self.causes.close(false);
         constants.linkage.frame(&motion.theta)
     }
@@ -442,7 +440,9 @@ impl Estimator {
                 self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
             }
         }
-        self.unaided.predict(&step, &noise, [scale, observable], timing);
+        for unaided in &mut self.unaided {
+            unaided.predict(&step, &noise, [scale, observable], timing);
+        }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
         let by_parameters = || scene.by_learned(from, &self.belief.force, &((to.omega - from.omega) / h));
         self.causes.predict(&step, &noise, [scale, observable], (wrong, h), by_parameters);
@@ -550,7 +550,7 @@ impl Estimator {
         if !self.belief.is_sound(linkage, motion)
             || !self.hypotheses.is_sound(linkage)
             || !self.doubt.is_sound(linkage)
-            || !self.unaided.is_sound()
+            || !self.unaided.iter().all(Unaided::is_sound)
         {
             return Err("its estimate has a state or covariance that is not valid");
         }

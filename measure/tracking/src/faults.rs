@@ -19,6 +19,8 @@ const ELLIPSE: f64 = 2.4477;
 pub const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
 /// Time within which a failure is to be told, s.
 const SOON: f64 = 0.2;
+/// Distance of the axis from a frozen reading that an observer sees, in quantisation intervals and in standard deviations of the angle.
+const VISIBLE: [f64; 2] = [2.0, 4.0];
 
 /// Whether the tip of a twin, which is off by so much, m, is beyond its band while nothing is said.
 pub fn is_wrong_in_silence(twin: &Following, time: f64, off: f64) -> bool {
@@ -64,6 +66,9 @@ struct Outcome {
     silent: bool,
     /// Time from the onset to the first status that tells it, s.
     found: f64,
+    /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
+    /// instant of the failure.
+    visible: bool,
     /// Whether an encoder was called stuck before the onset, or at the other encoder.
     early: bool,
     /// Part of the samples after which some had been refused for their stamp.
@@ -138,6 +143,8 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     let (mut machine, mut twin) = (scenario.machine(), told.twin(encoder));
     let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
     let (mut held, mut wrong, mut refused, mut stamp, mut queue) = (None, 0.0, 0.0, [-1.0; 2], VecDeque::new());
+    // A twin that takes no sample of the frozen encoder.
+    let mut observer = None;
     let steps = (scenario.duration / h).round() as u64;
     for step in 0..steps {
         let time = step as f64 * h;
@@ -159,6 +166,15 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             }
             _ => (),
         }
+        if let Failure::Frozen = failure
+            && (onset..onset + SOON).contains(&time)
+        {
+            let (informed, last) = observer.get_or_insert_with(|| (twin.clone(), stamp[0]));
+            informed.correct(&Measured { time: [*last, time], ..measured }, time);
+            let sigma = informed.sigmas()[0][MEASURED[0]];
+            let visible = VISIBLE[0] * encoder.quantum + VISIBLE[1] * sigma;
+            outcome.visible |= (theta[MEASURED[0]] - measured.theta[0]).abs() > visible;
+        }
         stamp = measured.time;
         let begin = Instant::now();
         twin.correct(&measured, time);
@@ -178,9 +194,17 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         }
         let macro_steps = (h / 1e-3).round().max(1.0);
         let middle = time + h / 2.0;
+        let signal = Signal::held(scenario.inputs(middle));
         let begin = Instant::now();
-        let moved = twin.advance_along(&Signal::held(scenario.inputs(middle)), h / macro_steps, macro_steps as u64);
+        let moved = twin.advance_along(&signal, h / macro_steps, macro_steps as u64);
         outcome.taken.push((corrected + begin.elapsed()).as_secs_f64());
+        if let Some((informed, _)) = &mut observer
+            && time < onset + SOON
+        {
+            informed
+                .advance_along(&signal, h / macro_steps, macro_steps as u64)
+                .unwrap_or_else(|error| panic!("the twin without the encoder: {error}"));
+        }
         let moved = moved.and_then(|()| machine.advance(&scenario.acting(middle), h / macro_steps, macro_steps as u64));
         if moved.is_err() {
             outcome.lost = true;
@@ -271,9 +295,10 @@ pub fn table(runs: u64, first: u64) -> Table {
         let silent = count(&|o| o.silent);
         let refused = 100.0 * outcomes.iter().map(|o| o.refused).sum::<f64>() / runs as f64;
         let remark = format!(
-            "of {runs}; lost at the end {}, told within 0.2 s {}, stuck in error {}, refused stamps {refused:.1} %",
+            "of {runs}; lost at the end {}, told within 0.2 s {}, not told though visible {}, stuck in error {}, refused stamps {refused:.1} %",
             count(&|o| o.lost),
             count(&|o| o.found <= SOON),
+            count(&|o| o.visible && o.found > SOON),
             count(&|o| o.early),
         );
         let label = format!("{name}, {}, {} ms", encoder.name, 1e3 * h);
