@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 
 use super::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
-use crate::integrator::{Kkt, StickingConstraint, System, held_at_zero};
+use crate::integrator::{CROSSING_RESIDUAL, Kkt, StickingConstraint, System, held_at_zero};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
 
@@ -231,8 +231,9 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
 /// Largest rate of a mechanism that friction can bring to rest, in stick velocities: residual motion below that is within tolerances.
 const REST_RATE: f64 = 1e3;
 
-/// Largest rate at which a place may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
-const STICKING_RATE: f64 = 2.0;
+/// Largest rate at which a place may start to stick, in stick velocities. A place that is faster slips as it does until its guard: told to slip
+/// the other way, it would be past its new guard at once, without end.
+const STICKING_RATE: f64 = CROSSING_RESIDUAL;
 
 /// Rate at which a place that sticks by the constraint of another begins to slip, in stick velocities: a lower one may be an error of the
 /// steps.

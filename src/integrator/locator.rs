@@ -14,7 +14,7 @@ const TARGET_RESIDUAL: f64 = 0.5;
 /// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
 const WINDOW_HALF_WIDTH: f64 = 0.4;
 /// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
-const CROSSING_RESIDUAL: f64 = 0.95;
+pub const CROSSING_RESIDUAL: f64 = 0.95;
 /// Number of trials to end a step at a guard after which the step is halved instead.
 const MOST_TRIES: u32 = 8;
 /// Shortest step that ends at a guard, s; the mode changes at once where a guard is crossed earlier.

@@ -28,6 +28,7 @@ pub use discrete::{CutStep, Discrete, StepIncrement};
 pub use equilibrium::{equilibrium, equilibrium_at, held_at_zero};
 pub use error::StepError;
 pub use events::{Events, Extremes, Residuals};
+pub use locator::CROSSING_RESIDUAL;
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;

@@ -338,6 +338,18 @@ fn a_handle_that_sticks_to_a_wall() {
     sticks("haptic_stick", [[6e-6, 5e-8], [1.2e-7, 2e-12]]);
 }
 
+/// At loose tolerances all joints come close to rest at once, and no place changes its direction without end. Errors, m or rad: those of i3-ALP at
+/// 1e-3 rad, of second order, and of the explicit methods by where places stop, whose rates of 1e-6 rad/s count as rest.
+#[test]
+fn a_handle_that_nearly_stops() {
+    for (method, bound) in [(Method::I3alp, 4e-4), (Method::Dop853, 2e-5), (Method::Automatic, 2e-5)] {
+        for tolerance in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] {
+            let [motion, ..] = errors_and_energy("haptic_stick", method, &[("solver.errorTolerance", tolerance)]);
+            assert!(motion < bound, "{method:?} at {tolerance:e} rad: {motion:e} m or rad");
+        }
+    }
+}
+
 /// Jumps of 1.1 mrad: within 0.1 % of them.
 #[test]
 fn a_joint_that_sticks_and_slips() {
