@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::belief::{Belief, on_basis};
 use super::constants::{
     ALARM_DURATION, CONSISTENCY_LENGTH, LARGEST_CONSISTENT_NIS, LARGEST_NIS_IN_MEAN, LASTING_CHANGE, PROBABLE_CHANGE,
-    REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE,
+    REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE, VIOLENCE_PERSISTS,
 };
 use super::stored;
 use super::tangent::{Frame, Links, Pair};
@@ -22,23 +22,34 @@ pub struct Alarm {
     time_since_sample: f64,
     /// Mean normalised innovation squared per sample.
     nis: f64,
+    /// Largest inertia torques of the last steps, N·m.
+    inertia: f64,
 }
 
 impl Default for Alarm {
     fn default() -> Self {
-        Self { reference_force: Links::zeros(), time_since_alarm: f64::MAX, time_since_sample: 0.0, nis: 1.0 }
+        Self { reference_force: Links::zeros(), time_since_alarm: f64::MAX, time_since_sample: 0.0, nis: 1.0, inertia: 0.0 }
     }
 }
 
 impl Alarm {
-    /// Time update by a macro step of h seconds.
-    pub(super) fn step(&mut self, h: f64) {
+    /// Time update by a macro step of h seconds with these inertia torques, N·m.
+    pub(super) fn step(&mut self, h: f64, inertia: f64) {
+        self.inertia = inertia.max(self.inertia * libm::exp(-h / VIOLENCE_PERSISTS));
         self.time_since_alarm = (self.time_since_alarm + h).min(f64::MAX);
         self.time_since_sample += h;
     }
 
-    /// Measurement update: `nis` is the normalised innovation squared summed over `samples` samples.
-    pub(super) fn receive(&mut self, belief: &Belief, at: &Frame, scale: f64, (nis, samples): (f64, usize)) {
+    /// Measurement update: `nis` is the normalised innovation squared summed over `samples` samples. `exceed_masses` says whether something explains
+    /// them that errors of masses do not.
+    pub(super) fn receive(
+        &mut self,
+        belief: &Belief,
+        at: &Frame,
+        scale: f64,
+        (nis, samples): (f64, usize),
+        exceed_masses: impl FnOnce() -> bool,
+    ) {
         let samples = samples as f64;
         self.nis += samples / CONSISTENCY_LENGTH * ((nis / samples).min(LARGEST_NIS_IN_MEAN) - self.nis);
         let change = belief.force - self.reference_force;
@@ -50,7 +61,9 @@ impl Alarm {
         let loud = belief.bank.members[2].weight + belief.bank.members[3].weight;
         let changes =
             size > SUDDEN_CHANGE.0 * scale && (loud > SUDDEN_CHANGE.1 || loud > PROBABLE_CHANGE.0 && beyond(PROBABLE_CHANGE.1));
-        if changes || size > LASTING_CHANGE.0 * scale && beyond(LASTING_CHANGE.1) {
+        let changes = changes || size > LASTING_CHANGE.0 * scale && beyond(LASTING_CHANGE.1);
+        // Errors of masses are forces as well, large ones where links accelerate by more than the torques that carry them.
+        if changes && (self.inertia < scale || exceed_masses()) {
             self.time_since_alarm = 0.0;
         }
         let share = 1.0 - libm::exp(-self.time_since_sample / REFERENCE_TIME_CONSTANT);
@@ -74,7 +87,7 @@ impl Alarm {
     }
 
     pub(super) fn is_sound(&self) -> bool {
-        let times = [self.time_since_alarm, self.time_since_sample, self.nis];
+        let times = [self.time_since_alarm, self.time_since_sample, self.nis, self.inertia];
         self.reference_force.iter().chain(&times).all(|x| x.is_finite())
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, SMatrix};
 
 use super::bank::Innovation;
 use super::constants::{
-    CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
+    BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
 };
 use super::error_state::{Error, LEARNED, MASSES, Matrix};
 use super::parameters::Constants;
@@ -86,6 +86,15 @@ impl Causes {
     /// Surprise behind which something has been wrong.
     fn confirmed(&self) -> Option<&Surprise> {
         self.surprise.as_ref().filter(|surprise| surprise.confirmed)
+    }
+
+    /// Whether a force, parameters or timing explain the samples since the last surprise that errors of masses do not. Encoders have gates of their
+    /// own, and an offset looks like a mass in a fast passage.
+    pub(super) fn exceed_masses(&self, constants: &Constants) -> bool {
+        self.surprise.as_ref().is_some_and(|surprise| {
+            let [masses, left, right, tip, _, _, parameters, timing] = surprise.evidence(constants, None);
+            [left, right, tip, parameters, timing].iter().any(|evidence| evidence - masses > BEYOND_MASSES)
+        })
     }
 
     /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
@@ -193,6 +202,15 @@ impl Surprise {
 
     /// Probabilities of all causes.
     fn probabilities(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
+        let evidence = self.evidence(constants, away);
+        let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
+        let probabilities = evidence.map(|of| libm::exp(of - best));
+        let sum: f64 = probabilities.iter().sum();
+        probabilities.map(|probability| (1.0 - UNEXPLAINED) * probability / sum)
+    }
+
+    /// Logarithms of the evidence of all causes, that of masses which are off for none of them.
+    fn evidence(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
         let (sizes, known) = (prior_sizes(constants), PARAMETERS + MASSES.start..PARAMETERS + MASSES.end);
         let explained = Cause::ALL.map(|cause| {
             let free = match cause {
@@ -209,14 +227,10 @@ impl Surprise {
         let most = explained.iter().fold(0.0_f64, |most, (less, _)| most.max(*less));
         // Evidence is divided by the scatter that the best explanation leaves, where that is more than noise.
         let scatter = ((self.witness.squares - most) / self.witness.samples.max(1.0)).max(LEAST_SCATTER);
-        let evidence: [f64; Cause::ALL.len()] = std::array::from_fn(|k| {
+        std::array::from_fn(|k| {
             let ((less, freedom), cause) = (explained[k], Cause::ALL[k]);
             let possible = away.is_none_or(|i| [Cause::Encoder(i), Cause::Timing].contains(&cause));
             if possible { 0.5 * (less / scatter - freedom) } else { f64::NEG_INFINITY }
-        });
-        let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
-        let probabilities = evidence.map(|of| libm::exp(of - best));
-        let sum: f64 = probabilities.iter().sum();
-        probabilities.map(|probability| (1.0 - UNEXPLAINED) * probability / sum)
+        })
     }
 }

@@ -211,7 +211,8 @@ impl Estimator {
         if used == 2 {
             self.doubt.begin(constants, &motion);
         }
-        self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used));
+        let exceed_masses = || self.causes.exceed_masses(constants);
+        self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used), exceed_masses);
         Some(motion)
     }
 
@@ -453,7 +454,7 @@ impl Estimator {
         }
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
-        self.alarm.step(h);
+        self.alarm.step(h, inertia);
     }
 
     /// Whether a quantisation interval says more than white noise.

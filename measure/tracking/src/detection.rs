@@ -1,5 +1,6 @@
 //! Alarms: how soon a push is noticed, and how often there is an alarm without one.
 
+use crate::learning;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, desk, five_percent, follow, start_off};
 use crate::quality::{pick_course, plan, push, servos, sines};
 use crate::report::{Figure, Table, median, quantile};
@@ -50,9 +51,15 @@ fn false_alarms(encoder: &Encoder, seconds: f64, seed: u64) -> f64 {
 pub fn table(runs: u64, hours: f64, first: u64) -> Table {
     let mut table = Table::new("Alarms at 1 ms: from a push of 0.5 N to the alarm, and without one");
     type Scene = fn(&mut Random) -> Scenario;
-    let scenes: [(&str, Scene); 2] = [("sines", push), ("pick", pushed_pick)];
-    for (encoder, most) in [(COARSE, 80.0), (FINE, 10.0)] {
-        for (name, scene) in scenes {
+    // Bounds of the median by 0.1° and by 16 bits, ms.
+    let scenes: [(&str, Scene, [f64; 2]); 4] = [
+        ("sines", push, [80.0, 10.0]),
+        ("pick", pushed_pick, [80.0, 10.0]),
+        ("fall under known sines", |random| learning::pushed(random, false), [80.0, 12.0]),
+        ("fall under known sines, learned", |random| learning::pushed(random, true), [80.0, 12.0]),
+    ];
+    for (i, encoder) in [COARSE, FINE].into_iter().enumerate() {
+        for (name, scene, most) in scenes {
             let delays: Vec<(f64, bool)> = (0..runs)
                 .map(|seed| {
                     let mut random = Random::new(first + 7_700_000 + seed);
@@ -64,7 +71,7 @@ pub fn table(runs: u64, hours: f64, first: u64) -> Table {
             let missed = times().filter(|time| time.is_infinite()).count();
             let early = delays.iter().filter(|(_, early)| *early).count();
             let remark = format!("90 %: {:.0} ms; {missed} of {runs} missed, {early} raised before", quantile(times(), 0.9));
-            table.push(Figure::at_most(format!("{name}, {}: median, ms", encoder.name), median(times()), most, remark));
+            table.push(Figure::at_most(format!("{name}, {}: median, ms", encoder.name), median(times()), most[i], remark));
         }
         // Many runs of two minutes, each with other masses.
         let blocks = (hours * 30.0).round().max(1.0) as u64;

@@ -194,7 +194,8 @@ pub fn table(runs: u64, first: u64) -> Table {
             }
         }
     }
-    let pushes: [(&str, Scene); 2] = [("a push of 0.5 N on sines", push), ("a push of 0.5 N in a fall, learned", learning::pushed)];
+    let pushes: [(&str, Scene); 2] =
+        [("a push of 0.5 N on sines", push), ("a push of 0.5 N in a fall, learned", |random| learning::pushed(random, true))];
     for (name, scene) in pushes {
         for encoder in [COARSE, FINE] {
             let outcomes: Vec<_> = (0..runs)
