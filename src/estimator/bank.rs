@@ -76,10 +76,10 @@ impl PredictedSample {
         mean * mean / variance
     }
 
-    /// Normalised innovation squared of the loudest model.
-    pub fn nis_of_loudest_model(&self) -> f64 {
+    /// Normalised innovation squared of the loudest model, with the noise less by `excess`, rad².
+    pub fn nis_of_loudest_model(&self, excess: f64) -> f64 {
         let (residual, variance, _) = self.each[MODELS - 1];
-        residual * residual / variance
+        residual * residual / (variance - excess)
     }
 
     /// Log-likelihood of the innovation in a normal distribution with the moments of the mixture, up to a constant.

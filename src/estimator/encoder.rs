@@ -72,6 +72,8 @@ pub enum Fault {
 pub(super) struct Sample {
     /// Angle, rad.
     pub(super) angle: f64,
+    /// Second difference of the last three valid angles, rad.
+    pub(super) second_difference: f64,
     /// Age, s.
     pub(super) age: f64,
     /// Rate of the axis in the motion, rad/s.
@@ -193,7 +195,9 @@ impl Encoder {
     ) -> Option<Sample> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
+        let last_change = self.change;
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
+        let second_difference = wrapped(self.change - last_change);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let noise = self.noise(sigma, quantum, rate, persistent);
         let Some((expected, row)) = history.at(motion, frame, i, age) else {
@@ -201,7 +205,7 @@ impl Encoder {
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
-        Some(Sample { angle, age, rate, sigma, quantum, persistent, innovation })
+        Some(Sample { angle, second_difference, age, rate, sigma, quantum, persistent, innovation })
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -332,12 +336,14 @@ impl Encoder {
         self.jump != 0.0
     }
 
-    /// Whether a reading that has jumped stays away, while its innovation changes by `change`, rad, from one sample to the next. One that
-    /// moves on by as much as half its jump was struck rather than jumped, or jumps again. `witnessed`: the estimate has settled on the other
-    /// encoder.
-    pub(super) fn stays_away(&mut self, change: f64, witnessed: bool) -> bool {
-        let lasting = self.rejected_in_a_row > 1;
-        if self.is_away() && (wrapped(change).abs() > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
+    /// Whether a reading that has jumped stays away, while its innovation changes by `change`, rad, from the last sample to this one. One that
+    /// moves on by as much as half its jump was struck rather than jumped. One that has been left out jumps again where its second difference
+    /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
+    /// other encoder.
+    pub(super) fn stays_away(&mut self, sample: &Sample, change: f64, witnessed: bool) -> bool {
+        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(change).abs());
+        let moved = if lasting { change.min(sample.second_difference.abs()) } else { change };
+        if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
             self.jump = 0.0;
             if lasting {
                 self.rejected_in_a_row = 0;
@@ -354,14 +360,15 @@ impl Encoder {
         sample: &Sample,
         conditions: GateConditions,
     ) -> Option<PredictedSample> {
-        self.passes_gate(expected, sample.innovation.residual, conditions)
-            .then(|| self.with_quantisation_interval(expected, sample))
+        self.passes_gate(expected, sample, conditions).then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gating: whether a sample is used whose innovation is `residual`, rad.
-    fn passes_gate(&mut self, expected: &PredictedSample, residual: f64, conditions: GateConditions) -> bool {
+    /// Gating: whether a sample is used. Whether a force explains the sample is judged by the noise of a single one: a quantisation error that
+    /// many share is no larger.
+    fn passes_gate(&mut self, expected: &PredictedSample, sample: &Sample, conditions: GateConditions) -> bool {
         let GateConditions { overdue, patient, witnessed } = conditions;
-        let least = expected.nis_of_loudest_model();
+        let &Sample { sigma, quantum, persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
+        let least = expected.nis_of_loudest_model(noise - self.single_variance(sigma, quantum, persistent));
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
@@ -421,6 +428,11 @@ impl Encoder {
     /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `persistent`, rad².
     fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
         (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
+    }
+
+    /// Variance of a sample with a quantisation error of its own, rad².
+    fn single_variance(&self, sigma: f64, quantum: f64, persistent: f64) -> f64 {
+        self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0
     }
 
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
@@ -483,7 +495,8 @@ mod tests {
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
-            let sample = Sample { angle: 0.0, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, innovation };
+            let sample =
+                Sample { angle: 0.0, second_difference: 0.0, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, innovation };
             let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
             encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known
         };
@@ -510,12 +523,50 @@ mod tests {
             let noise = encoder.noise(0.0, quantum, 0.1, offset * offset);
             let innovation = Innovation { residual: 0.0, row: Error::zeros(), noise };
             let of = |persistent: f64| {
-                let sample = Sample { angle: last, age: 0.0, rate: 0.1, sigma: 0.0, quantum, persistent, innovation };
+                let sample = Sample {
+                    angle: last,
+                    second_difference: 0.0,
+                    age: 0.0,
+                    rate: 0.1,
+                    sigma: 0.0,
+                    quantum,
+                    persistent,
+                    innovation,
+                };
                 encoder.confined_to_interval(&sample).noise
             };
             // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
             assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
         }
+    }
+
+    /// A reading of an axis that rests jumps by more than any force explains, though its quantisation error lasts. The encoder is left out until
+    /// the reading jumps back, however the estimate moves; an axis that is struck moves on at once.
+    #[test]
+    fn jumps_are_judged_by_the_reading() {
+        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0].into());
+        // Innovation and second difference of each sample after the jump, rad, and whether the reading is left out.
+        let is_away_after = |samples: &[(f64, f64)]| {
+            let mut encoder = Encoder { believed_for: 2.0 * SETTLING_TIME, interval: h, time_since_sample: 0.0, ..Encoder::NEW };
+            let noise = encoder.noise(0.0, quantum, 0.0, 0.0);
+            let mut last = 0.0;
+            for &(residual, second_difference) in samples {
+                let innovation = Innovation { residual, row, noise };
+                let sample =
+                    Sample { angle: 0.0, second_difference, age: 0.0, rate: 0.0, sigma: 0.0, quantum, persistent: 0.0, innovation };
+                let change = residual - std::mem::replace(&mut last, residual);
+                encoder.stays_away(&sample, change, true);
+                let expected = Bank::new([1e-6, 1.0, 1.0]).predict_sample(&innovation);
+                let conditions = GateConditions { overdue: false, patient: true, witnessed: true };
+                encoder.admit(&expected, &sample, conditions);
+            }
+            encoder.is_away()
+        };
+        let jump = (0.1, 0.1);
+        assert!(is_away_after(&[jump]) && is_away_after(&[jump, (0.1, -0.1), (0.1, 0.0)]), "the reading jumps");
+        assert!(!is_away_after(&[jump, (0.2, 0.0)]), "the axis is struck");
+        assert!(is_away_after(&[jump, (0.1, -0.1), (0.1, 0.0), (0.3, 0.0), (-0.1, 0.0)]), "the estimate turns");
+        assert!(!is_away_after(&[jump, (0.1, -0.1), (0.1, 0.0), (0.0, -0.1)]), "the reading jumps back");
     }
 
     /// Stamps that err by less than a sample's period are used, with a noise that grows with the axis' rate; later ones and exact ones are not.

@@ -278,7 +278,7 @@ impl Estimator {
         let residual = sample.innovation.residual;
         let change = residual - std::mem::replace(&mut self.innovation[i], residual);
         let witnessed = self.encoders[1 - i].is_settled();
-        let away = self.encoders[i].stays_away(change, witnessed);
+        let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
         self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], (&self.belief.bank, force), models);
         let overdue = !away && self.unaided[i].contradicts(sample);

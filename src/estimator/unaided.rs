@@ -45,7 +45,7 @@ impl Unaided {
             let (off, variance) = expected.mixture_moments();
             let of_angle = (variance - innovation.noise).max(0.0).sqrt();
             off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle
-                && (self.time > LONGEST_CHANCE || expected.nis_of_loudest_model() > GATE)
+                && (self.time > LONGEST_CHANCE || expected.nis_of_loudest_model(0.0) > GATE)
         })
     }
 
