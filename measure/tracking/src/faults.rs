@@ -12,9 +12,8 @@ use fivebar::simulation::{Following, Method, Signal};
 use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, no_inputs, start_off, tip};
 use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
+use crate::scores::half_width;
 
-/// Half-width of a 95 % ellipse in standard deviations.
-const ELLIPSE: f64 = 2.4477;
 /// Tip error that counts, m, and in half-widths; and how long it must last in silence, s.
 pub const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
 /// Time within which a failure is to be told, s.
@@ -24,9 +23,7 @@ const VISIBLE: [f64; 2] = [2.0, 4.0];
 
 /// Whether the tip of a twin, which is off by so much, m, is beyond its band while nothing is said.
 pub fn is_wrong_in_silence(twin: &Following, time: f64, off: f64) -> bool {
-    let [xx, xy, yy] = twin.tip_covariance();
-    let largest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
-    let half_width = ELLIPSE * largest.max(0.0).sqrt();
+    let half_width = half_width(twin.tip_covariance());
     let fine = twin.status() == Status::Following && !twin.estimator().alarm();
     time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine
 }

@@ -11,12 +11,10 @@ use crate::learning;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
 use crate::quality::{driven, fall, push, sines};
 use crate::report::{Figure, Table, median};
-use crate::scores::{ConstantVelocity, Scores, in_hindsight, mean, scores};
+use crate::scores::{ConstantVelocity, ELLIPSE, Scores, holds, in_hindsight, mean, scores};
 
 /// When bands are looked at, s ahead.
 const AHEAD: [f64; 3] = [0.1, 0.3, 0.5];
-/// χ² of two degrees of freedom at 95 %.
-const ELLIPSE: f64 = 5.991;
 const H: f64 = 1e-3;
 /// Members of the ensemble that is compared with.
 const MEMBERS: usize = 100;
@@ -71,11 +69,10 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
         meets |= side(&motion(&machine.state()).0) * start < 0.0;
         if (f64::from(step) * H - AHEAD[next]).abs() < H / 2.0 {
             let ([x, y], [v, w]) = (tip(&machine, &machine.state()), tip(twin.simulation(), &twin.state_for(&held)));
-            let ([xx, xy, yy], [dx, dy]) = (twin.tip_covariance(), [x - v, y - w]);
-            let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy);
-            inside[next] = squared <= ELLIPSE;
+            let (covariance, off) = (twin.tip_covariance(), [x - v, y - w]);
+            inside[next] = holds(covariance, off);
             let round = twin.tip_radius().powi(2) / ELLIPSE;
-            own[next] = [[xx, xy, yy], [round, 0.0, round]].map(|covariance| scores(covariance, [dx, dy]));
+            own[next] = [covariance, [round, 0.0, round]].map(|covariance| scores(covariance, off));
             // The last sample was taken a step before the forecast.
             others[next] = [straight.ahead(AHEAD[next] + H), anew.tip()].map(|[v, w]| [x - v, y - w]);
             next = (next + 1).min(2);

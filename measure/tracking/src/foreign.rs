@@ -8,6 +8,7 @@ use fivebar::simulation::Signal;
 
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, desk, no_inputs, start_off, tip};
 use crate::report::{Figure, Table};
+use crate::scores::holds;
 
 /// Play of the joint at the tip, m, stiffness, N/m, and damping, N·s/m, past the play.
 const JOINT: [f64; 3] = [2e-5, 2e5, 20.0];
@@ -163,8 +164,8 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
         }
         if time > 0.2 {
             let ([x, y], [v, w]) = (foreign.tip(), tip(twin.simulation(), &twin.state_for(&default_inputs())));
-            let ([xx, xy, yy], [dx, dy]) = (twin.tip_covariance(), [x - v, y - w]);
-            let within = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) <= 5.991 * (xx * yy - xy * xy);
+            let [dx, dy] = [x - v, y - w];
+            let within = holds(twin.tip_covariance(), [dx, dy]);
             let warned = !matches!(twin.status(), Status::Following);
             inside += f64::from(u8::from(within));
             honest += f64::from(u8::from(within || warned));

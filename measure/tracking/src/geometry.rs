@@ -1,23 +1,19 @@
 //! Machines whose lengths or encoders' mounting angles are not those of the model: how far the tip is off, whether it is within its band, and
 //! whether a machine is lost without a word.
 
-use fivebar::estimator::{MEASURED, Status};
+use fivebar::estimator::MEASURED;
 use fivebar::mechanism::Start;
 use fivebar::simulation::{Parameters, Simulation};
 
+use crate::faults::{SILENT, is_wrong_in_silence};
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, follow};
 use crate::quality::{SETTLED, fall, sines};
 use crate::report::{Figure, Table, median};
+use crate::scores::{half_width, holds};
 use crate::singular::{FAST, SLOW, crossing};
 
-/// χ² of two degrees of freedom at 95 %.
-const ELLIPSE: f64 = 5.991;
 /// Standard deviations of the twin that is told: lengths, m, and mounting angles, rad.
 const TOLD: [f64; 2] = [2e-4, 2e-3];
-/// A machine is lost where its tip is off by more than this, m.
-const LOST: f64 = 0.01;
-/// Time without an alarm and with both encoders used after which a machine is lost without a word, s.
-const SILENT: f64 = 0.1;
 
 /// Label of machines whose encoders have another scale.
 const SCALE: &str = "scale 0.2 % off";
@@ -63,17 +59,12 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Outcome {
         if at.time < SETTLED {
             return;
         }
-        let [xx, xy, yy] = at.twin.tip_covariance();
-        let [dx, dy] = at.off;
-        let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy);
-        let longest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
-        let width = (ELLIPSE * longest).sqrt();
-        inside += f64::from(u8::from(squared <= ELLIPSE));
-        errors.push([at.tip_error, width]);
-        lost = at.tip_error > LOST;
-        let unsaid = lost && at.tip_error > 3.0 * width && at.twin.status() == Status::Following && !at.twin.estimator().alarm();
-        quiet = if unsaid { quiet + 1e-3 } else { 0.0 };
-        silently |= quiet > SILENT;
+        let covariance = at.twin.tip_covariance();
+        inside += f64::from(u8::from(holds(covariance, at.off)));
+        errors.push([at.tip_error, half_width(covariance)]);
+        lost = at.tip_error > SILENT.0;
+        quiet = if is_wrong_in_silence(at.twin, at.time, at.tip_error) { quiet + 1e-3 } else { 0.0 };
+        silently |= quiet > SILENT.2;
     });
     let count = errors.len().max(1) as f64;
     Outcome { errors, inside: inside / count, lost: lost || done.is_err(), silently }

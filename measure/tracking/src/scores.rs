@@ -1,15 +1,34 @@
-//! Scores of forecasts of the tip by a normal distribution, the smaller the better (Gneiting and Raftery, J. American Statistical Association 102
-//! (2007) 359), and a way to forecast that knows no machine.
+//! Judgement of a normal distribution of the tip by the true tip: its 95 % ellipse, and scores, the smaller the better (Gneiting and Raftery,
+//! J. American Statistical Association 102 (2007) 359); and a way to forecast that knows no machine.
 
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
+
+/// χ² of two degrees of freedom at 95 %.
+pub const ELLIPSE: f64 = 5.991;
+
+/// Normalised square of the distance, m, from the mean of a normal distribution by its covariance (xx, xy, yy), m².
+fn squared_distance([xx, xy, yy]: [f64; 3], [dx, dy]: [f64; 2]) -> f64 {
+    (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / (xx * yy - xy * xy)
+}
+
+/// Whether the 95 % ellipse of a covariance, m², holds a tip that is off by so much, m.
+pub fn holds(covariance: [f64; 3], off: [f64; 2]) -> bool {
+    squared_distance(covariance, off) <= ELLIPSE
+}
+
+/// Half-width of the 95 % ellipse of a covariance, m², along its longer axis, m.
+pub fn half_width([xx, xy, yy]: [f64; 3]) -> f64 {
+    let largest = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
+    (ELLIPSE * largest.max(0.0)).sqrt()
+}
 
 /// Logarithmic score, −ln of the density per m² at the truth, and CRPS, m, the mean over both axes.
 pub type Scores = [f64; 2];
 
 /// Scores of a normal distribution, by its covariance (xx, xy, yy), m², whose mean is off by so much, m.
-pub fn scores([xx, xy, yy]: [f64; 3], [dx, dy]: [f64; 2]) -> Scores {
-    let determinant = xx * yy - xy * xy;
-    let squared = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / determinant;
+pub fn scores(covariance: [f64; 3], off: [f64; 2]) -> Scores {
+    let ([xx, xy, yy], [dx, dy]) = (covariance, off);
+    let (determinant, squared) = (xx * yy - xy * xy, squared_distance(covariance, off));
     let crps = |off: f64, variance: f64| {
         let off = off / (2.0 * variance).sqrt();
         let size = FRAC_2_SQRT_PI * ((-off * off).exp() - 0.5f64.sqrt()) + 2.0 * off * libm::erf(off);
@@ -77,6 +96,18 @@ mod tests {
         let [log, crps] = standard(0.0);
         assert!((log - (2.0 * PI).ln()).abs() < 1e-14 && (crps - ((2.0 / PI).sqrt() - 1.0 / PI.sqrt())).abs() < 1e-14);
         assert!((standard(10.0)[1] - (10.0 - 1.0 / PI.sqrt())).abs() < 1e-13);
+    }
+
+    /// The 95 % ellipse of variances 4 and 1 reaches as far as two and one standard deviations of χ² say, in turned axes too.
+    #[test]
+    fn ellipses_hold_what_they_reach() {
+        let (one, two) = (ELLIPSE.sqrt(), 2.0 * ELLIPSE.sqrt());
+        assert!(holds([4.0, 0.0, 1.0], [0.999 * two, 0.0]) && !holds([4.0, 0.0, 1.0], [1.001 * two, 0.0]));
+        assert!(holds([4.0, 0.0, 1.0], [0.0, 0.999 * one]) && !holds([4.0, 0.0, 1.0], [0.0, 1.001 * one]));
+        // Turned by 45 degrees.
+        let turned = [2.5, 1.5, 2.5];
+        assert!((half_width(turned) - two).abs() < 1e-12 && (half_width([1.0, 0.0, 1.0]) - one).abs() < 1e-12);
+        assert!(holds(turned, [0.999 * two / 2f64.sqrt(); 2]) && !holds(turned, [1.001 * two / 2f64.sqrt(); 2]));
     }
 
     /// A tip that moves straight on is foretold.
