@@ -374,7 +374,7 @@ impl Estimator {
 
     /// Lets the motion in the other assembly than the start replace the estimate. Returns its frame.
     fn leave_assembly(&mut self, other: &Hypothesis, constants: &Constants, motion: &mut LinkState) -> Frame {
-        self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
+        self.learn_anew(constants);
         (*motion, self.belief) = (other.motion, other.belief);
         self.begin_anew_at(constants, motion)
     }
@@ -430,8 +430,8 @@ impl Estimator {
             (0.0, parameters.switch_time * if self.learning.is_some() { LEARNING_PERSISTENCE } else { 1.0 })
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        // A branch that is not known teaches nothing.
-        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet() && !self.doubt.is_open();
+        // A branch behind a singularity that is not known teaches nothing.
+        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
         match (&mut self.learning, &learned) {
             (Some(learning), Some(flow)) if known => {
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
