@@ -20,6 +20,8 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at its begin, N·m.
     force: f64,
+    /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
+    other_changed: bool,
 }
 
 impl Unaided {
@@ -32,15 +34,15 @@ impl Unaided {
         } else if self.bank.is_none() && own.fault != Fault::Stuck {
             let mut bank = *bank;
             bank.reset_priors(models);
-            *self = Self { bank: Some(bank), time: 0.0, force };
+            *self = Self { bank: Some(bank), time: 0.0, force, other_changed: false };
         }
     }
 
-    /// Whether a repeated reading is no longer possible: its axis has turned by more, and neither a force of any model nor a push that happens
+    /// Whether a repeated reading is no longer possible: the other has changed, the axis has turned by more, and neither a force of any model nor a push that happens
     /// to hold the axis for a while explains it.
     pub(super) fn contradicts(&self, sample: &Sample) -> bool {
         let Sample { sigma, quantum, innovation, .. } = sample;
-        self.bank.as_ref().is_some_and(|bank| {
+        self.bank.as_ref().filter(|_| self.other_changed).is_some_and(|bank| {
             let expected = bank.predict_sample(innovation);
             let (off, variance) = expected.mixture_moments();
             let of_angle = (variance - innovation.noise).max(0.0).sqrt();
@@ -53,6 +55,7 @@ impl Unaided {
     pub(super) fn update(&mut self, other: &Encoder, sample: &Sample) {
         if let Some(bank) = &mut self.bank {
             bank.update(&other.with_quantisation_interval(&bank.predict_sample(&sample.innovation), sample));
+            self.other_changed |= !other.repeats();
         }
     }
 

@@ -234,14 +234,14 @@ def test_same_bits_on_every_machine(bench: Bench, motions: dict[str, Script], ex
 
 
 def test_machines_are_followed(model: ModelDescription, expected: Printed) -> None:
-    """The scripts that follow a machine do, and coast at the end: bits are compared of what they are meant to show."""
+    """The scripts that follow a machine do, at first in both assemblies, and coast at the end: bits are compared of what they are meant to show."""
     names = [v.name for v in computed(model) if v.type != "Real"]
     (status,) = [v for v in model.modelVariables if v.name == "estimated.status"]
     items = {int(item.value): item.name for item in status.declaredType.items}
     for name in methods(model):
         (lines,) = expected[f"followed_{name}"]
         told = [items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")]
-        assert told.count("following") > 50 and told[-1] == "coasting", name
+        assert min(told.count(status) for status in ("twoBranches", "following")) > 10 and told[-1] == "coasting", name
 
 
 @on_every_machine
