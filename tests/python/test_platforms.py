@@ -29,6 +29,8 @@ pytestmark = pytest.mark.platforms
 SOURCES = REPOSITORY / "tests" / "platforms"
 # Seconds of each scene, and the communication step: enough for whips, impacts and singularities under an emulator.
 LONGEST, SIZE = 2.0, 0.01
+# Seconds of a machine that is followed: the assembly of its start is doubted for some tenths of a second.
+FOLLOWED = 1.2
 
 # When a state is stored that another machine goes on with, s.
 STORED_AT = 0.5
@@ -176,20 +178,20 @@ def methods(model: ModelDescription) -> dict[str, int]:
 
 def followed(bench: Bench, model: ModelDescription, fall: Values) -> dict[str, Script]:
     """The fall, which passes singularities, followed by every method with encoders of 16 bits, from a start that is 0.01 rad off; after
-    0.8 s no samples come, and sigma points foresee the rest."""
+    1 s no samples come, and sigma points foresee the rest."""
     references = {v.name: v.valueReference for v in model.modelVariables}
     motors, count = [references[f"theta[{i}]"] for i in (1, 2)], 2 * np.pi / 2**16
-    reading = [line if not line.startswith("reals") else f"reals {motors[0]} {motors[1]}" for line in motion(model, fall, 1.0)]
+    reading = [line if not line.startswith("reals") else f"reals {motors[0]} {motors[1]}" for line in motion(model, fall, FOLLOWED)]
     (lines,) = bench.run(HERE, {"machine": [line for line in reading if line.startswith(("real", "boolean", "integer ", "st"))]})["machine"]
     angles = np.array([[struct.unpack(">d", bytes.fromhex(bits))[0] for bits in line.split()[1:]] for line in lines if "reals" in line])
-    points = communication_points(1.0, SIZE)
-    heard = np.minimum(np.arange(len(points)), round(0.8 / SIZE))
+    points = communication_points(FOLLOWED, SIZE)
+    heard = np.minimum(np.arange(len(points)), round(1.0 / SIZE))
     inputs = {f"measured.theta[{i + 1}]": np.round(angles[heard, i] / count) * count for i in (0, 1)}
     inputs |= {f"measured.time[{i}]": np.asarray(points)[heard] for i in (1, 2)}
     twin: Values = {"estimator.enabled": True, "estimator.forecast": 2, "estimator.maxDelay": 0.02}
     twin |= {f"estimator.quantum[{i}]": count for i in (1, 2)} | {"init.theta[2]": fall["init.theta[2]"] + 0.01}
     return {
-        f"followed_{name}": motion(model, fall | twin | {"solver.method": number}, 1.0, inputs=inputs)
+        f"followed_{name}": motion(model, fall | twin | {"solver.method": number}, FOLLOWED, inputs=inputs)
         for name, number in methods(model).items()
     }
 
@@ -234,14 +236,14 @@ def test_same_bits_on_every_machine(bench: Bench, motions: dict[str, Script], ex
 
 
 def test_machines_are_followed(model: ModelDescription, expected: Printed) -> None:
-    """The scripts that follow a machine do, at first in both assemblies, and coast at the end: bits are compared of what they are meant to show."""
+    """The scripts that follow a machine do, and coast at the end: bits are compared of what they are meant to show."""
     names = [v.name for v in computed(model) if v.type != "Real"]
     (status,) = [v for v in model.modelVariables if v.name == "estimated.status"]
     items = {int(item.value): item.name for item in status.declaredType.items}
     for name in methods(model):
         (lines,) = expected[f"followed_{name}"]
         told = [items[int(line.split()[1 + names.index(status.name)])] for line in lines if line.startswith("integers")]
-        assert min(told.count(status) for status in ("twoBranches", "following")) > 10 and told[-1] == "coasting", name
+        assert told.count("following") > 50 and told[-1] == "coasting", name
 
 
 @on_every_machine
