@@ -7,7 +7,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::constants::{
-    Intensities, LARGEST_VARIANCES, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
+    Intensities, LARGEST_ANGLE_VARIANCES, LARGEST_RATE_VARIANCE, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY,
+    TAKEN_AS_KNOWN,
 };
 use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force, reduce, transformed, turned, turned_covariance};
 use super::propagation::ProcessNoise;
@@ -118,7 +119,7 @@ impl Bank {
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
-        let end = |_, Member { covariance, .. }: &mut Member| bound(covariance, |_, _| ());
+        let end = |j, Member { covariance, .. }: &mut Member| bound(j, covariance, |_, _| ());
         self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
     }
 
@@ -331,10 +332,11 @@ impl Intensities {
     }
 }
 
-/// Bounds the variances of unobserved directions; `also` takes the index of each that is scaled, and the factor.
-pub(super) fn bound(covariance: &mut Matrix, mut also: impl FnMut(usize, f64)) {
+/// Bounds the variances of model j in unobserved directions; `also` takes the index of each that is scaled, and the factor.
+pub(super) fn bound(j: usize, covariance: &mut Matrix, mut also: impl FnMut(usize, f64)) {
+    let largest = [LARGEST_ANGLE_VARIANCES[j], LARGEST_RATE_VARIANCE];
     for i in 0..FORCE {
-        let (variance, most) = (covariance[(i, i)], LARGEST_VARIANCES[i / 2]);
+        let (variance, most) = (covariance[(i, i)], largest[i / 2]);
         if variance > most {
             let factor = (most / variance).sqrt();
             covariance.row_mut(i).scale_mut(factor);
