@@ -88,14 +88,7 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
         for item in &enumeration.items {
             writeln!(code, "        Item {{ name: {:?}, value: {} }},", item.name, item.value)?;
         }
-        writeln!(
-            code,
-            "    ];\n\n    /// The item with that number.\n    pub fn from_number(number: i32) -> Option<Self> {{\n        match number {{"
-        )?;
-        for item in &enumeration.items {
-            writeln!(code, "            {} => Some(Self::{}),", item.value, camel(&item.name))?;
-        }
-        writeln!(code, "            _ => None,\n        }}\n    }}\n}}")?;
+        writeln!(code, "    ];\n}}")?;
     }
     Ok(())
 }

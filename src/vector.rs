@@ -9,6 +9,9 @@ use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
 use borsh::{BorshDeserialize, BorshSerialize};
 use wide::f64x2;
 
+/// 1.5·2^52: added to a number of magnitude below 2^51 it rounds the number to an integer, which then stands in the low bits of the sum.
+pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0;
+
 /// A vector with N elements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them

@@ -10,6 +10,5 @@ pub mod angles;
 mod motion;
 mod wrench;
 
-pub use crate::mechanism::placement;
 pub use motion::{Conditions, change_of_motion};
 pub use wrench::{INNER, INNER_COUNT, StepLevers, TipArm};

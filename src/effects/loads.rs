@@ -57,11 +57,6 @@ impl Inputs {
         any([self.servo_theta, self.servo_omega])
     }
 
-    /// These inputs with servo references 0, as a scene without servos uses them.
-    pub fn without_references(self) -> Self {
-        Self { servo_theta: [0.0; 2], servo_omega: [0.0; 2], ..self }
-    }
-
     /// The sum self + factor·other, variable by variable.
     pub fn plus(self, factor: f64, other: &Self) -> Self {
         let sum = |a: [f64; 2], b: [f64; 2]| [a[0] + factor * b[0], a[1] + factor * b[1]];

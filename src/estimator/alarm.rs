@@ -12,7 +12,7 @@ use super::tangent::{Frame, Links, Pair};
 
 /// State of the alarm.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Alarm {
+pub(super) struct Alarm {
     /// Reference value of the unknown force as inputs, N·m and N.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     reference_force: Links,
@@ -71,23 +71,23 @@ impl Alarm {
         self.time_since_sample = 0.0;
     }
 
-    /// Mean unknown force of the last 0.3 s on the tangent basis, N·m.
+    /// Mean unknown force over [`REFERENCE_TIME_CONSTANT`] on the tangent basis, N·m.
     pub(super) fn reference_force(&self, at: &Frame) -> Pair {
         on_basis(at, &self.reference_force)
     }
 
     /// Whether the alarm is raised.
-    pub fn is_on(&self) -> bool {
+    pub(super) fn is_on(&self) -> bool {
         self.time_since_alarm < ALARM_DURATION
     }
 
     /// Whether innovations exceed their covariance.
-    pub fn is_inconsistent(&self) -> bool {
+    pub(super) fn is_inconsistent(&self) -> bool {
         self.nis > LARGEST_CONSISTENT_NIS
     }
 
     pub(super) fn is_sound(&self) -> bool {
-        let times = [self.time_since_alarm, self.time_since_sample, self.nis, self.inertia];
-        self.reference_force.iter().chain(&times).all(|x| x.is_finite())
+        let sizes = [self.time_since_alarm, self.time_since_sample, self.nis, self.inertia];
+        self.reference_force.iter().chain(&sizes).all(|x| x.is_finite()) && sizes.iter().all(|size| *size >= 0.0)
     }
 }

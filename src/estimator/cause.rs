@@ -27,7 +27,7 @@ pub enum Cause {
     TipForce,
     /// An encoder, 0: left, 1: right.
     Encoder(usize),
-    /// Masses or friction other than the parameters.
+    /// Payload or friction other than the parameters.
     Parameters,
     /// Times of the samples.
     Timing,

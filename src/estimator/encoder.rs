@@ -14,7 +14,7 @@ use super::parameters::{Constants, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 
 /// Time of an encoder that has no sample, s.
-pub const NEVER: f64 = -1e30;
+pub(super) const NEVER: f64 = -1e30;
 /// Samples connected by a master: angles and their times.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Measured {
@@ -154,7 +154,7 @@ pub struct Encoder {
     interval: f64,
     /// Macro steps' time since the last valid sample, s; infinite before the first.
     time_since_sample: f64,
-    /// Macro steps' time since the last sample, s, valid or not; 0 before the first.
+    /// Macro steps' time since the last sample, s, valid or not; since the start before the first.
     time_since_arrival: f64,
     /// Macro steps' time between the last two valid samples, s; 0 before there are two.
     arrival_interval: f64,

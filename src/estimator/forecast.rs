@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Cholesky, Matrix2, Matrix4x2};
 
 use super::belief::Belief;
-use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA};
+use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS};
 use super::error_state::{ERRORS, FORCE};
 use super::flow::{self, Scene, unit_forces};
 use super::parameters::Constants;
@@ -13,7 +13,7 @@ use super::stored;
 use super::tangent::{LinkState, Linkage, Links, Pair, wrapped};
 
 /// Number of sigma points.
-pub const POINTS: usize = 2 * ERRORS;
+const POINTS: usize = 2 * ERRORS;
 
 /// A sigma point.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -153,8 +153,7 @@ impl Forecast {
     }
 
     /// Fraction of sigma points, estimate included, whose sin(θ₃ − θ₂) changes sign within the horizon, under held inputs that include the
-    /// unknown force;
-    /// `step` is the time between two checks, s.
+    /// unknown force; `step` is the time between two checks, s, longer where there would be more than [`MOST_CHECKS`].
     pub(super) fn singularity_probability(
         &self,
         constants: &Constants,
@@ -177,7 +176,10 @@ impl Forecast {
             }
         };
         look(&sigma_points, &own);
-        for _ in 0..(constants.parameters.horizon / step).ceil().max(0.0) as u64 {
+        let horizon = constants.parameters.horizon.max(0.0);
+        let checks = (horizon / step).ceil().min(MOST_CHECKS);
+        let step = step.max(horizon / MOST_CHECKS);
+        for _ in 0..checks as u64 {
             sigma_points.step(linkage, scene, &Links::zeros(), (step, [0.0; 2]));
             own.step(linkage, scene, &Links::zeros(), step);
             look(&sigma_points, &own);

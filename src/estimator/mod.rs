@@ -14,23 +14,24 @@
 //! | `doubt.rs` | whether the start is in the right assembly |
 //! | `witness.rs`, `cause.rs` | filter that knows of no fault; explanations of an alarm, compared |
 //! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
+//! | `stored.rs` | matrices in stored states |
 //!
 //! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
 //! and the end of each macro step. The simulation owns the motion; the estimator returns the corrected one and the unknown force to continue with.
 //!
 //! Invariant: no input or output and no clock; equal input bits give equal output bits.
 
-pub mod alarm;
+mod alarm;
 mod bands;
 pub mod bank;
-pub mod belief;
+mod belief;
 mod cause;
 mod constants;
 mod doubt;
-pub mod encoder;
+mod encoder;
 pub mod error_state;
 pub mod flow;
-pub mod forecast;
+mod forecast;
 mod geometry;
 mod history;
 mod hypotheses;
@@ -45,8 +46,8 @@ mod witness;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-pub use alarm::Alarm;
-pub use bank::Innovation;
+use alarm::Alarm;
+use bank::Innovation;
 pub use belief::Belief;
 pub use cause::Cause;
 use cause::Causes;
@@ -405,11 +406,13 @@ impl Estimator {
             self.belief.bank.reset_priors(&models);
         }
         self.coasts = coasts;
+        let (mass, ahead) = (scene.mass(&from.theta), linkage.frame(&to.theta));
         let (step, learned) = if self.learning.is_some() {
             let flow: Flow<LEARNED> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
-            (Propagation::along(&flow, scene.mass(&from.theta), &frame, (to, &linkage.frame(&to.theta)), h), Some(flow))
+            (Propagation::along(&flow, mass, &frame, (to, &ahead), h), Some(flow))
         } else {
-            (Propagation::new(linkage, scene, (from, &frame), to, &self.belief.force, h), None)
+            let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
+            (Propagation::along(&flow, mass, &frame, (to, &ahead), h), None)
         };
         let inertia = step.inertia_torque(&((to.omega - from.omega) / h));
         let scale = constants.torque_scale();

@@ -4,8 +4,8 @@ use nalgebra::{Matrix2, Matrix4};
 
 use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
 use super::error_state::{FORCE, Matrix, turned};
-use super::flow::{Flow, Scene, flow};
-use super::tangent::{Frame, LinkState, Linkage, Links, wrapped};
+use super::flow::Flow;
+use super::tangent::{Frame, LinkState, Links, wrapped};
 
 /// Transition of errors along a motion from one tangent space to another.
 #[derive(Clone, Copy, Debug)]
@@ -23,19 +23,6 @@ pub(super) struct Propagation {
 }
 
 impl Propagation {
-    /// Transition over h seconds of a motion between two states, the first with its frame, under an unknown force.
-    pub(super) fn new(
-        linkage: &Linkage,
-        scene: &impl Scene,
-        (begin, from): (&LinkState, &Frame),
-        end: &LinkState,
-        force: &Links,
-        h: f64,
-    ) -> Self {
-        let flow = flow::<0>(linkage, scene, (begin, from), force, (h, 1));
-        Self::along(&flow, scene.mass(&begin.theta), from, (end, &linkage.frame(&end.theta)), h)
-    }
-
     /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
     pub(super) fn along<const P: usize>(
         flow: &Flow<P>,

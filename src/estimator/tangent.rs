@@ -59,12 +59,7 @@ impl LinkState {
     }
 }
 
-/// Matrix of two columns.
-pub fn columns(columns: [Pair; 2]) -> Matrix2<f64> {
-    Matrix2::from_columns(&columns)
-}
-
-/// An angle without whole turns, in (−π, π].
+/// An angle without whole turns, within [−π, π].
 pub fn wrapped(angle: f64) -> f64 {
     angle - (angle / TAU).round() * TAU
 }
@@ -176,11 +171,6 @@ impl Posture {
         // σ_min² = det/σ_max², without the cancellation of mean − spread.
         let smallest = ((xx * yy - xy * xy).max(0.0) / (mean + spread)).sqrt() / length;
         (Matrix2::new(c, -xy, -xy, a) / determinant, smallest)
-    }
-
-    /// Signed distance from a direct singularity, sin(θ₃ − θ₂): its sign is the assembly.
-    pub fn side(&self) -> f64 {
-        self.directions.column(1).perp(&self.directions.column(2))
     }
 
     /// Displacement of the tip per turn of the links, m.

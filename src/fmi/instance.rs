@@ -16,7 +16,7 @@ use crate::variables::{FmiType, VARIABLES, Value, Variable};
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    /// State of the instance without its log; changed through [`Instance::change`] only.
+    /// State of the instance without its log; [`Instance::change`] changes what observations show.
     pub(super) now: Snapshot,
     /// The unit that it is an instance of.
     unit: Unit,

@@ -13,6 +13,7 @@
 //! | `own.rs` | start values of a unit of one's own |
 //! | `location.rs` | where a master says that resources are |
 //! | `instance.rs` | an instance: all of these together |
+//! | `snapshot.rs`, `stored.rs` | a copy of an instance to go back to, and its bytes |
 //! | `stepping.rs` | a communication step |
 //! | `following.rs` | warnings of a communication step of a machine that is followed |
 //! | `status.rs` | the status functions of co-simulation |

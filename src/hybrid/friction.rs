@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 
 use super::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
-use crate::integrator::{CROSSING_RESIDUAL, Kkt, StickingConstraint, System, held_at_zero};
+use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, StickingConstraint, System, held_at_zero};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
 
@@ -39,9 +39,6 @@ pub struct FrictionPlace {
     /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
     pub arms: [f64; LINKS],
 }
-
-/// Friction places that are active at a state.
-pub type FrictionPlaces = ArrayVec<FrictionPlace, FRICTION_PLACES>;
 
 /// Friction place as a constraint on the sliding rate w = row·q̇ that friction may hold at 0.
 #[derive(Clone, Copy, Debug)]
@@ -280,9 +277,7 @@ pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
 
 /// Sliding rate below which a friction place counts as at rest, rad/s or m/s, at an angular tolerance, rad.
 pub fn stick_velocity(tolerance: f64) -> f64 {
-    /// Rate per tolerated angle, 1/s: a rate counts as the displacement in 0.1 s, as in the error norm of the error-controlled methods.
-    const PER_ANGLE: f64 = 10.0;
-    (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
+    (ERROR_RATE * tolerance).clamp(1e-11, 1e-6)
 }
 
 impl FrictionGuard {
@@ -452,8 +447,8 @@ impl FrictionProblem {
         let mut least_violating: Option<(f64, Candidate)> = None;
         for mut code in 0..3_usize.pow(n as u32) {
             let mut candidate = [StickSlip::Inactive; FRICTION_PLACES];
-            for joint in &mut candidate[..n] {
-                *joint = [
+            for state in &mut candidate[..n] {
+                *state = [
                     StickSlip::Sticks(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Backward),
@@ -486,7 +481,7 @@ impl FrictionProblem {
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
         let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
         let left = self.accelerations(&self.torques(&candidate));
-        if let Some(sticking_place) = candidate.iter().position(|joint| matches!(joint, StickSlip::Sticks(_))) {
+        if let Some(sticking_place) = candidate.iter().position(|state| matches!(state, StickSlip::Sticks(_))) {
             // The round-off of strong places accelerates a weak one.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
             let with =
@@ -497,8 +492,8 @@ impl FrictionProblem {
                 candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
             }
         }
-        for (place, joint) in self.places.iter().zip(candidate) {
-            stick_slip.set(*place, joint);
+        for (place, state) in self.places.iter().zip(candidate) {
+            stick_slip.set(*place, state);
         }
     }
 }

@@ -9,8 +9,7 @@ mod mode;
 pub mod unilateral;
 
 pub use friction::{
-    FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, FrictionPlaces, Frictional, Law,
-    stick_velocity,
+    FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, Frictional, Law, stick_velocity,
 };
 pub use guards::GuardValues;
 pub use mode::{CONTACT, FRICTION_PLACES, INDICATORS, Mode, SPRINGS, STOPS, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};

@@ -127,8 +127,8 @@ impl StickSlips {
     }
 
     /// Sets the state of one friction place.
-    pub fn set(&mut self, place: usize, joint: StickSlip) {
-        self.places[place] = joint;
+    pub fn set(&mut self, place: usize, state: StickSlip) {
+        self.places[place] = state;
     }
 
     /// Whether friction keeps the whole mechanism at rest.
@@ -138,7 +138,7 @@ impl StickSlips {
 
     /// The states with the joints still that a closure branch keeps from turning.
     pub fn on_branch(mut self, closure_branch: ClosureBranch) -> Self {
-        closure_branch.still_joints().iter().for_each(|joint| self.set(*joint, StickSlip::Still));
+        closure_branch.still_joints().iter().for_each(|place| self.set(*place, StickSlip::Still));
         self
     }
 
@@ -163,7 +163,7 @@ impl StickSlips {
 
     /// Whether any friction place sticks.
     pub fn any_sticks(&self) -> bool {
-        self.places.iter().any(|joint| matches!(joint, StickSlip::Sticks(_)))
+        self.places.iter().any(|state| matches!(state, StickSlip::Sticks(_)))
     }
 
     /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored

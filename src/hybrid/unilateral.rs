@@ -15,6 +15,7 @@
 
 use super::Extremes;
 use super::mode::{Mode, Phase};
+use crate::integrator::ERROR_RATE;
 use crate::mechanism::LINKS;
 
 /// A unilateral spring and damper.
@@ -30,23 +31,13 @@ pub struct UnilateralSpring {
 
 /// A guard of a phase.
 #[derive(Clone, Copy, Debug)]
-pub struct PhaseGuard {
+pub(super) struct PhaseGuard {
     /// Guard value, m or rad: positive past the guard, negative where the phase holds.
-    pub guard_residual: f64,
+    pub(super) guard_residual: f64,
     /// Derivatives of the guard value by penetration, 1, and by its rate, s.
     by: [f64; 2],
     /// The phase past the guard.
-    pub next_phase: Phase,
-}
-
-/// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the error-controlled methods.
-const RATE_TIME: f64 = 0.1;
-
-impl PhaseGuard {
-    /// A copy of the guard with its value in another unit.
-    pub fn in_units_of(self, unit: f64) -> Self {
-        Self { guard_residual: self.guard_residual / unit, ..self }
-    }
+    pub(super) next_phase: Phase,
 }
 
 impl Phase {
@@ -67,7 +58,7 @@ impl UnilateralSpring {
     }
 
     /// Guards of a phase: the phase ends where any of them is passed, or, for a free spring, where all of them are.
-    pub fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
+    fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
         let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
         let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
         let push = |sign: f64, next_phase| {
@@ -86,14 +77,14 @@ impl UnilateralSpring {
     }
 
     /// The element that decides on the end of a phase: the largest guard value, or the smallest for a free spring.
-    pub fn deciding<T>(phase: Phase, phase_guards: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
+    fn deciding<T>(phase: Phase, phase_guards: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
         let all = phase == Phase::Free;
         phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
     }
 
     /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
     /// the ramp far past its ends.
-    pub fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+    pub(super) fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         /// Least remaining part of the ramp, relative to its width: keeps the time from vanishing at the end of the ramp.
         const LEAST: f64 = 0.1;
         let ahead = match phase {
@@ -116,7 +107,7 @@ impl UnilateralSpring {
 
     /// Divisor that turns the unramped push into a distance, N/m or N·m/rad.
     fn push_scale(&self) -> f64 {
-        (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
+        (self.stiffness + self.damping * ERROR_RATE).max(f64::MIN_POSITIVE)
     }
 
     /// Unramped push k d + c ḋ, N or N·m.
@@ -336,7 +327,8 @@ impl UnilateralGuard<'_> {
         let phase = self.phase(mode);
         let phase_guards = self.spring.phase_guards(phase, self.depth, self.rate).into_iter().flatten();
         let deciding = UnilateralSpring::deciding(phase, phase_guards, |phase_guard| phase_guard.guard_residual);
-        deciding.map(|phase_guard| phase_guard.in_units_of(self.event_tolerance(tolerance)))
+        let unit = self.event_tolerance(tolerance);
+        deciding.map(|guard| PhaseGuard { guard_residual: guard.guard_residual / unit, ..guard })
     }
 }
 

@@ -2,6 +2,8 @@
 //!
 //! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.2. Errors are in units of the tolerance.
 
+use crate::vector::ROUND;
+
 /// Safety factor on the step that the error allows.
 const SAFETY: f64 = 0.85;
 
@@ -78,8 +80,6 @@ pub(super) fn ln(x: f64) -> f64 {
 
 /// Exponential function for |x| ≤ 4 (larger arguments are clamped), relative error below 2e-7; covers all factors of a step length.
 fn exp(x: f64) -> f64 {
-    // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
     let shifted = x.clamp(-4.0, 4.0) * std::f64::consts::LOG2_E + ROUND;
     let k = shifted - ROUND;
     let r = x.clamp(-4.0, 4.0) - k * std::f64::consts::LN_2;

@@ -13,7 +13,8 @@ pub fn equilibrium<const N: usize, const M: usize>(
     regularization: f64,
 ) -> (Vector<N>, Vector<M>) {
     let pose = system.pose(q);
-    equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization))
+    let (forces, _) = system.forces(q, &pose, v);
+    equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization))
 }
 
 /// Solves for q̈ and λ at a given pose, and evaluates the power of the forces, W.
@@ -45,18 +46,6 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     let (forces, power) = system.forces(&(*from.0 + *by), &pose, v);
     let mass = system.factor_mass(&pose, regularization);
     (mass.solve(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
-}
-
-/// Solves for q̈ and λ with given pose and factorised mass matrix.
-#[inline(always)]
-pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
-    system: &S,
-    q: &Vector<N>,
-    pose: &S::Pose,
-    v: &Vector<N>,
-    mass: &S::Mass,
-) -> (Vector<N>, Vector<M>) {
-    equilibrium_under(system, &system.forces(q, pose, v).0, (q, pose, v), mass)
 }
 
 /// Solves for q̈ and λ with given forces, pose and factorised mass matrix.

@@ -11,7 +11,10 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::vector::Vector;
 
-/// Bounds on rates and accelerations over a step.
+/// Rate that is as admissible an error as an angle of 1 rad, 1/s: a rate counts as the displacement in 0.1 s, in error norms and in guards.
+pub const ERROR_RATE: f64 = 10.0;
+
+/// Bounds on the first four derivatives of the coordinates over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extremes<const N: usize> {
     /// Bounds on |q̇|, m/s and rad/s.
@@ -88,4 +91,11 @@ pub trait Events<const N: usize>: Clone {
     fn stays_within(&self, _ends: [&Self::GuardValues; 2], _duration: f64, _extremes: &Extremes<N>, _tolerance: f64) -> bool {
         true
     }
+}
+
+/// Energy that separated springs dissipate between guard values and a later state q, q̇, J.
+pub(super) fn separation_loss<const N: usize, S: Events<N>>(system: &S, from: &S::GuardValues, [q, v]: [&Vector<N>; 2]) -> f64 {
+    let before = system.separation_energy(from);
+    let after = || system.separation_energy(&system.guard_values(q, v));
+    if before > 0.0 { (before - after()).max(0.0) } else { 0.0 }
 }

@@ -21,13 +21,14 @@ use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::Interpolant;
 use super::driver::{self, End, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
+use super::events::separation_loss;
 use super::locator::{self, EventCheck, Path, Probe};
 use super::{
     Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
-use stiff_forces::{drive_work, separation_loss, stiff_error};
+use stiff_forces::{drive_work, stiff_error};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -299,7 +300,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
-    let separated = from.map_or(0.0, |from| separation_loss(system, from, &end));
+    let separated = from.map_or(0.0, |from| separation_loss(system, from, [&end.q, &end.v]));
     if controls_rates(&settings, system) {
         error = error.max(stiff_error(system, &settings, state, h, (&pose, &end, separated)));
     }

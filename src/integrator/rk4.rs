@@ -11,8 +11,6 @@ use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
-    /// Whether positions and velocities are projected onto the constraints after each step.
-    pub projection: bool,
     /// Regularisation e = 1/α of the index-1 form, 1/kg.
     pub regularization: f64,
     /// Admissible constraint violation of the projection, relative to the system's size.
@@ -50,16 +48,12 @@ pub fn advance<const N: usize, const M: usize>(
         return Err(StepError::NotFinite);
     }
 
-    if settings.projection {
-        let tolerance = settings.tolerance * system.length_scale();
-        let (iterations, _) = Projection { regularization, tolerance, max_iterations }.position(system, &mut q)?;
-        state.counters.iterations += u64::from(iterations);
-    }
+    let tolerance = settings.tolerance * system.length_scale();
+    let (iterations, _) = Projection { regularization, tolerance, max_iterations }.position(system, &mut q)?;
+    state.counters.iterations += u64::from(iterations);
     let pose = system.pose(&q);
     let mass = system.factor_mass(&pose, regularization);
-    if settings.projection {
-        v += velocity_correction(system, &pose, &mass, &v);
-    }
+    v += velocity_correction(system, &pose, &mass, &v);
     state.work = work;
     state.take_over(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
     Ok(())

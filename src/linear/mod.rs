@@ -28,10 +28,8 @@ use two_leg::{Elimination, TwoLeg};
 /// The linear solves of the saddle-point system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearSolve {
-    /// Leg by leg where no slope of the forces couples links, see [`two_leg`]; else as [`LinearSolve::Coupled`].
-    TwoLeg,
-    /// Slopes of the forces may couple links. See [`coupled`].
-    Coupled,
+    /// Leg by leg where no slope of the forces couples links, see [`two_leg`], else by [`coupled`].
+    Structured,
     /// General LU, for inertias of very different size. See [`dense`].
     Dense,
 }
@@ -39,7 +37,7 @@ pub enum LinearSolve {
 impl LinearSolve {
     /// The fastest linear solve that the inertias of a machine allow.
     pub fn choose(geometry: &Geometry) -> Self {
-        if compliance_spread(geometry) > LARGEST_SPREAD { Self::Dense } else { Self::TwoLeg }
+        if compliance_spread(geometry) > LARGEST_SPREAD { Self::Dense } else { Self::Structured }
     }
 }
 
@@ -135,11 +133,6 @@ impl LinearSolver {
         Self { solve, elimination: Elimination::new(mechanism, regularization), legs: OpenLegs::new(mechanism) }
     }
 
-    /// Sets the solve for the same mechanism.
-    pub fn choose(&mut self, solve: LinearSolve) {
-        self.solve = solve;
-    }
-
     /// Constants of the mechanism for the cut loop of the energy-conserving step.
     pub fn legs(&self) -> &OpenLegs {
         &self.legs
@@ -164,8 +157,8 @@ impl LinearSolver {
     #[inline(always)]
     pub fn solve_tangent(&self, of: &TangentSystem<'_>, right: (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
         match self.solve {
-            LinearSolve::TwoLeg if !of.slopes.couple_links() => self.solve_tangent_by_legs(of, right),
-            LinearSolve::TwoLeg | LinearSolve::Coupled | LinearSolve::Dense => self.solve_full(of, right),
+            LinearSolve::Structured if !of.slopes.couple_links() => self.solve_tangent_by_legs(of, right),
+            LinearSolve::Structured | LinearSolve::Dense => self.solve_full(of, right),
         }
     }
 

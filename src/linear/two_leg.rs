@@ -120,7 +120,7 @@ impl Elimination {
         Self { mechanism: *mechanism, regularization, ground, mass }
     }
 
-    /// These constants, or, for another e, new ones in `other`: the printed method changes e close to a vertex.
+    /// These constants, or, for another e, new ones in `other`: the printed method has one of its own, and so have steps close to a vertex.
     #[inline(always)]
     fn with<'a>(&'a self, regularization: f64, other: &'a mut Option<Self>) -> &'a Self {
         if regularization == self.regularization { self } else { other.insert(Self::new(&self.mechanism, regularization)) }

@@ -52,11 +52,6 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
     }
 }
 
-/// Largest magnitude of the constraint equations' values, the max norm of a violation.
-pub fn largest(values: &Multipliers) -> f64 {
-    values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
-}
-
 /// Directions of links after rotations, rad, from known directions at known angles: a small rotation costs half of a sine and cosine.
 #[inline(always)]
 pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {

@@ -8,6 +8,7 @@ use wide::bytemuck::cast;
 use wide::i64x2;
 
 use super::legs::{Legs, both};
+use crate::vector::ROUND;
 
 /// Least exponent of e: e^−700 is about 1e-304, still a normal number, and 0 for every use.
 const LEAST_EXPONENT: f64 = -700.0;
@@ -19,8 +20,6 @@ fn exp_factors(x: Legs) -> (Legs, Legs) {
     // ln 2 in two parts; the first has 33 bits, so that k times it is exact.
     const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
     const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
-    // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
     const BIAS: i64 = 1023;
 
     let shifted = x * both(std::f64::consts::LOG2_E) + both(ROUND);

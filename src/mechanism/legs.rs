@@ -7,6 +7,8 @@ use std::ops::{Add, Sub};
 use wide::bytemuck::cast;
 use wide::{f64x2, i64x2};
 
+use crate::vector::ROUND;
+
 /// A quantity of both legs: lane 0 left, lane 1 right.
 pub type Legs = f64x2;
 
@@ -146,8 +148,6 @@ fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
     const HALF_PI_1: f64 = 1.570_796_326_734_125_6;
     const HALF_PI_2: f64 = 6.077_100_506_303_966e-11;
     const HALF_PI_3: f64 = 2.022_266_248_795_950_7e-21;
-    // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
 
     let shifted = angle * both(std::f64::consts::FRAC_2_PI) + both(ROUND);
     let quadrant: i64x2 = cast(shifted);

@@ -7,14 +7,13 @@ use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
 use super::Geometry;
 use super::legs::{Legs, both};
+use crate::vector::ROUND;
 
 /// Largest distance from a vertex, rad, at which its tangent cone is used: terms of third order are a few percent there.
 const LARGEST_OFFSET: f64 = 0.3;
 
 /// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
 pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
-    // Adding 1.5·2^52 rounds to an integer.
-    const ROUND: f64 = 6_755_399_441_055_744.0;
     let near = |angle: Legs| {
         let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
         let offset = angle - turns * both(std::f64::consts::PI);

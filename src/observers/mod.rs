@@ -10,7 +10,6 @@ use std::cell::OnceCell;
 use nalgebra::Vector2;
 
 use crate::mechanism::Pose;
-use crate::mechanism::constraints::largest;
 use crate::simulation::{Following, Model, State};
 
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
@@ -172,8 +171,8 @@ pub fn constraint_norms(model: &Model, state: &State) -> ConstraintNorms {
     let core = &state.core;
     let pose = model.mechanism.pose(&core.q);
     ConstraintNorms {
-        position: largest(&model.mechanism.phi(&core.q, &pose)),
-        velocity: largest(&pose.phi_q_times(&core.v)),
-        acceleration: largest(&(pose.phi_q_times(&core.a) + pose.phi_q_dot_times(&core.v))),
+        position: model.mechanism.phi(&core.q, &pose).max_norm(),
+        velocity: pose.phi_q_times(&core.v).max_norm(),
+        acceleration: (pose.phi_q_times(&core.a) + pose.phi_q_dot_times(&core.v)).max_norm(),
     }
 }

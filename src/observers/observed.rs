@@ -57,15 +57,17 @@ impl Observed<'_, f64> {
     /// Event indicators: they change sign where a configuration sign, the kind of singularity or the mode of a force law changes.
     /// Six of the mechanism (signs; nearness of direct, inverse and constraint singularities), the rest of the effects.
     pub fn indicators(&self) -> [f64; INDICATORS] {
-        let [.., direct, inverse] = self.observation.pose.configuration_indicators();
+        let of_configuration = self.observation.pose.configuration_indicators();
+        let [.., direct, inverse] = of_configuration;
         // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let at = self.motion();
-        let kinks = GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(&at)), FrictionGuards::new())
-            .indicators();
+        let of_springs =
+            GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(&at)), FrictionGuards::new())
+                .indicators();
         let mut indicators = [rank; INDICATORS];
-        indicators[..5].copy_from_slice(&self.observation.pose.configuration_indicators());
-        indicators[6..].copy_from_slice(&kinks);
+        indicators[..5].copy_from_slice(&of_configuration);
+        indicators[6..].copy_from_slice(&of_springs);
         indicators
     }
 }

@@ -7,7 +7,7 @@ use super::model::Model;
 use super::run::{Conserving, Integrator, Run};
 use crate::dynamics::angles::in_link_order;
 use crate::estimator::LinkState;
-use crate::integrator::{System, Work};
+use crate::integrator::{Implicit, System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
 use crate::mechanism::coordinates::THETA;
@@ -39,8 +39,7 @@ impl Run {
         };
         let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
             let five_bar = FiveBar::<false>::new(model, inputs, &turns);
-            let pose = five_bar.pose(q);
-            model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(q, &five_bar.motion(q, &pose, v))
+            five_bar.energy(q, &five_bar.pose(q), v)
         };
         let left = assembled(before, self.motion(before));
         let anew @ (q, v) = assembled(model, *motion);

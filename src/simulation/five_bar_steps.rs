@@ -94,7 +94,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     }
 
     fn is_conservative(&self) -> bool {
-        self.model.effects.iter().all(|effect| effect.conservative())
+        self.model.conservative
     }
 }
 

@@ -82,12 +82,7 @@ impl Following {
     /// `steps` macro steps of h seconds with inputs that change. A failure leaves the value undefined: the caller keeps a copy.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let one = MacroSteps { h, count: 1, open_ended: signal.is_held() };
-        for step in 0..steps {
-            let begin = step as f64 * h;
-            let inputs = if signal.is_held() { signal.value } else { signal.at(begin + h / 2.0) };
-            self.step(&inputs, one).map_err(|failure| StepFailure { elapsed: begin + failure.elapsed, ..failure })?;
-        }
-        Ok(())
+        signal.over((h, steps), |inputs| self.step(inputs, one))
     }
 
     /// Time update by one macro step: motion, then covariance.
@@ -132,7 +127,7 @@ impl Following {
         self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.belief().force))
     }
 
-    /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].
+    /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller keeps a copy.
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters().clone() };

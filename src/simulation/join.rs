@@ -63,7 +63,7 @@ fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let pose = |model: &Model| model.mechanism.pose_at(legs(&q));
     let system = AngleSystem::new(FiveBar::<false>::new(after, inputs, turns));
     let after_pose = pose(after);
-    let factor = system.factor_mass(&after_pose, after.regularization);
+    let factor = system.factor_mass(&after_pose, after.regularization_by_angles);
     let (rates, _) = factor.solve(&before.inertia.mass_times(&pose(before), &v), &Vector::ZERO);
     // A second solve removes the closure rate that the regularisation leaves.
     let (correction, _) = factor.solve(&Angles::ZERO, &(Vector::ZERO - system.phi_q_times(&after_pose, &rates)));

@@ -4,12 +4,12 @@ use nalgebra::SMatrix;
 
 use super::{FollowedScene, Parameters};
 use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
-use crate::dynamics::placement::by_legs;
 use crate::effects::payload::CARRIER;
 use crate::effects::{Effect, ForceLaw, JOINT_LINKS, JOINTS};
 use crate::estimator::Prior;
 use crate::estimator::error_state::{DRY, LEARNED, Learned, MASSES, PAYLOAD, VISCOUS};
 use crate::estimator::{LinkState, Links, MEASURED};
+use crate::mechanism::placement::by_legs;
 use crate::mechanism::{Link, Mechanism, SceneError};
 
 impl Parameters {

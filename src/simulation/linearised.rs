@@ -7,12 +7,12 @@ use super::five_bar::FiveBar;
 use super::learned::Bodies;
 use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
-use crate::dynamics::placement::{ByLink, by_legs, by_links};
 use crate::effects::Motion;
 use crate::estimator::error_state::LEARNED;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::Work;
 use crate::mechanism::Pose;
+use crate::mechanism::placement::{ByLink, by_legs, by_links};
 
 impl FiveBar<'_> {
     /// Torques of wrench and weight on the links, N·m, by legs, and the power of the wrench, W.

@@ -79,9 +79,7 @@ pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
         Method::I3alpPrinted => {
             MacroStepMethod::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations })
         }
-        Method::Rk4 => {
-            MacroStepMethod::Rk4(rk4::Settings { projection: true, regularization, tolerance: settings.tolerance, max_iterations })
-        }
+        Method::Rk4 => MacroStepMethod::Rk4(rk4::Settings { regularization, tolerance: settings.tolerance, max_iterations }),
         Method::I3alpConserving => {
             return MethodSettings::Conserving(i3alp_conserving::Settings {
                 max_iterations,

@@ -27,7 +27,6 @@ mod variation;
 
 use crate::effects;
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::mechanism::constraints::largest;
 use crate::mechanism::{self, SceneError, closure};
 
 pub use crate::effects::Inputs;
@@ -80,7 +79,7 @@ impl Simulation {
         let simulation = Self::started(parameters, model, run)?;
         let (mechanism, core) = (&simulation.model.mechanism, simulation.state().core);
         let pose = mechanism.pose(&core.q);
-        let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
+        let (gap, tear) = (mechanism.phi(&core.q, &pose).max_norm(), pose.phi_q_times(&core.v).max_norm());
         let speed = parameters.geometry.links.iter().zip(omega).map(|(link, omega)| (link.length * omega).abs()).sum::<f64>();
         if gap > closure::COLLINEARITY_TOLERANCE * simulation.model.length_scale {
             return Err(SceneError(format!("link angles {theta:?} rad do not close the loop: the legs end {gap:e} m apart.")));
@@ -134,14 +133,7 @@ impl Simulation {
     fn advance_changing(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.run.clone();
         let one = MacroSteps { h, count: 1, open_ended: false };
-        for step in 0..steps {
-            let begin = step as f64 * h;
-            self.run.advance(&self.model, &signal.at(begin + h / 2.0), one).map_err(|failure| {
-                self.run = before.clone();
-                StepFailure { elapsed: begin + failure.elapsed, ..failure }
-            })?;
-        }
-        Ok(())
+        signal.over((h, steps), |inputs| self.run.advance(&self.model, inputs, one)).inspect_err(|_| self.run = before)
     }
 
     /// Parameters of the scene, with the tunable effects' parameters in force.

@@ -119,7 +119,7 @@ impl Model {
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
     pub(super) fn is_bare(&self) -> bool {
-        self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
+        self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::Structured
     }
 
     /// Gives the active effects new parameters; the set of effects stays. Returns whether anything has changed; a refusal changes nothing.

@@ -167,11 +167,11 @@ impl AngleSystem<'_> {
         let rest = self.rest(limits, from);
         let branch = self.branch_of_least_constraint(from.q);
         let alternatives = branch.as_ref().map_or(0, |branch| branch.alternatives);
-        let model_exchange = branch.and_then(|branch| {
+        let along_branch = branch.and_then(|branch| {
             let (acceleration, duration) = self.along(from.q, &branch.direction, [0.0, limits.radius, 0.0], rest)?;
             Some((branch.direction, acceleration, duration))
         });
-        let (direction, acceleration, duration) = model_exchange.unwrap_or((Angles::ZERO, 0.0, f64::INFINITY));
+        let (direction, acceleration, duration) = along_branch.unwrap_or((Angles::ZERO, 0.0, f64::INFINITY));
         let vertex = *from.q - offset;
         let ray = Ray { vertex, aside: Angles::ZERO, direction, position: 0.0, speed: 0.0, acceleration, duration };
         self.transit(from, &ray, rest).map_or(Approach::Clear, |transit| {
@@ -216,13 +216,13 @@ impl AngleSystem<'_> {
         let acceleration_at = |speed: f64| self.acceleration_along(q, direction, speed);
         let mut acceleration = acceleration_at(speed);
         if self.model().conservative {
-            return Some((acceleration, time_to_bifurcation(reach, position, speed, acceleration)?));
+            return Some((acceleration, time_to_boundary(reach, position, speed, acceleration)?));
         }
         // Friction may be stiff: implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), over the time that follows from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
         for _ in 0..MOST_ITERATIONS {
-            duration = time_to_bifurcation(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
+            duration = time_to_boundary(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
             let t = duration.min(rest);
             if t == last {
                 break;
@@ -257,7 +257,7 @@ impl AngleSystem<'_> {
 }
 
 /// First time at which position + speed t + acceleration t²/2 equals `reach`, s, if any.
-fn time_to_bifurcation(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
+fn time_to_boundary(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
     let discriminant = speed * speed + 2.0 * acceleration * (reach - position);
     (discriminant > 0.0).then(|| 2.0 * (reach - position) / (speed + discriminant.sqrt())).filter(|time| *time > 0.0)
 }

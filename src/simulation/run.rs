@@ -116,7 +116,7 @@ impl Run {
         let (mode, mut core) = (system.mode, Core::start(&system, q, v, model.regularization));
         remove_whole_turns(&mut core.q, &mut turns);
         let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, stick_slip: mode.stick_slip };
-        state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
+        state.energy_at_start = state.energy(model);
         let energy_at_start = state.energy_at_start;
         let integrator = match method_settings(model, energy_at_start) {
             MethodSettings::MacroStep(method) => Integrator::MacroStepped(MacroStepped { method, core, mode }),
@@ -134,7 +134,7 @@ impl Run {
         let states = ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]), assembly);
         let core = states.core(model, inputs);
         let state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0, stick_slip: StickSlips::OPEN };
-        let energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
+        let energy_at_start = state.energy(model);
         Self { turns: [0; 4], inputs: *inputs, energy_at_start, integrator: Integrator::ModelExchange(states) }
     }
 
@@ -159,22 +159,8 @@ impl Run {
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         let Self { turns, inputs: held, .. } = self;
         match &mut self.integrator {
-            Integrator::MacroStepped(run) => {
-                let before = (*run, *turns, *held);
-                if !model.same_active_inputs(held, inputs) {
-                    run.restart(model, (inputs, turns), Work::default());
-                }
-                *held = *inputs;
-                run.take(model, (held, turns), steps).inspect_err(|_| (*run, *turns, *held) = before)
-            }
-            Integrator::Conserving(run) => {
-                let before = (*run, *turns, *held);
-                if !model.same_active_inputs(held, inputs) {
-                    run.state.change();
-                }
-                *held = *inputs;
-                run.take(model, (held, turns), steps).inspect_err(|_| (*run, *turns, *held) = before)
-            }
+            Integrator::MacroStepped(run) => run.advance(model, (held, turns), inputs, steps),
+            Integrator::Conserving(run) => run.advance(model, (held, turns), inputs, steps),
             Integrator::DenseOutput(run) => run.advance(model, (held, turns), inputs, steps),
             Integrator::ModelExchange(_) => Ok(()),
         }
@@ -239,12 +225,31 @@ impl Run {
 }
 
 /// Runs whose steps end with the macro step.
-trait ByMacroSteps {
+trait ByMacroSteps: Copy {
+    /// Continues with other inputs.
+    fn change(&mut self, model: &Model, held: (&Inputs, &[i64; 4]));
+
     /// Takes one macro step of h seconds. A failure leaves the state undefined.
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError>;
 
     /// Coordinates, whose whole turns are counted separately, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
+
+    /// Advances by macro steps with `inputs` held. A failure changes nothing.
+    fn advance(
+        &mut self,
+        model: &Model,
+        (held, turns): (&mut Inputs, &mut [i64; 4]),
+        inputs: &Inputs,
+        steps: MacroSteps,
+    ) -> Result<(), StepFailure> {
+        let before = (*self, *turns, *held);
+        if !model.same_active_inputs(held, inputs) {
+            self.change(model, (inputs, turns));
+        }
+        *held = *inputs;
+        self.take(model, (held, turns), steps).inspect_err(|_| (*self, *turns, *held) = before)
+    }
 
     /// Takes macro steps in the form that the model allows. A failure leaves the state undefined.
     fn take(&mut self, model: &Model, held: (&Inputs, &mut [i64; 4]), steps: MacroSteps) -> Result<(), StepFailure> {
@@ -271,6 +276,10 @@ trait ByMacroSteps {
 }
 
 impl ByMacroSteps for MacroStepped {
+    fn change(&mut self, model: &Model, held: (&Inputs, &[i64; 4])) {
+        self.restart(model, held, Work::default());
+    }
+
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
         self.method.advance(system, &mut self.core, &mut self.mode, h)
     }
@@ -281,6 +290,10 @@ impl ByMacroSteps for MacroStepped {
 }
 
 impl ByMacroSteps for Conserving {
+    fn change(&mut self, _: &Model, _: (&Inputs, &[i64; 4])) {
+        self.state.change();
+    }
+
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
         self.state.advance((system, &system.general()), &self.settings, h)
     }

@@ -66,10 +66,9 @@ impl Settings {
 
     /// Refuses stick-slip friction with a method whose steps cannot end at an event.
     pub(super) fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
-        let Some(name) = sticking_law(effects) else { return Ok(()) };
+        let Some(name) = sticking_law(effects).filter(|_| !self.follows_error()) else { return Ok(()) };
         let steps = match self.method {
             Method::Dop853 | Method::Automatic => return Ok(()),
-            Method::I3alp if self.adaptive => return Ok(()),
             Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
             Method::I3alpPrinted => "solver.method = i3alpPrinted",
             Method::Rk4 => "solver.method = rk4",

@@ -1,5 +1,6 @@
 //! Inputs that change within an advance, as quadratic polynomials of time.
 
+use super::StepFailure;
 use crate::effects::Inputs;
 
 /// Inputs as polynomials u + u′ s + u″ s²/2 of the time s since the beginning of an advance, s.
@@ -34,6 +35,19 @@ impl Signal {
     pub fn at(&self, elapsed: f64) -> Inputs {
         self.derivatives
             .map_or(self.value, |[rate, curvature]| self.value.plus(elapsed, &rate).plus(elapsed * elapsed / 2.0, &curvature))
+    }
+
+    /// Takes `steps` macro steps of h seconds, each with the inputs at its middle.
+    pub(super) fn over(
+        &self,
+        (h, steps): (f64, u64),
+        mut step: impl FnMut(&Inputs) -> Result<(), StepFailure>,
+    ) -> Result<(), StepFailure> {
+        for k in 0..steps {
+            let begin = k as f64 * h;
+            step(&self.at(begin + h / 2.0)).map_err(|failure| StepFailure { elapsed: begin + failure.elapsed, ..failure })?;
+        }
+        Ok(())
     }
 
     /// Whether the inputs are constant.

@@ -41,11 +41,15 @@ impl State {
         model.potential(&self.core.q, &self.motion(model))
     }
 
+    /// Kinetic and potential energy, J.
+    pub(super) fn energy(&self, model: &Model) -> f64 {
+        self.kinetic_energy(model) + self.potential_energy(model)
+    }
+
     /// Kinetic + potential + dissipated − input, minus its value at the start, J.
     pub fn energy_error(&self, model: &Model) -> f64 {
         let work = self.core.work;
-        let energy = self.kinetic_energy(model) + self.potential_energy(model);
-        energy + work.dissipated - work.input - self.energy_at_start
+        self.energy(model) + work.dissipated - work.input - self.energy_at_start
     }
 
     /// Motion of joints and tip in the present state.

@@ -157,7 +157,5 @@ mod tests {
         assert_eq!((tau.name, tau.id, tau.unit()), ("tau[2]", VariableId::Input(Input::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
         assert_eq!(method.items()[2], Item { name: "rk4", value: 3 });
-        assert_eq!(Method::from_number(3), Some(Method::Rk4));
-        assert_eq!(Method::from_number(0), None);
     }
 }

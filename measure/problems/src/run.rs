@@ -89,12 +89,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, con
 
     /// Runge-Kutta with projection after each step.
     pub fn rk4(&self) -> Method {
-        Method::Rk4(rk4::Settings {
-            projection: true,
-            regularization: self.regularization,
-            tolerance: TOLERANCE,
-            max_iterations: MAX_ITERATIONS,
-        })
+        Method::Rk4(rk4::Settings { regularization: self.regularization, tolerance: TOLERANCE, max_iterations: MAX_ITERATIONS })
     }
 
     /// DOP853 with this local error, of the coordinates in their own units.

@@ -84,10 +84,10 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
         let [with, without] = scenes.each_ref().map(|scene| scene.acceleration(&state, &Links::zeros()));
         let accelerations = basis.tr_mul(&(with - without));
         // Accelerations per torque of a motor.
-        let by_motors = [Links::x(), Links::y()].map(|torque| basis.tr_mul(&(scenes[0].acceleration(&state, &torque) - with)));
-        let by_motors = fivebar::estimator::tangent::columns(by_motors);
-        if let (Some((tau, _)), Some(inverse)) = (at.twin.motor_torques(), by_motors.try_inverse()) {
-            let torque = inverse * accelerations;
+        let [left, right] = [Links::x(), Links::y()].map(|torque| basis.tr_mul(&(scenes[0].acceleration(&state, &torque) - with)));
+        let determinant = left.perp(&right);
+        if let Some((tau, _)) = at.twin.motor_torques().filter(|_| determinant != 0.0) {
+            let torque = [accelerations.perp(&right), left.perp(&accelerations)].map(|part| part / determinant);
             sums[3] += ((tau[0] - torque[0]).powi(2) + (tau[1] - torque[1]).powi(2)) / 2.0;
         }
         sums[4] += at.twin.nees(&theta, &omega).min(1e4);

@@ -44,7 +44,7 @@ pub(super) trait Tableau: Sized {
     const SECOND: Option<Weights>;
     /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so where inputs are expected to
     /// change there.
-    const EVALUATES_END: bool;
+    const EVALUATES_END: bool = true;
     /// Step-size controller of the method.
     const CONTROLLER: StepSizeController;
 

@@ -5,12 +5,13 @@
 //! side at its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31,
 //! 1989). The defect, integrated up to the event, is judged like the error of a step.
 
-use super::trial::{ErrorWeights, RATE, StageDerivative, StepResult, project};
+use super::trial::{ErrorWeights, StageDerivative, StepResult, project};
 use super::{DenseStep, Scheme, Settings};
 use crate::integrator::dense_output::{Interpolant, max_magnitude};
+use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{EventWindow, Path};
 use crate::integrator::state::StepEnd;
-use crate::integrator::{Counters, Events, Mechanics, Passage, State, System, Work};
+use crate::integrator::{Counters, ERROR_RATE, Events, Mechanics, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// Largest integrated defect, in units of the admissible error.
@@ -106,17 +107,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let work = if system.features().work {
             let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
             // The loss of separated springs is known at every state.
-            let mut separation_energy = 0.0;
+            let mut lost = 0.0;
             if system.features().events {
-                end.work.dissipated -= self.separation_energy(system, [&end.q, &end.v]);
-                separation_energy = self.separation_energy(system, [&q, &v]);
+                let from = system.guard_values(&start.q, &start.v);
+                end.work.dissipated -= separation_loss(system, &from, [&end.q, &end.v]);
+                lost = separation_loss(system, &from, [&q, &v]);
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.scheme != Scheme::Dop853 && !self.is_linear {
                 higher[0] = work_coefficient(system, [start, &end], *length, &self.positions()).pair();
             }
             let mut work = work_until(&work_interpolant([start, &end], *length, higher), part);
-            work.dissipated = (work.dissipated.min(end.work.dissipated) + separation_energy).min(ends_with);
+            work.dissipated = (work.dissipated.min(end.work.dissipated) + lost).min(ends_with);
             work
         } else {
             start.work
@@ -164,7 +166,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let v = velocities.at(part);
             let defect = positions.rate_at(part) - self.length * v;
             (0..N).all(|i| {
-                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (ERROR_RATE + v[i].abs()) * self.length;
                 defect[i].abs() <= admissible + ROUND_OFF * (1.0 + self.end.q[i].abs())
             })
         })

@@ -173,7 +173,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         rejected: [0.1, 0.85],
         failed: 0.2,
     };
-    const EVALUATES_END: bool = true;
 
     fn new<const M: usize, S: System<N, M>>(
         system: &S,

@@ -8,11 +8,9 @@ use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, che
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, ln, next_step};
 use crate::integrator::driver::{self, Method, Outcome, Trials};
+use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
-use crate::integrator::{
-    EnergyBalance, Events, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work,
-};
-use crate::vector::Vector;
+use crate::integrator::{EnergyBalance, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
 
 /// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
@@ -350,7 +348,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (from, tries): (&Probe<S::GuardValues>, u32),
         dense: &mut dyn FnMut(&State<N, M>) -> [StageDerivative<N>; 4],
     ) -> Result<EventCheck, f64> {
-        let (shown, length) = (system.separation_energy(&from.guard_values), self.length);
+        let length = self.length;
         let end = self.evaluated_end(system, settings);
         self.dense = dense(&end);
         let (of, path) = ((system, settings.error_tolerance), self.path());
@@ -365,19 +363,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         checked_work(settings, Work::of_pair(self.end.work.pair() - self.start.work.pair()))?;
         self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated);
-        if shown > 0.0 {
-            self.end.work.dissipated += self.separation_energy(system, [&self.end.q, &self.end.v]);
-        }
+        self.end.work.dissipated += separation_loss(system, &from.guard_values, [&self.end.q, &self.end.v]);
         if let EventCheck::AtEnd = event {
             self.next_mode_at_end = system.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
         }
         Ok(event)
-    }
-
-    /// Energy dissipated by separated springs between the beginning of the step and a state q, q̇, J.
-    pub(super) fn separation_energy<S: Events<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
-        let shown = system.separation_energy(&system.guard_values(&self.start.q, &self.start.v));
-        if shown > 0.0 { (shown - system.separation_energy(&system.guard_values(q, v))).max(0.0) } else { 0.0 }
     }
 }
 

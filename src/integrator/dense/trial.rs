@@ -7,7 +7,9 @@ use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
 use crate::integrator::state::StepEnd;
-use crate::integrator::{EnergyBalance, Features, Passage, Projection, State, StepError, Stuck, System, Work, velocity_correction};
+use crate::integrator::{
+    ERROR_RATE, EnergyBalance, Features, Passage, Projection, State, StepError, Stuck, System, Work, velocity_correction,
+};
 use crate::vector::Vector;
 use wide::f64x2;
 
@@ -29,7 +31,7 @@ pub(super) trait Trial<const N: usize>: Sized {
     const CONTROLLER: StepSizeController;
     /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so where inputs are expected to
     /// change there.
-    const EVALUATES_END: bool;
+    const EVALUATES_END: bool = true;
 
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
@@ -139,9 +141,6 @@ pub(super) struct ErrorWeights {
     pub(super) has_sharp_nonlinearity: bool,
 }
 
-/// Rate added to |q̇| in the admissible error of a rate, 1/s.
-pub(super) const RATE: f64 = 10.0;
-
 impl ErrorWeights {
     /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, whose error the motion does not
     /// show.
@@ -151,7 +150,7 @@ impl ErrorWeights {
         let Features { events, sharp, regularization_velocity, .. } = features;
         Self {
             coordinate: settings.error_tolerance,
-            rate: RATE.min(SLOW_RATE_PART * regularization_velocity / settings.error_tolerance),
+            rate: ERROR_RATE.min(SLOW_RATE_PART * regularization_velocity / settings.error_tolerance),
             work: events.then_some(settings.error_tolerance * settings.energy_scale),
             has_sharp_nonlinearity: sharp,
         }

@@ -1,6 +1,6 @@
 //! Newton's method on the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
 
-use super::stiff_forces::RATE;
+use super::stiff_forces::STIFF_RATE;
 use super::{Settings, controls_rates};
 use crate::integrator::convergence::{Convergence, LastCorrection};
 use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, Stuck, TangentPoint};
@@ -168,7 +168,7 @@ fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
         - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
-    system.error_norm(&change) <= PART * settings.error_tolerance * (RATE + system.error_norm(&v))
+    system.error_norm(&change) <= PART * settings.error_tolerance * (STIFF_RATE + system.error_norm(&v))
 }
 
 /// Bound on max |Φ|, m (17): proportional to the machine's size and to h², never below round-off.

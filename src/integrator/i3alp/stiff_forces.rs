@@ -2,11 +2,11 @@
 //! link angles do not show; and the work of drives (`docs/method.md`, section 5.6).
 
 use super::Settings;
-use crate::integrator::{Events, Implicit, State, StepEnd, TangentPoint, Work};
+use crate::integrator::{Implicit, State, StepEnd, TangentPoint, Work};
 use crate::vector::Vector;
 
 /// Rate added to |q̇| in the admissible error of a rate, 1/s: a rate may be off by the sum times the error tolerance of an angle.
-pub(super) const RATE: f64 = 100.0;
+pub(super) const STIFF_RATE: f64 = 100.0;
 /// Round-off of the energy balance, in machine epsilons of the energy scale.
 const ENERGY_ROUND_OFF: f64 = 256.0;
 /// Round-off of the energy balance, in machine epsilons of the largest joint force along the machine's length.
@@ -14,7 +14,7 @@ const WORK_ROUND_OFF: f64 = 4.0;
 /// Ratio of rate error and tolerance below which the balance is limited by round-off of the positions.
 const EXACT: f64 = 1e-4;
 
-/// Local error with stiff forces, rad: the larger of the rate error, in units of [`RATE`] + |q̇|, and the error of the energy
+/// Local error with stiff forces, rad: the larger of the rate error, in units of [`STIFF_RATE`] + |q̇|, and the error of the energy
 /// balance, in units of the energy scale; `separated` is the loss of separated springs, J. A step across a discontinuity changes the
 /// motion little and the work much.
 #[cold]
@@ -75,23 +75,12 @@ fn balance_factor(settings: &Settings, off: f64, balance: f64) -> f64 {
     (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance)).max(LEAST)
 }
 
-/// Error of the rates from an unpredicted change of q̈, in units of [`RATE`] + |q̇|, as an angle, rad.
+/// Error of the rates from an unpredicted change of q̈, in units of [`STIFF_RATE`] + |q̇|, as an angle, rad.
 pub(super) fn rate_error<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     h: f64,
     unpredicted: &Vector<N>,
     v: &Vector<N>,
 ) -> f64 {
-    h / 12.0 * system.error_norm(unpredicted) / (RATE + system.error_norm(v))
-}
-
-/// Energy that separated springs dissipate from the guard values at a step's beginning to its end, J.
-pub(super) fn separation_loss<const N: usize, const M: usize, S: Events<N>>(
-    system: &S,
-    from: &S::GuardValues,
-    to: &StepEnd<N, M>,
-) -> f64 {
-    let before = system.separation_energy(from);
-    let after = || system.separation_energy(&system.guard_values(&to.q, &to.v));
-    if before > 0.0 { (before - after()).max(0.0) } else { 0.0 }
+    h / 12.0 * system.error_norm(unpredicted) / (STIFF_RATE + system.error_norm(v))
 }

@@ -14,7 +14,7 @@ const CUT_OFFSET: f64 = 5e-11;
 /// Admissible |Φ| relative to the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Admissible |J₁w|/2 per second of step, relative to the system's size, 1/s.
-const RATE: f64 = 5e-12;
+const RATE_BOUND: f64 = 5e-12;
 /// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration is still a first guess for the full one.
 const LARGEST_OFFSET_OF_GUESS: f64 = 1e-3;
 /// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations; above it the full iteration takes less work.
@@ -38,7 +38,7 @@ pub(super) struct Bounds {
 impl Bounds {
     pub(super) fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         let size = system.length_scale();
-        Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
+        Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE_BOUND * h) }
     }
 
     /// Bounds for the staggered iteration.

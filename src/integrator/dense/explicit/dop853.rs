@@ -48,7 +48,6 @@ impl Tableau for Dop853 {
     const COARSE: Weights = full(ERROR_3);
     const DAMPING: f64 = 0.01;
     const SECOND: Option<Weights> = Some(full(SECOND_ERROR));
-    const EVALUATES_END: bool = true;
     /// Memory and a growth limit of 3 leave a quarter of the rejections of the classical controller.
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 8.0 - 0.75 * 0.02,
