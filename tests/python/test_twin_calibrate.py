@@ -3,7 +3,10 @@
 import json
 import math
 import re
+from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from fivebar.twin import record
 from fivebar.twin.calibrate import command, data, fit, motion, parameters, scenes, trials
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.soak import configured, machine
 from fivebar.twin.unit import Library
 
 BASE = {name: value for name, value in trials.MACHINE.items() if name != "friction.enabled"}
@@ -117,6 +121,68 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     assert code == (0 if unknowns["encoder.offset[1]"]["identified"] else 1)
     assert {"payload.mass", "link.mass"} <= figures["proposal"]["tells"].keys()
     assert (tmp_path / "out" / "proposal.json").is_file()
+
+
+def played(folder: Path, fmu: Path, library: Library, name: str, samples: int, offsets: tuple[float, float] | None = None, origin: str = "0") -> Path:
+    """A table of the samples that the stand-in of a scene sends; times are decimals from `origin` s on."""
+    config = configured(folder, fmu, library, name, exact=True)
+    if offsets is not None:
+        hidden = {"payload.mass": 0.06} | dict(zip(parameters.OFFSETS, offsets, strict=True))
+        config = replace(config, machine=replace(config.machine, hidden=hidden))
+    source = machine(config, library)
+    names = ["measured.theta[1]", "measured.theta[2]", *(trials.NAMES if source.scene.signals else ())]
+    rows = [",".join(["time", *names])]
+    for k in range(samples):
+        fields = source.next().fields
+        rows.append(",".join([str(Decimal(origin) + k * Decimal("0.005")), *(repr(fields[each]) for each in names)]))
+    source.close()
+    file = folder / "played.csv"
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return file
+
+
+def test_a_chaotic_motion_is_followed_from_short_pieces_on(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """Springs throw the links about: a start that is guessed was lost within half a second, and the record refused."""
+    file = played(tmp_path, fmu, library, "spring_payload", 800)
+    out = ["--fmu", str(fmu), "--scene", "spring_payload", "--out", str(tmp_path / "out"), "--no-proposal"]
+    names = ["payload.mass", *(f"link[{i}].mass" for i in (1, 2, 3, 4)), "viscous.b"]
+    assert main(["calibrate", str(file), *out, *sought(names)]) == 0
+    figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    assert max(figures["residuals_rad"]["encoder"]) < 1e-4
+    for name, truth in (("payload.mass", 0.06), ("link[1].mass", 0.01785), ("link[2].mass", 0.01632)):
+        value, bar = (figures["unknowns"][name][key][name] for key in ("value", "bar95"))
+        assert abs(value - truth) < 4 / 1.96 * bar, name
+
+
+@pytest.mark.parametrize("offsets", [(0.01, -0.02), (-0.015, 0.005)])
+def test_offsets_are_those_of_encoders_that_servos_close_on(fmu: Path, library: Library, tmp_path: Path, offsets: tuple[float, float]) -> None:
+    """The bars hold the true offsets, whatever these are; they held others while servos were taken to close on true angles."""
+    soft = {"servo.enabled": True} | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)}
+    scene = tmp_path / "soft.json"
+    shipped = json.loads((Path(__file__).resolve().parents[2] / "scenes" / "pick_and_place.json").read_text(encoding="utf-8"))
+    scene.write_text(json.dumps(shipped | soft), encoding="utf-8")
+    file = played(tmp_path, fmu, library, str(scene), 320, offsets)
+    names = ["payload.mass", "link.mass", *parameters.OFFSETS]
+    out = ["--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path / "out"), "--no-proposal"]
+    assert main(["calibrate", str(file), *out, *sought(names)]) == 0
+    figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    for name, truth in zip(parameters.OFFSETS, offsets, strict=True):
+        unknown = figures["unknowns"][name]
+        assert unknown["identified"] and abs(unknown["value"][name] - truth) < 4 / 1.96 * unknown["bar95"][name], name
+
+
+def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """A verdict changed with 1e9 s added, where floats have steps of 0.1 us."""
+    tables = [data.read(played(tmp_path, fmu, library, "pick_and_place", 40, origin=origin), 0.0, 10.0).series[0] for origin in ("0", "1000000000")]
+    assert np.array_equal(tables[0].time, tables[1].time) and np.array_equal(tables[0].angles, tables[1].angles)
+
+
+def test_a_fit_that_fails_is_not_called_another_machine() -> None:
+    """A scene whose own values follow short pieces is of this machine."""
+    found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
+    assert command.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith("refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit")
+    found.rms_before = 0.2
+    assert "the scene is not this machine" in command.suspicion(found, np.array([1e-6, 1e-6]))[0]
 
 
 def test_records_of_the_pipeline(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fivebar.scene import write as write_scene
 from fivebar.twin.calibrate import data, scenes
-from fivebar.twin.calibrate.fit import Fit, Fitter, Show, least_noise
+from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, least_noise
 from fivebar.twin.calibrate.identify import Judgement, interval, judge
 from fivebar.twin.calibrate.motion import Between, Machine
 from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters
@@ -69,7 +69,12 @@ ODD: Final = 10.0
 """Ratio of residuals to the noise of the encoders up to which there is no warning; residuals below `SMALL` never cause one."""
 
 SMALL: Final = 1e-3
-"""rad."""
+"""rad; residuals of less before the fit are those of a scene that is this machine's."""
+
+
+CONTRADICTED: Final = 2.0
+"""Ratio of the residuals with the scene's values of what is not identified to those without, noise alone, above which these values are not the
+machine's."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,11 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
         if len(pins):
             names = ", ".join(p.name for p, known in zip(sought, judgement.identified, strict=True) if not known)
             show(f"not identified: {names}; fitted once more with that as it is in the scene")
-        fit = fitter.run(fit, pins)
+        later = fitter.run(pins)
+        if np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma):
+            show("with that as it is in the scene residuals are larger: the fit before stays")
+            break
+        fit = later
         judgement = _both(judgement, judge(fit, sought))
     wrong, odd = suspicion(fit, least_noise(given))
     if wrong:
@@ -119,6 +128,8 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
     worst = int(np.argmax(fit.sigma))
     residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
     text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
+    if residual > WRONG and fit.rms_before < SMALL:
+        return f"refused: the fit failed: {text}, and were {1e3 * fit.rms_before:.2g} mrad before it, with the scene's values over short pieces; nothing that was found is believed", ""
     if residual > WRONG:
         return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
     if residual > max(ODD * shown, SMALL):
@@ -206,7 +217,7 @@ def _write_scene(file: Path, result: Result, scene: Values, options: Options, gi
     values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
     values["init.assembly"] = first.assembly
     # First commands of the drives as start values: without a master the machine stays there.
-    values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
+    values |= {name: value for name, value in result.fit.pieces[0].path.first(result.fit.machine.offsets(result.fit.x)).items() if not name.startswith("servo.omega")}
     write_scene(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library.known)
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Final
 
@@ -188,13 +189,24 @@ def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
     return time, table, notes
 
 
+def _times(column: pa.ChunkedArray) -> Array:
+    """Times from the first one on, s, subtracted as the decimals of the text: behind 1e9 s floats have steps of 0.1 us."""
+    times = [Decimal((text or "").strip() or "nan") for text in column.to_pylist()]
+    first = min((time for time in times if time.is_finite()), default=Decimal(0))
+    return np.array([float(time - first) for time in times])
+
+
 def _csv(file: Path) -> tuple[Array, dict[str, Array], list[str]]:
     """A table with the columns `time` in s, measured.theta[1], measured.theta[2] (or theta[1], theta[2]) and inputs of the unit."""
     if file.stat().st_size > LARGEST_CSV:
         raise TwinError(f"{file} has more than {LARGEST_CSV} bytes")
     try:
-        read_ = pa.csv.read_csv(file)
-        columns = {name.strip(): read_.column(name).cast(pa.float64()).to_numpy() for name in read_.column_names}
+        read_ = pa.csv.read_csv(file, convert_options=pa.csv.ConvertOptions(column_types={"time": pa.string()}))
+        if twice := [name for name in read_.column_names if read_.column_names.count(name) > 1]:
+            raise TwinError(f"{file} has {read_.column_names.count(twice[0])} columns {twice[0]}; each name may stand in the head once")
+        columns = {name.strip(): _times(column) if name == "time" else column.cast(pa.float64()).to_numpy() for name, column in zip(read_.column_names, read_.columns, strict=True)}
+    except InvalidOperation:
+        raise TwinError(f"{file} has a time that is no number; times in s are expected") from None
     except (pa.ArrowException, OSError) as error:
         raise TwinError(f"{file} is not a table of numbers with a head: {str(error)[:120]}") from None
     if "time" not in columns:
@@ -209,4 +221,4 @@ def _csv(file: Path) -> tuple[Array, dict[str, Array], list[str]]:
     first = np.concatenate([[True], np.diff(time) > 0])
     notes = [f"{len(usable) - first.sum()} rows without a time of their own left out"] if first.sum() < len(usable) else []
     kept = order[first]
-    return time[first] - time[0], {name: columns[name][kept] for name in (*MEASURED, *INPUTS) if name in columns}, notes
+    return time[first], {name: columns[name][kept] for name in (*MEASURED, *INPUTS) if name in columns}, notes

@@ -34,10 +34,24 @@ STILL: Final = 1e-4
 """rad: trajectories that moved by less have the derivatives that they had, as far as a fit needs them."""
 
 IN_SIGHT: Final = 0.1
-"""rad: residuals of whole series with which the fit goes on to these at once."""
+"""rad: residuals of a longer piece with which it takes the place of its shorter ones."""
 
-LEVELS: Final = (0.5, 2.0)
-"""s: pieces of the first fits; those of the last are whole series, or `longest`."""
+LEVELS: Final = (0.1, 0.5, 2.0)
+"""s: pieces of the first fits; those of the last are whole series, or `longest`. In 0.1 s a motion on springs that throw links about forgives
+the start that is guessed."""
+
+FEWEST: Final = 20
+"""Samples of the shortest pieces."""
+
+UNSOUND: Final = 30.0
+"""Ratio of a piece's residuals to those of the median piece, above which its start counts as not found."""
+
+ALL_NOISE: Final = 20.0
+"""Ratio of residuals to `Fitter.noise`, a tenth of the encoder's, below which pieces show nothing else: the machine is as the fit has it."""
+
+LOSES: Final = 3.0
+"""Ratio of the residuals of longer pieces to those above which the fit has lost a chaotic motion: on two seconds of `spring_payload` residuals
+are 0.04 mrad, on ten 4 mrad."""
 
 BELIEVED: Final = 1.0
 """Standard deviation, in sizes of each unknown, of the prior in the first fit, before it is known which unknowns the record identifies."""
@@ -110,57 +124,76 @@ class Fitter:
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
 
-    def cut(self, length: float) -> list[tuple[int, Samples]]:
-        """Pieces of about that length, s, with the number of their series."""
+    def cut(self, length: float) -> list[Samples]:
+        """Pieces of about that length, s; longer ones begin where shorter ones do."""
         found = []
-        for number, series in enumerate(self.data.series):
-            span = series.time[-1] - series.time[0]
-            count = max(1, math.ceil(span / length - 0.2))
-            edges = np.searchsorted(series.time, series.time[0] + span * np.arange(1, count) / count)
+        for series in self.data.series:
+            span, count = series.time[-1] - series.time[0], 1
+            for level in (self.longest, *reversed(LEVELS)):
+                if level >= length:
+                    count *= max(1, math.ceil(span / count / max(level, FEWEST * self.period) - 0.2))
+            edges = np.searchsorted(series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * self.period)
             for a, b in zip([0, *edges], [*edges, len(series)], strict=True):
                 # Pieces share a sample, but compare it once.
                 part = series.part(a, min(b + 1, len(series)))
                 if np.isfinite(part.angles).any(axis=1).sum() >= 6:
-                    found.append((number, part))
+                    found.append(part)
         return found
 
-    def first(self, x: Array) -> list[Piece]:
-        """Short pieces, their starts guessed from their first samples, on the side that fits."""
+    def piece(self, samples: Samples, start: Start) -> Piece:
+        """A part of a series with that start."""
+        return Piece(Path(samples, self.between, self.machine.library, self.period), start, self.compared(samples))
+
+    def first(self, x: Array, length: float) -> list[Piece]:
+        """Short pieces, on the side that fits; their starts are guessed from their first samples, then fitted to all."""
         pieces: list[Piece] = []
         side = int(self.machine.scene.get("init.assembly", 1))
-        for number, samples in self.cut(LEVELS[0]):
-            path = Path(samples, self.between, self.machine.library, self.period)
+        for samples in self.cut(length):
             state = guess(samples)
             costs = {}
             for assembly in (side, 3 - side):
-                motion, end = self.machine.run(path, x, Start(state, assembly))
-                gap = samples.angles - self.machine.seen(path, motion, x)
+                piece = self.piece(samples, Start(state, assembly))
+                motion, end = self.machine.run(piece.path, x, piece.start)
+                gap = samples.angles - self.machine.seen(piece.path, motion, x)
                 costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))) if motion[-1, 0] < LOST else math.inf, end
             assembly = side if costs[side][0] <= 2 * costs[3 - side][0] else 3 - side
-            if math.isinf(costs[assembly][0]):
-                if pieces and pieces[-1].path.samples.time[0] >= self.data.series[number].time[0]:
-                    # Stretched or folded links, where errors of the angles count most: the piece before goes on soon enough.
-                    continue
-                raise TwinError(f"the unit refuses a start at the measured angles: {self.machine.failure}")
-            side = costs[assembly][1]
-            pieces.append(Piece(path, Start(state, assembly), self.compared(samples)))
+            # Stretched or folded links, where errors of the angles count most, may refuse a start: other pieces are enough.
+            if math.isfinite(costs[assembly][0]):
+                side = costs[assembly][1]
+                pieces.append(self.begun(self.piece(samples, Start(state, assembly)), x))
+        if not pieces:
+            raise TwinError(f"the unit refuses a start at the measured angles: {self.machine.failure}")
         return pieces
 
-    def in_sight(self, pieces: list[Piece], z: Array) -> bool:
-        """Whether the motion stays near the measured one over whole series too."""
-        p = len(self.sought)
-        longer = self.joined(unpack(z, pieces, p), z[:p], self.longest)
-        return float(np.max(spread(self.gaps(longer, pack(z[:p], longer)), longer))) < IN_SIGHT
+    def begun(self, piece: Piece, x: Array) -> Piece:
+        """The piece with the start that fits best, the unknowns being as they are."""
+
+        def residuals(state: Array) -> Array:
+            return np.asarray(self.gap(piece, x, state)[piece.mask])
+
+        result = least_squares(residuals, piece.start.state, x_scale=(1.0, 1.0, 100.0, 100.0), ftol=1e-3, max_nfev=15)
+        return Piece(piece.path, Start(result.x, piece.start.assembly), piece.mask)
+
+    def off(self, piece: Piece, x: Array) -> float:
+        """Residual that nine of ten samples of a piece stay below, rad."""
+        return float(np.quantile(np.abs(self.gap(piece, x, piece.start.state)[piece.mask]), 0.9))
+
+    def sound(self, pieces: list[Piece], x: Array) -> list[Piece]:
+        """Pieces whose starts were found: others, as at a singularity, would outweigh all."""
+        off = np.array([self.off(piece, x) for piece in pieces])
+        return [piece for piece, residual in zip(pieces, off, strict=True) if residual <= UNSOUND * float(np.median(off))]
 
     def joined(self, pieces: list[Piece], x: Array, length: float) -> list[Piece]:
-        """Longer pieces, which begin where the motion of the shorter ones is then."""
+        """Longer pieces, which begin where the motion of the shorter ones is then; shorter ones stay where it is lost over the longer one."""
         found = []
-        for _, samples in self.cut(length):
-            begin = samples.time[0]
-            piece = max((piece for piece in pieces if piece.path.samples.time[0] <= begin), key=lambda piece: piece.path.samples.time[0])
-            motion, _ = self.machine.run(piece.path, x, piece.start)
-            row = int(np.argmin(np.abs(piece.path.samples.time - begin)))
-            found.append(Piece(Path(samples, self.between, self.machine.library, self.period), Start(motion[piece.path.rows[row]], piece.start.assembly), self.compared(samples)))
+        for samples in self.cut(length):
+            begin, end = samples.time[0], samples.time[-1]
+            shorter = [piece for piece in pieces if begin <= piece.path.samples.time[0] < end]
+            found += shorter
+            if shorter and shorter[0].path.samples.time[0] == begin:
+                longer = self.piece(samples, shorter[0].start)
+                if self.off(longer, x) < IN_SIGHT:
+                    found[len(found) - len(shorter) :] = [longer]
         return found
 
     def compared(self, samples: Samples) -> Array:
@@ -188,12 +221,12 @@ class Fitter:
     def gaps(self, pieces: list[Piece], z: Array) -> list[Array]:
         """Measured minus computed, (n, 2) of each piece."""
         p = len(self.sought)
-        found = []
-        for number, piece in enumerate(pieces):
-            seen = self.motion(piece, z[:p], z[p + 4 * number : p + 4 * number + 4])
-            gap = piece.path.samples.angles - seen
-            found.append(np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.sign(gap)))
-        return found
+        return [self.gap(piece, z[:p], z[p + 4 * number : p + 4 * number + 4]) for number, piece in enumerate(pieces)]
+
+    def gap(self, piece: Piece, x: Array, state: Array) -> Array:
+        """Measured minus computed of one piece, (n, 2); half a turn where the run could not go on, so that no such run is the better one."""
+        gap = piece.path.samples.angles - self.motion(piece, x, state)
+        return np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.pi * np.sign(gap))
 
     def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
         """d(angles of the encoders)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
@@ -278,10 +311,9 @@ class Fitter:
         )  # fmt: skip
         return np.asarray(result.x)
 
-    def run(self, again: Fit | None = None, pinned: Array | None = None) -> Fit:
-        """All levels; or, from an earlier fit on, the last one with `pinned` combinations."""
-        p = len(self.sought)
-        pieces, z, rms_before = self.levels() if again is None else (again.pieces, pack(again.x, again.pieces), again.rms_before)
+    def run(self, pinned: Array | None = None) -> Fit:
+        """All levels, from the scene on; `pinned` combinations of unknowns stay what they are in the scene."""
+        pieces, z, rms_before = self.levels(pinned)
         z, outliers = self.settle(pieces, z, True, pinned)
         return self.finish(pieces, z, outliers, rms_before)
 
@@ -298,23 +330,35 @@ class Fitter:
             z = self.solve(pieces, z, sigma, final, pinned)
         return z, max(left_out, 0)
 
-    def levels(self) -> tuple[list[Piece], Array, float]:
+    def levels(self, pinned: Array | None) -> tuple[list[Piece], Array, float]:
         """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
         p = len(self.sought)
         x = np.array([parameter.start for parameter in self.sought])
-        pieces = self.first(x)
-        z, before = pack(x, pieces), 0.0
+        if pinned is not None:
+            x -= np.linalg.pinv(pinned) @ pinned @ (x - [parameter.origin for parameter in self.sought])
+            x = np.maximum(x, [parameter.lowest for parameter in self.sought])
         self.machine.tolerance(LOOSE)
-        for length in (*LEVELS, self.longest):
-            if length > LEVELS[0]:
-                if length < self.longest and (length >= self.span() or self.in_sight(pieces, z)):
-                    continue
-                pieces = self.joined(unpack(z, pieces, p), z[:p], length)
-                z = pack(z[:p], pieces)
-            sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)
-            before = before or float(np.mean(sigma))
+        lengths = [length for length in LEVELS if length < min(self.span(), self.longest)] + [self.longest]
+        if self.delayed:
+            # Of shorter pieces hardly a sample would be compared.
+            lengths = [length for length in lengths if length > 2 * DEEPEST]
+        pieces = self.first(x, lengths[0])
+        z, left, before = pack(x, pieces), np.full(2, np.inf), 0.0
+        for length in lengths:
+            longer = self.sound(self.joined(pieces, x, length), x)
+            begin = pack(x, longer)
+            sigma = np.maximum(spread(self.gaps(longer, begin), longer), self.noise)
+            # The shortest pieces show little, for each has a start of its own.
+            before = before if length > max(lengths[:2]) else float(np.mean(sigma))
             self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
-            z, _ = self.settle(pieces, z, False, None)
+            end, _ = self.settle(longer, begin, False, pinned)
+            found = spread(self.gaps(longer, end), longer)
+            if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
+                self.show("the motion is chaotic over pieces as long: shorter ones stay")
+                break
+            x, z, pieces = end[:p], end, unpack(end, longer, p)
+            # The shortest pieces, with a start each, show hardly more than noise whatever the machine is.
+            left = np.maximum(found, self.noise) if length > lengths[0] else left
         self.machine.tolerance(TIGHT)
         return pieces, z, before
 

@@ -175,6 +175,7 @@ def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array,
     p = projected.shape[1]
     starts = jacobian[:, p:]
     scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
+    basis = np.linalg.qr(starts / scale)[0]
     found = []
     _, _, directions = np.linalg.svd(projected, full_matrices=False)
     for direction in directions:
@@ -182,7 +183,9 @@ def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array,
         # Change of the starts that hides most of the direction's effect.
         answer = -np.linalg.lstsq(starts / scale, with_it, rcond=1e-9)[0] / scale
         seen = float(np.linalg.norm(with_it + starts @ answer))
-        errs = float(np.linalg.norm(doubt @ np.concatenate([direction, answer])))
+        # Errors that a change of the starts hides as well do not count: in a chaotic motion they are nearly all.
+        off = doubt @ np.concatenate([direction, answer])
+        errs = float(np.linalg.norm(off - basis @ (basis.T @ off)))
         sigma = math.sqrt(float(direction @ covariance @ direction)) if seen > DOUBTED * errs else math.inf
         if sigma > LIMIT:
             found.append(Combination(direction, sigma, at))

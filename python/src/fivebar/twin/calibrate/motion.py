@@ -53,10 +53,19 @@ class Path:
                 rate = name.replace("theta", "omega")
                 if name.startswith("servo.theta") and rate in samples.names:
                     slopes[:, j] = commands[:-1, samples.names.index(rate)]
-        self.first = dict(zip(samples.names, commands[0].tolist(), strict=True))
-        self.values = [(c_double * len(row))(*row) for row in commands.tolist()]
+        self.commands = commands
+        self.turned = np.array([[float(name == f"servo.theta[{i}]") for name in samples.names] for i in (1, 2)])
+        """(2, m): 1 where a command is an angle of that motor's servo."""
         self.slopes = [(c_double * len(row))(*row) if any(row) else None for row in slopes.tolist()]
         self.orders = (fmi2.fmi2Integer * len(samples.names))(*([1] * len(samples.names)))
+
+    def true(self, offsets: Array) -> Array:
+        """Commands of the drives at the knots, with servos led by true angles: a servo closes on its encoder, which shows the offset too."""
+        return np.asarray(self.commands - offsets @ self.turned)
+
+    def first(self, offsets: Array) -> Values:
+        """The first commands, by name."""
+        return dict(zip(self.samples.names, self.true(offsets)[0].tolist(), strict=True))
 
 
 def with_lost(time: Array, period: float) -> tuple[Array, Array]:
@@ -104,15 +113,17 @@ class Machine:
         unit, slave = self.unit, self.unit.slave
         buffer = (c_double * 4)()
         count = len(path.references)
+        offsets = self.offsets(x)
+        commands = [(c_double * count)(*row) for row in path.true(offsets).tolist()]
         times = path.knots.tolist()
         try:
-            unit.start(values | path.first)
+            unit.start(values | path.first(offsets))
             for k, time in enumerate(times):
                 slave.fmi2GetReal(slave.component, self.shown, 4, buffer)
                 out[k] = buffer
                 if k + 1 < len(times):
                     if count:
-                        slave.fmi2SetReal(slave.component, path.references, count, path.values[k])
+                        slave.fmi2SetReal(slave.component, path.references, count, commands[k])
                         if path.slopes[k] is not None:
                             slave.fmi2SetRealInputDerivatives(slave.component, path.references, count, path.orders, path.slopes[k])
                     slave.fmi2DoStep(slave.component, time, times[k + 1] - time, 1)
@@ -124,9 +135,16 @@ class Machine:
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
         """Angles of the encoders at the samples' times, rad, (n, 2): with their delay and offsets."""
-        added = {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
-        angles = late(path.knots, motion, added.get(DELAY, 0.0))
-        return angles[path.rows] + np.array([added.get(name, 0.0) for name in OFFSETS])
+        return late(path.knots, motion, self.added(x).get(DELAY, 0.0))[path.rows] + self.offsets(x)
+
+    def added(self, x: Array) -> dict[str, float]:
+        """Offsets, rad, and delay, s, of the encoders, those that are sought."""
+        return {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
+
+    def offsets(self, x: Array) -> Array:
+        """(2): angles that encoders show beyond the true ones, rad."""
+        added = self.added(x)
+        return np.array([added.get(name, 0.0) for name in OFFSETS])
 
     def close(self) -> None:
         """Frees the unit."""

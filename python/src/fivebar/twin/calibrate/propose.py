@@ -90,7 +90,7 @@ def _tried(machine: Machine, fit: Fit, sought: list[Parameter], information: Arr
     begin = {f"init.theta[{i + 1}]": float(first.start.state[i]) for i in (0, 1)} | {"init.assembly": first.start.assembly}
     motion = Motion(amplitude, frequency, dict(servo) | begin, np.empty(0))
     time, angles = references(motion)
-    commands = np.column_stack([angles, np.gradient(angles, time, axis=0)])
+    commands = np.column_stack([angles + machine.offsets(fit.x), np.gradient(angles, time, axis=0)])
     samples = Samples(time, angles, commands, NAMES)
     other = Machine(machine.library, machine.scene | servo, sought)
     try:
