@@ -289,6 +289,8 @@ def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: 
     # From the middle it goes on at the next stored state.
     part = replay(run.folder, fmu, since=2.0)
     assert not part.differing and 300 < part.compared < result.compared and part.left_out > 0
+    with pytest.raises(TwinError, match=r"nothing was recorded from 100 s to inf s; the record has [45]\.?\d* s"):
+        replay(run.folder, fmu, since=100.0)
     story = figures.read(run.folder)
     summary = figures.summarise(config, story, figures.judge(story), {}, {})
     assert summary["samples"]["estimated"] == run.twin.counts["estimated"]

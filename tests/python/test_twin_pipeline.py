@@ -179,4 +179,4 @@ def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: P
     text = run.communicate(timeout=60)[0]
     assert run.returncode == 0, text
     samples = json.loads((tmp_path / "summary.json").read_text())["samples"]
-    assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0}, text
+    assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0, "followed": 400}, text

@@ -2,23 +2,25 @@
 
 import csv
 import json
+import math
 import os
 import socket
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from fivebar.twin import config as configuration
-from fivebar.twin import record
+from fivebar.twin import figures, record
 from fivebar.twin.bus import Bus
 from fivebar.twin.config import Broker, Config, Faults, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.machine import Mangler, Recording
 from fivebar.twin.messages import Message, decode, encode, topic
 from fivebar.twin.recorder import JOINED, Gaps, Recorder
-from fivebar.twin.starter import free_port, parse_faults
+from fivebar.twin.starter import check_broker, free_port, parse_faults
 from fivebar.twin.watch import Anomalies, Histogram
 
 TOPIC = topic("bench", "meas")
@@ -179,6 +181,45 @@ def test_a_csv_is_played(tmp_path: Path) -> None:
     file.write_text("time,measured.theta[1]\n1,x\n")
     with pytest.raises(TwinError, match="could not convert"):
         Recording(Config(str(tmp_path), "", "", machine=Machine(csv=str(file))))
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda rows: rows[:50] + [[at - 0.1, *rest] for at, *rest in rows[50:]], "time of row 51 is 0.15 s after 0.245 s; times must rise"),
+        (lambda rows: [[1000 * at, *rest] for at, *rest in rows], "are these milliseconds?"),
+        (lambda rows: [[at, *(57.3 * x for x in rest)] for at, *rest in rows], "are these degrees?"),
+        (lambda rows: [[at, b, a, *rest] for at, a, b, *rest in rows], "are the encoders swapped?"),
+        (lambda rows: rows[:3], "no series of 20 samples or more"),
+    ],
+)
+def test_a_recording_that_no_twin_can_follow_is_refused(tmp_path: Path, change: Callable[[list[list[float]]], list[list[float]]], sentence: str) -> None:
+    """Each of these was played to its end with the exit code 0."""
+    rows = [[0.005 * k, 2.7 + 0.1 * math.sin(0.03 * k), 1.3 + 0.1 * math.cos(0.02 * k), 2.7 + 0.1 * math.sin(0.03 * k), 1.3 + 0.1 * math.cos(0.02 * k)] for k in range(321)]
+    file = tmp_path / "recording.csv"
+    config = Config(str(tmp_path), "", "", machine=Machine(csv=str(file)))
+
+    def check(rows: list[list[float]]) -> None:
+        head = "time,measured.theta[1],measured.theta[2],servo.theta[1],servo.theta[2]"
+        file.write_text("\n".join([head, *(",".join(repr(round(x, 9)) for x in row) for row in rows)]) + "\n", encoding="utf-8")
+        Recording(config).check()
+
+    check(rows)
+    with pytest.raises(TwinError, match=sentence.replace("?", r"\?")):
+        check(change(rows))
+
+
+def test_a_run_that_hardly_followed_says_so() -> None:
+    """An estimate a radian off its sample was counted as any other."""
+    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 300, "estimated": 321}}) == ""
+    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 9, "estimated": 321}}).startswith("not followed: 9 of 321 samples")
+
+
+def test_a_broker_that_is_not_there_is_named_at_once() -> None:
+    """All processes waited for it for 20 s, and their logs were shown."""
+    port = free_port()
+    with pytest.raises(TwinError, match=f"there is no broker at 127.0.0.1:{port}: Connection refused"):
+        check_broker(Broker("127.0.0.1", port, False))
 
 
 def test_faults_come_as_often_as_asked_and_none_by_default() -> None:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from fivebar.twin import record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.forecast import RADIUS, covariance, half_width
-from fivebar.twin.messages import TRACKED
+from fivebar.twin.messages import MEASURED, TRACKED
 from fivebar.twin.watch import Histogram
 
 ESTIMATES: Final = ("tip.x", "tip.y", "estimated.nis", "estimated.alarm", "estimated.tau[1]", "estimated.tau[2]", "estimated.status")
@@ -31,6 +31,12 @@ MISSED: Final = 3
 
 FEWEST: Final = 20
 """Forecasts that are judged at least."""
+
+NEAR: Final = 0.1
+"""rad: an estimate that is further from its own sample has not followed it; at 7 rad/s and 5 ms a sample it is within 0.01 rad."""
+
+FOLLOWED: Final = 0.5
+"""Share of the published samples that have to be followed."""
 
 
 @dataclass
@@ -79,6 +85,8 @@ class Story:
     """Why rows are no messages."""
     samples: set[int] = field(default_factory=set)
     used: set[int] = field(default_factory=set)
+    followed: int = 0
+    """Samples whose estimate is within `NEAR` of them."""
     sent: int = 0
     """Forecasts."""
     learned: dict[str, dict[str, float]] | None = None
@@ -88,6 +96,7 @@ class Story:
 def read(file: Path) -> Story:
     """Goes through a record once."""
     story = Story()
+    waiting: dict[int, dict[str, float]] = {}
     for message in record.messages(file, "meas", "est", "forecast", "alarm", "learned", "gap", refused=story.bad.append):
         story.origin = story.origin or message.time
         fields, time = message.fields, 1e-9 * (message.time - story.origin)
@@ -95,10 +104,13 @@ def read(file: Path) -> Story:
             if message.seq not in story.samples:
                 story.samples.add(message.seq)
                 story.measured.add({"time": time} | fields)
+                waiting[message.seq] = fields
         elif message.kind == "est":
             story.used |= {entry[1] for entry in message.extra["inputs"] if entry[0] == "meas"}
             band = half_width(covariance(fields)) if "estimated.tip.cov[1]" in fields else math.nan
             story.estimated.add({"time": time, "band": band} | fields)
+            seen = waiting.pop(message.seq, {})
+            story.followed += all(abs(seen[name] - fields[name.removeprefix("measured.")]) < NEAR for name in MEASURED if name in seen)
         elif message.kind == "forecast":
             _forecast(story, message.extra, time)
         elif message.kind == "alarm":
@@ -219,6 +231,7 @@ def summarise(
             "lost": max(0, published - taken),
             "estimated": max(total("follow", "estimated"), len(story.estimated)),
             "recorded": len(story.samples),
+            "followed": story.followed,
             "late": total("follow", "late"),
         },
         "latency_ms": {name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))},
@@ -254,6 +267,14 @@ def summarise(
         "learned": story.learned,
     }
     return content | {"missed": missed(content)}
+
+
+def unfollowed(content: dict[str, Any]) -> str:
+    """A sentence if hardly any sample was followed, or ""."""
+    recorded, followed = content["samples"]["recorded"], content["samples"]["followed"]
+    if content["samples"]["estimated"] and followed >= FOLLOWED * recorded:
+        return ""
+    return f"not followed: {followed} of {recorded} samples have an estimate within {NEAR:g} rad; {FOLLOWED:.0%} are needed: is the scene this machine's?"
 
 
 def missed(content: dict[str, Any]) -> list[str]:

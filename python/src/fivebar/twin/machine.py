@@ -147,6 +147,25 @@ class Recording:
                 if not math.isfinite(value):
                     raise TwinError(f"{file}: {name} of row {number} is {value}, not a finite number")
 
+    def check(self) -> None:
+        """Refuses a recording of which no machine can be followed, as a calibration does."""
+        # Tables of a calibration need packages that the process of the machine does without.
+        import numpy as np
+
+        from fivebar.twin.calibrate import data
+
+        file, times = Path(self.config.machine.csv), [at for at, _ in self.samples]
+        for number, (before, at) in enumerate(zip(times, times[1:], strict=False), 2):
+            if not at > before:
+                raise TwinError(f"{file}: time of row {number} is {at!r} s after {before!r} s; times must rise")
+        time = np.array(times) - times[0]
+        table = {name: np.array([fields.get(name, math.nan) for _, fields in self.samples]) for name in (*MEASURED, *INPUTS)}
+        data.check_units(file, time, table)
+        series = data.split(time, table, [])
+        if not series.series:
+            raise TwinError(f"{file} has no series of 20 samples or more without a gap")
+        data.check(series)
+
     def store(self) -> bytes:
         """From which it goes on."""
         return json.dumps({"seq": self.seq, "start": self.start_ns}).encode()

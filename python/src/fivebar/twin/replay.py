@@ -156,7 +156,7 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
     follower = Follower(library, setup)
     try:
         work = Replay(follower)
-        begin, first, last = time.perf_counter(), None, 0
+        begin, first, last, passed = time.perf_counter(), None, 0, 0.0
         for row in record.rows(file):
             kind = row.topic.rpartition("/")[2]
             if kind not in ("meas", "est", "param", "cmd", "state", "gap"):
@@ -177,6 +177,8 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
                 work.result.gaps.append(gap(message))
             else:
                 work.see(message, row.payload)
+        if not last:
+            raise TwinError(f"nothing was recorded from {since:g} s to {until:g} s; the record has {passed:.3g} s")
         work.end()
         work.result.seconds = time.perf_counter() - begin
         work.result.spanned = 1e-9 * (last - (first or 0))

@@ -33,6 +33,9 @@ from fivebar.twin.unit import Library, UnitError
 READY_WITHIN: Final = 20.0
 """Seconds that a process may take to be ready."""
 
+ANSWERS_WITHIN: Final = 5.0
+"""Seconds in which a broker has to take a connection."""
+
 MOST_RESTARTS: Final = 20
 """Of one process in a minute; more is not a mishap."""
 
@@ -369,6 +372,8 @@ def check_followed(config: Config, stand_in: bool) -> None:
         sample: Message | None = Message("meas", config.unit, 0, 0, begin | known.told(0.0))
         if stand_in:
             machine = Recording(config) if config.machine.csv else None
+            if machine is not None:
+                machine.check()
             try:
                 machine = machine or StandIn(config, library)
             except UnitError as error:
@@ -389,11 +394,23 @@ def check_followed(config: Config, stand_in: bool) -> None:
         library.close()
 
 
+def check_broker(broker: Broker) -> None:
+    """Refuses a broker that does not answer, instead of processes that wait for it."""
+    if broker.embedded:
+        return
+    try:
+        socket.create_connection((broker.host, broker.port), ANSWERS_WITHIN).close()
+    except OSError as error:
+        raise TwinError(f"there is no broker at {broker.host}:{broker.port}: {error.strerror or error}") from None
+
+
 def run(options: Options) -> int:
     """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
     # Whatever cannot work is refused before a folder is made.
     with tempfile.TemporaryDirectory() as before:
-        check_followed(configure(options, Path(before)), options.machine != "none")
+        config = configure(options, Path(before))
+        check_broker(config.broker)
+        check_followed(config, options.machine != "none")
     folder = run_folder(options.out)
     config = configure(options, folder)
     names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.machine != "none"))

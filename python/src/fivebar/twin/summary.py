@@ -64,7 +64,8 @@ def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dic
     finally:
         for figure, _ in pictures.values():
             plt.close(figure)
-    if not content["samples"]["estimated"]:
+    if unfollowed := figures.unfollowed(content):
+        print(unfollowed)
         return 1
     return figures.MISSED if content["missed"] else 0
 

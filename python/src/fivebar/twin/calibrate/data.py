@@ -75,7 +75,7 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
         time, table, notes = _csv(file)
     else:
         time, table, notes = _record(file, unit)
-    _check_units(file, time, table)
+    check_units(file, time, table)
     chosen = (time >= begin) & (time <= begin + seconds)
     if not chosen.any():
         raise TwinError(f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {time[-1]:.3f} s")
@@ -87,7 +87,7 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
     return data
 
 
-def _check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
+def check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
     """Refuses times that look like milliseconds and angles that look like degrees."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if step >= SLOW:
