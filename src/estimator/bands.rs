@@ -64,7 +64,7 @@ impl Estimator {
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
-    /// doubted, in either assembly.
+    /// doubted, in either assembly. No two places of the tip are further apart than the diameter of its reach.
     pub fn tip_radius(&self, constants: &Constants, motion: &LinkState) -> f64 {
         let radius = |motion: &LinkState, belief: &Belief| {
             let models = tip_of_models(constants, motion, belief).map(|(weight, about)| {
@@ -75,7 +75,7 @@ impl Estimator {
             radius_of_95_percent(&models)
         };
         let beside = |other: &Hypothesis| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief);
-        radius(motion, &self.belief).max(self.doubt.other().map_or(0.0, beside))
+        radius(motion, &self.belief).max(self.doubt.other().map_or(0.0, beside)).min(constants.linkage.widest_reach())
     }
 
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where

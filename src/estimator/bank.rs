@@ -119,7 +119,7 @@ impl Bank {
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
-        let end = |j, Member { covariance, .. }: &mut Member| bound(j, covariance, |_, _| ());
+        let end = |j, member: &mut Member| bound(j, member, |_, _| ());
         self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
     }
 
@@ -332,11 +332,12 @@ impl Intensities {
     }
 }
 
-/// Bounds the variances of model j in unobserved directions; `also` takes the index of each that is scaled, and the factor.
-pub(super) fn bound(j: usize, covariance: &mut Matrix, mut also: impl FnMut(usize, f64)) {
+/// Bounds the errors of model j and their variances in unobserved directions; `also` takes the index of each variance that is scaled, and the factor.
+pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, mut also: impl FnMut(usize, f64)) {
     let largest = [LARGEST_ANGLE_VARIANCES[j], LARGEST_RATE_VARIANCE];
     for i in 0..FORCE {
         let (variance, most) = (covariance[(i, i)], largest[i / 2]);
+        error[i] = error[i].clamp(-most.sqrt(), most.sqrt());
         if variance > most {
             let factor = (most / variance).sqrt();
             covariance.row_mut(i).scale_mut(factor);

@@ -152,7 +152,7 @@ impl Learning {
             let mut rows = member.covariance.fixed_rows_mut::<FORCE>(0);
             rows += y.transpose();
             member.covariance.fill_upper_triangle_with_lower_triangle();
-            bound(j, &mut member.covariance, |i, factor| models[j].cross.row_mut(i).scale_mut(factor));
+            bound(j, member, |i, factor| models[j].cross.row_mut(i).scale_mut(factor));
         });
     }
 

@@ -81,6 +81,12 @@ impl Linkage {
         Self { arm, base: geometry.base_distance, length: geometry.links.iter().map(|link| link.length).sum::<f64>() / 4.0 }
     }
 
+    /// Largest distance between two places of the tip, m: twice the reach of the shorter leg.
+    pub(super) fn widest_reach(&self) -> f64 {
+        let [left, inner, outer, right] = self.arm.map(f64::abs);
+        2.0 * (left + inner).min(outer + right)
+    }
+
     /// Posture at link angles, rad.
     pub fn posture(&self, theta: &Links) -> Posture {
         let (sin_p, cos_p) = sin_cos(Legs::new([theta[0], theta[3]]));

@@ -267,6 +267,14 @@ pub fn table(part: f64, first: u64) -> Table {
         table.push(Figure::at_most(label, lost, (0.05 * count as f64).floor(), format!("of {count}; undecided still: {open}")));
     }
     for encoder in [COARSE, FINE] {
+        for h in [0.02, 0.05, 0.1, 0.15] {
+            let count = runs(100.0);
+            let [lost, open] = lost(count, first + 7_650_000, &encoder, h, |random| fall(random, false));
+            let label = format!("free falls with a sample every {} ms, {}", 1e3 * h, encoder.name);
+            table.push(Figure::told(label, lost, format!("of {count}; undecided still: {open}")));
+        }
+    }
+    for encoder in [COARSE, FINE] {
         let count = runs(100.0);
         let [lost, _] = lost(count, first + 7_500_000, &encoder, 1e-3, push);
         table.push(Figure::at_most(format!("pushes of 0.5 N, {}, 1 ms", encoder.name), lost, 0.0, format!("of {count}")));
