@@ -75,7 +75,7 @@ impl Friction {
             not_negative(format_args!("friction.breakaway[{}]", joint + 1), breakaway, "N.m")?;
             if breakaway < coulomb {
                 return Err(SceneError(format!(
-                    "friction.breakaway[{0}] = {breakaway} N.m is not allowed: it must be at least friction.coulomb[{0}] = {coulomb} N.m.",
+                    "friction.breakaway[{0}] = {breakaway:?} N.m is not allowed: it must be at least friction.coulomb[{0}] = {coulomb:?} N.m.",
                     joint + 1
                 )));
             }

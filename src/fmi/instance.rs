@@ -80,6 +80,9 @@ impl Instance {
     /// fmi2SetupExperiment; `tolerance` and `stop`, s, where they are defined. The tolerance is not used: `solver.errorTolerance`
     /// has units, a relative tolerance has none.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), CallError> {
+        if let Some(tolerance) = tolerance.filter(|tolerance| !tolerance.is_finite()) {
+            return Err(CallError::error(format!("tolerance is {tolerance}, must be finite.")));
+        }
         let clock = Clock::new(start, stop)?;
         self.change().clock = Some(clock);
         if let Some(tolerance) = tolerance {

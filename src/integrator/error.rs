@@ -79,14 +79,18 @@ impl fmt::Display for StepError {
             }
             Self::TooMuchWork { most, substep, error } => write!(
                 f,
-                "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, {}",
-                LocalError(*error)
+                "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, {}{}",
+                LocalError(*error),
+                if *substep < SHORTEST_OF_MOTION { "; so short a sub-step means that a force or a rate is too large" } else { "" }
             ),
         }
     }
 }
 
 impl std::error::Error for StepError {}
+
+/// Shortest sub-step that a motion may ask for, s: in shorter ones nothing moves by a digit.
+const SHORTEST_OF_MOTION: f64 = 1e-15;
 
 /// Local error of a sub-step, rad, formatted as the end of a sentence.
 struct LocalError(f64);
@@ -105,6 +109,8 @@ mod tests {
     #[test]
     fn sub_steps_that_failed_have_no_local_error() {
         let said = |error| StepError::TooMuchWork { most: 9, substep: 1e-6, error }.to_string();
+        let absurd = StepError::TooMuchWork { most: 9, substep: 1e-171, error: f64::NAN }.to_string();
+        assert!(absurd.ends_with("failed; so short a sub-step means that a force or a rate is too large"), "{absurd}");
         assert!(said(1e-7).ends_with("the last sub-step, of 1.000e-6 s, had a local error of 1.000e-7 rad"), "{}", said(1e-7));
         for error in [f64::INFINITY, f64::NAN] {
             assert!(said(error).ends_with("the last sub-step, of 1.000e-6 s, failed"), "{}", said(error));
