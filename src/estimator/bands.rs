@@ -50,17 +50,15 @@ impl Estimator {
 
     /// Covariance of the tip about that of a motion, m². While the start is doubted both assemblies count alike.
     pub fn tip_covariance(&self, constants: &Constants, motion: &LinkState) -> Matrix2<f64> {
-        let frame = constants.linkage.frame(&motion.theta);
-        let known = self.forecast.tip_covariance(motion, &constants.linkage).unwrap_or_else(|| {
-            let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
-            tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
-        });
-        let known = known + frame.tip_by_geometry(&constants.parameters);
+        let of_models = |motion: &LinkState, belief: &Belief| -> Matrix2<f64> {
+            tip_of_models(constants, motion, belief).iter().map(|(weight, about)| about * *weight).sum()
+        };
+        let by_geometry = || constants.linkage.frame(&motion.theta).tip_by_geometry(&constants.parameters);
+        let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| about + by_geometry());
+        let known = by_points.unwrap_or_else(|| of_models(motion, &self.belief));
         let Some(other) = self.doubt.other() else { return known };
         let apart = tip_apart(constants, motion, &other.motion);
-        let models = tip_of_models(constants, &other.motion, &other.belief);
-        let beside = models.iter().map(|(weight, about)| about * *weight).sum::<Matrix2<f64>>() + apart * apart.transpose();
-        (known + beside) / 2.0
+        (known + of_models(&other.motion, &other.belief) + apart * apart.transpose()) / 2.0
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is

@@ -3,6 +3,7 @@
 
 mod loads;
 
+use super::Inputs;
 use super::five_bar::FiveBar;
 use super::model::Model;
 pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
@@ -29,6 +30,11 @@ pub struct AngleSystem<'a> {
 }
 
 impl<'a> AngleSystem<'a> {
+    /// Five-bar of a model in its link angles, with `inputs` held and whole turns of the links counted separately.
+    pub(super) fn of(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
+        Self::new(FiveBar::<false>::new(model, inputs, turns))
+    }
+
     /// Five-bar in its link angles, of a model under given inputs.
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         let FiveBar { model, inputs, mode: Mode { closure_branch, .. }, .. } = five_bar;

@@ -26,7 +26,7 @@ pub(super) struct DenseRun {
 impl DenseRun {
     /// Run that starts from a state.
     pub(super) fn start(model: &Model, settings: Settings, state: &State) -> Self {
-        let system = AngleSystem::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
+        let system = AngleSystem::of(model, &state.inputs, &state.turns);
         let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), &settings);
         Self { settings, step, held: [0; 2] }
     }
@@ -36,18 +36,18 @@ impl DenseRun {
         if self.step.finish() {
             return Ok(());
         }
-        self.step.truncate_and_redo(&AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)), &self.settings)
+        self.step.truncate_and_redo(&AngleSystem::of(model, inputs, turns), &self.settings)
     }
 
     /// After model or inputs have changed: restarts the step; `work` is the work of the change.
     pub(super) fn resume(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
-        let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
+        let system = AngleSystem::of(model, inputs, turns);
         self.step.restart(&system, &self.settings, &system.pose(self.step.end()), work);
     }
 
     /// Angles, rad, and rates, rad/s, at the present time.
     pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
-        let sample = self.step.sample(&AngleSystem::new(FiveBar::<false>::new(model, held, turns)), &self.settings);
+        let sample = self.step.sample(&AngleSystem::of(model, held, turns), &self.settings);
         (sample.q, sample.v)
     }
 
@@ -59,8 +59,7 @@ impl DenseRun {
         motion: [Angles; 2],
         external_work: f64,
     ) {
-        let [before, after] =
-            [(before, held), (model, inputs)].map(|(model, inputs)| AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)));
+        let [before, after] = [(before, held), (model, inputs)].map(|(model, inputs)| AngleSystem::of(model, inputs, turns));
         self.step.resume_from([&before, &after], &self.settings, motion, external_work);
         self.held = [self.held[1], 0];
     }
@@ -68,7 +67,7 @@ impl DenseRun {
     /// Present state in the twelve coordinates, by the held inputs, with the q̈ and λ of other `inputs`. Interpolated states are for output
     /// only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
-        let system = AngleSystem::new(FiveBar::<false>::new(model, held, turns));
+        let system = AngleSystem::of(model, held, turns);
         let sample = self.step.sample(&system, &self.settings);
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
         let mut core = Core::of_motion([q, v], 0);
@@ -157,7 +156,7 @@ impl DenseRun {
             }
             // Whole turns are removed before a new step begins, so that no step mixes both counts.
             remove_whole_turns(&mut self.step, turns);
-            let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
+            let system = AngleSystem::of(model, inputs, turns);
             let pose = changed.then(|| system.pose(self.step.end()));
             if let Some(pose) = &pose {
                 self.step.restart(&system, &settings, pose, Work::default());

@@ -10,7 +10,6 @@
 //! mass that leaves takes that: rates do not change, and the energy counts as input work.
 
 use super::angles::{AngleSystem, Angles, angles_of, legs};
-use super::five_bar::FiveBar;
 use super::{Model, State};
 use crate::dynamics::angles::in_link_order;
 use crate::effects::payload::Join;
@@ -61,7 +60,7 @@ fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let State { core, inputs, turns, .. } = present;
     let (q, v) = (angles_of(&core.q), angles_of(&core.v));
     let pose = |model: &Model| model.mechanism.pose_at(legs(&q));
-    let system = AngleSystem::new(FiveBar::<false>::new(after, inputs, turns));
+    let system = AngleSystem::of(after, inputs, turns);
     let after_pose = pose(after);
     let factor = system.factor_mass(&after_pose, after.regularization_by_angles);
     let (rates, _) = factor.solve(&before.inertia.mass_times(&pose(before), &v), &Vector::ZERO);
