@@ -124,6 +124,10 @@ pub(super) const GATE: f64 = 30.0;
 /// Gate of the loudest model: normalised innovation squared above which no assumed force explains a sample. By the noise of a single sample 5 of
 /// 400 jumps of 0.1 rad by 0.1° are silent, by that of samples that share a quantisation error 12 (table `faults`, `--part 10 --seeds 1020000000`).
 pub(super) const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
+/// Gate of a jump: normalised innovation squared of the loudest model above which a reading that stays where it is has jumped. Of 200 jumps of 0.1 rad
+/// by 0.1° at 5 ms the least is 279; the largest of a reading that stays in 3,400 runs without a failure is 21 (table `faults`, `--part 10 --seeds
+/// 1130000000`). With the gate of the loudest model 5 of these jumps are silent.
+pub(super) const GATE_OF_JUMP: f64 = 75.0;
 /// Largest number of samples rejected in a row before the encoder is trusted again.
 pub(super) const MOST_REJECTED_IN_A_ROW: u32 = 10;
 /// Time for which samples of both encoders have been believed before one may be said to jump, s: an estimate that is new, or has been without

@@ -2,9 +2,9 @@
 //! apart.
 //!
 //! The motion in the other assembly has an unknown force of its own. About each motion a witness (`witness.rs`) knows no force but one of any
-//! size that hardly changes, and leaves masses, payload and friction free. An assembly that is wrong needs a force that changes as the machine
-//! accelerates, which no such parameters explain. With the sum X of r²/S that the best parameters leave, and the determinant D that their
-//! freedom costs, the evidence for the start is
+//! size that hardly changes, and leaves masses, payload, friction and a delay of the samples free. An assembly that is wrong needs a force that
+//! changes as the machine accelerates, which none of these explains. With the sum X of r²/S that the best of them leave, and the determinant D
+//! that their freedom costs, the evidence for the start is
 //!
 //! ```text
 //! ½ [ (X' − X)/c + ln D' − ln D ]        c = max(1, min(X, X')/n)
@@ -24,7 +24,7 @@ use super::hypotheses::{Hypothesis, is_distinguishable};
 use super::parameters::Constants;
 use super::propagation::Propagation;
 use super::tangent::{LinkState, Linkage, Links, MEASURED};
-use super::witness::{Faults, PARAMETERS, Witness, prior_sizes};
+use super::witness::{DELAY, Faults, Witness, prior_sizes};
 
 /// Doubt about the assembly of a start.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -173,7 +173,7 @@ impl Branches {
     /// Weighs the evidence.
     fn judge(&mut self, constants: &Constants) -> Verdict {
         let sizes = prior_sizes(constants);
-        let free = Faults::from_fn(|k, _| if k < PARAMETERS { 0.0 } else { sizes[k] });
+        let free = Faults::from_fn(|k, _| if k < DELAY { 0.0 } else { sizes[k] });
         let [own, other] = self.witnesses.each_ref().map(|witness| {
             let (less, freedom) = witness.explained(&free);
             (witness.squares - less, freedom)

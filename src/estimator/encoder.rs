@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Innovation, PredictedSample};
 use super::constants::{
-    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
+    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_JUMP, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS, SINGLE_EDGE,
     TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
@@ -369,7 +369,8 @@ impl Encoder {
         let GateConditions { overdue, patient, witnessed } = conditions;
         let &Sample { sigma, quantum, persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
         let least = expected.nis_of_loudest_model(noise - self.single_variance(sigma, quantum, persistent));
-        let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
+        let exceeds = |gate: f64| patient && (least.is_nan() || least > gate);
+        let unexplained = exceeds(GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if overdue => Fault::Stuck,
@@ -379,7 +380,8 @@ impl Encoder {
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
-        if self.fault == Fault::Rejected && unexplained && witnessed && self.is_settled() {
+        // A force that has moved an axis so far moves it on; the next sample tells.
+        if self.fault == Fault::Rejected && exceeds(GATE_OF_JUMP) && witnessed && self.is_settled() {
             self.jump = residual;
         }
         if self.fault == Fault::None {

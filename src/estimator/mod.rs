@@ -286,17 +286,19 @@ impl Estimator {
         GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }
     }
 
-    /// Whether the first samples of both encoders are far from the estimate, each at the angle that it expects of the other encoder. Later
+    /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later
     /// samples do not count: an estimate that is lost meets such angles by chance.
     fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> bool {
-        self.encoders.iter().all(|encoder| encoder.interval() == 0.0)
-            && samples.iter().enumerate().all(|(i, sample)| {
-                sample.as_ref().is_some_and(|Sample { angle, innovation, .. }| {
-                    let other = Innovation::new(motion, frame, 1 - i, *angle, innovation.noise);
-                    let [own, other] = [innovation, &other].map(|innovation| self.belief.bank.predict_sample(innovation).nis());
-                    innovation.residual.abs() > DIVERGED_INNOVATION && own > GATE && other <= GATE
-                })
-            })
+        let [Some(left), Some(right)] = samples else { return false };
+        if self.encoders.iter().any(|encoder| encoder.interval() > 0.0)
+            || [left, right].iter().any(|sample| sample.innovation.residual.abs() <= DIVERGED_INNOVATION)
+        {
+            return false;
+        }
+        let nis =
+            |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.predict_sample(innovation).nis()).sum::<f64>();
+        let of = |i: usize, sample: &Sample| Innovation::new(motion, frame, i, sample.angle, sample.innovation.noise);
+        nis([left.innovation, right.innovation]) > GATE && nis([of(1, left), of(0, right)]) <= GATE
     }
 
     /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where
