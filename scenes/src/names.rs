@@ -41,6 +41,17 @@ pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variabl
 /// The input that a scene gives a signal.
 pub(crate) fn input(name: &str) -> Result<&'static Variable> {
     not_of_the_tip(name)?;
+    if let Some(parameter) = model()?.variables.iter().find(|v| v.name.full == name && v.causality == Causality::Parameter) {
+        let tunable = parameter.variability == Variability::Tunable;
+        bail!(
+            "'{name}' is a {}",
+            if tunable {
+                "tunable parameter: if it is Real, it takes 'steps'"
+            } else {
+                "fixed parameter: it keeps its start value"
+            }
+        );
+    }
     let inputs = || model().into_iter().flat_map(|model| &model.variables).filter(|v| v.causality == Causality::Input);
     match inputs().find(|variable| variable.name.full == name) {
         Some(variable) => Ok(variable),

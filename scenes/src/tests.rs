@@ -176,8 +176,14 @@ fn what_is_wrong_is_named() {
             signals(json!({ "servo.thta[1]": { "linear": knots } })),
             &["servo.thta[1]", "not an input", "did you mean 'servo.theta[1]'"],
         ),
-        (signals(json!({ "gravity.g": { "linear": knots } })), &["'gravity.g' is not an input"]),
-        (signals(json!({ "gravity.enabled": { "steps": knots } })), &["'gravity.enabled' is not an input"]),
+        (
+            signals(json!({ "gravity.g": { "linear": knots } })),
+            &["'gravity.g' is a tunable parameter: if it is Real, it takes 'steps'"],
+        ),
+        (
+            signals(json!({ "gravity.enabled": { "steps": knots } })),
+            &["'gravity.enabled' is a fixed parameter: it keeps its start value"],
+        ),
         (signals(json!({ "tau[1]": 5 })), &["signal 'tau[1]'", "one of linear, minimumJerk, rateOf, steps, not 5"]),
         (signals(json!({ "tau[1]": { "cubic": knots } })), &["one of linear, minimumJerk, rateOf, steps", "cubic"]),
         (signals(json!({ "tau[1]": { "linear": [[0, 0]] } })), &["signal 'tau[1]'", "two or more knots [time in s, value]"]),

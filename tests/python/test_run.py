@@ -3,8 +3,10 @@
 import csv
 import json
 import math
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import fivebar
 from fivebar import summary
 from fivebar.drive import Run
-from fivebar.scene import Scene, Variant
+from fivebar.errors import FiveBarError
+from fivebar.kinematics import Machine
+from fivebar.scene import Scene, Variant, parse
 from fivebar.variables import Values
 from made_scene import METHODS, made_scene, write
 
@@ -171,3 +176,32 @@ def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
     unknown = run(fmu, tmp_path, scene, "--method", "euler")
     assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
     assert "fivebar run: 'solver.method' must be one of i3alp, " in unknown.stderr and 'not "euler"' in unknown.stderr
+
+
+def test_what_python_gets_is_a_mapping_of_columns(fmu: Path) -> None:
+    """Iteration asked for column 0, and `in` for ever more."""
+    result = fivebar.run("swing")
+    assert list(result) == result.names and len(result) == len(result.names) and "tip.x" in result and "tip.z" not in result
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: fivebar.run("swing", stop_time=1), "'stop_time' is no variable: stopTime and stepSize, s, stand in the key 'experiment'"),
+        (lambda: fivebar.run({"tau[1]": 0.1}), "a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {"),
+        (lambda: Machine.from_scene("swing").inverse("abc"), "tip = 'abc': 2 numbers in m are expected"),
+    ],
+)
+def test_what_python_is_given_wrongly_is_named(call: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(FiveBarError) as error:
+        call()
+    assert str(error.value).startswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [("gravity.g", "'gravity.g' is a tunable parameter: if it is Real, it takes 'steps'"), ("link[1].mass", "'link[1].mass' is a fixed parameter")],
+)
+def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: str) -> None:
+    with pytest.raises(FiveBarError, match=re.escape(sentence)):
+        parse("a", json.dumps({"description": "a", "signals": {name: {"linear": [[0, 1], [1, 2]]}}}))

@@ -47,6 +47,15 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
     library.close()
 
 
+def test_draws_below_the_least_value_are_counted(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A standard deviation of 60 % brings one mass of twenty below 0; these were raised to 0.02 in silence."""
+    options = command.Options(200, "fall_90_120", None, ("link.mass=60%",), 0.05, 2, 0, 0, None, False, fmu, tmp_path)
+    assert command.run(options) == 0
+    drawn = pq.read_table(tmp_path / "members.parquet")["drawn.link.mass"].to_numpy()
+    count = int((drawn == 0.02).sum())
+    assert 3 <= count <= 25 and f"link.mass: {count} of 200 draws were below 0.02 of the value" in capsys.readouterr().out
+
+
 def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
     """Two workers, one of which is killed on the way, give the bytes of one process."""
     content, members = fmu.read_bytes(), 1000

@@ -544,7 +544,10 @@ class Machine:
         return loci
 
     def _finite(self, name: str, values: ArrayLike, width: int, unit: str) -> Floats:
-        array = np.asarray(values, dtype=np.float64)
+        try:
+            array = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise FiveBarError(f"{name} = {values!r:.80}: {width} numbers in {unit} are expected, in the last axis of an array.") from None
         if array.ndim == 0 or array.shape[-1] != width:
             raise FiveBarError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
         if not np.all(np.isfinite(array)):

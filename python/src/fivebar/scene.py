@@ -17,7 +17,7 @@ from fivebar import scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import Working
 from fivebar.signals import TIP
-from fivebar.variables import Value, Values, Variables, of_unit
+from fivebar.variables import Value, Values, Variables, of_unit, shown
 
 MOST_POINTS = 1_000_000
 """Communication points of a run, at most: each has a row of some 150 numbers."""
@@ -125,6 +125,8 @@ def read(name: str | Path, variables: Variables | None = None) -> Scene:
 
 def found(name: str | Path) -> Path:
     """The file of a scene."""
+    if not isinstance(name, (str, Path)):
+        raise FiveBarError(f"a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {shown(name)}")
     path = Path(name)
     if path.suffix == ".json":
         return path

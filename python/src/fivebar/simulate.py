@@ -4,7 +4,7 @@ import re
 import shutil
 import tempfile
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ import fmpy
 import numpy as np
 
 from fivebar import scene as scenes
-from fivebar import shipped, singularities, summary, table
+from fivebar import scene_file, shipped, singularities, summary, table
 from fivebar.drive import Progress, Run, StartRefused, drive
 from fivebar.errors import FiveBarError
 from fivebar.scene import Scene
@@ -35,7 +35,7 @@ SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
 class Result:
     """Result of a run: a column for everything that the unit computes and for the inputs that change, a row at each communication point.
 
-    `result["tip.x"]` is a column, (n,); `result.units["tip.x"]` its unit.
+    `result["tip.x"]` is a column, (n,); `result.units["tip.x"]` its unit; iteration, `len` and `in` are over the names of columns.
     """
 
     scene: Scene
@@ -49,6 +49,15 @@ class Result:
         if name not in self.own.columns:
             raise KeyError(f"{name}: there is no such column; `names` has all")
         return self.own[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.own.columns)
+
+    def __len__(self) -> int:
+        return len(self.own.columns)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own.columns
 
     @property
     def own(self) -> Run:
@@ -155,6 +164,9 @@ def run(
     """
     unit = shipped.unit() if fmu is None else fmu
     variables = of_unit(unit)
+    for name in values or {}:
+        if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
+            raise FiveBarError(f"{name!r} is no variable: stopTime and stepSize, s, stand in the key 'experiment' of a scene's file")
     ready = scene if isinstance(scene, Scene) else scenes.read(scene, variables)
     given = dict(values or {}) | ({} if method is None else {"solver.method": method})
     if given:

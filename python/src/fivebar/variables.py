@@ -125,6 +125,9 @@ class Variables(Mapping[str, Variable]):
     def input(self, name: str) -> Variable:
         """The input of that name."""
         found = self.get(name)
+        if found is not None and found.causality == "parameter":
+            what = "tunable parameter: if it is Real, it takes 'steps'" if found.variability == "tunable" else "fixed parameter: it keeps its start value"
+            raise FiveBarError(f"'{name}' is a {what}")
         if found is None or found.causality != "input":
             raise FiveBarError(f"'{name}' is not an input of the FMU{similar(name, [v.name for v in self.values() if v.causality == 'input'])}")
         return found

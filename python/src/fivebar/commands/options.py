@@ -51,6 +51,19 @@ def torque() -> Decorator:
     return click.option("--torque", type=(POSITIVE, POSITIVE), metavar="LEFT RIGHT", help=words)
 
 
+def check_folder(out: Path) -> None:
+    """Refuses a folder for results that cannot be made, by making it and, where it was missing, taking it away again."""
+    from fivebar.errors import FiveBarError
+
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for folder in missing:
+            folder.rmdir()
+    except OSError as error:
+        raise FiveBarError(f"out is {out}; a folder that is there or can be made is needed: {error.strerror}") from None
+
+
 def written(files: Iterable[Path]) -> None:
     """Says which files there are now."""
     click.echo("\nWritten:")

@@ -27,11 +27,15 @@ def run(scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | No
 
     Exit code 1 if a step failed; what there is until then is written.
     """
+    from fivebar import scene as scenes
     from fivebar import simulate
     from fivebar.drive import Progress
+    from fivebar.variables import of_unit
 
-    result = simulate.run(scene, method, options.assignments(changes), fmu, overlays=True, progress=Progress)
-    folder = Path(result.scene.name) if out is None else out
+    ready = scenes.read(scene, of_unit(fmu))
+    folder = Path(ready.name) if out is None else out
+    options.check_folder(folder)
+    result = simulate.run(ready, method, options.assignments(changes), fmu, overlays=True, progress=Progress)
     click.echo(result.summary())
     files = result.save(folder)
     options.written(files)

@@ -79,23 +79,37 @@ class Parameter:
         return 1.0 if self.factor else 0.0
 
 
-def parameters(names: Sequence[str], library: Library, scene: Values) -> list[Parameter]:
+@dataclass(frozen=True)
+class Asked:
+    """Words of sentences about the names of parameters that are asked for."""
+
+    done: str
+    """A participle: `sought`."""
+
+    examples: tuple[str, ...]
+    """Names that are allowed; offsets and delay of encoders are if they are among them."""
+
+
+SOUGHT: Final = Asked("sought", (*USUAL, DELAY))
+
+
+def parameters(names: Sequence[str], library: Library, scene: Values, asked: Asked = SOUGHT) -> list[Parameter]:
     """The unknowns of those names; the scene says where they begin."""
-    found = [_parameter(name, library, scene) for name in names]
+    found = [_parameter(name, library, scene, asked) for name in names]
     seen: dict[str, str] = {}
     for parameter in found:
         for member in parameter.members or (parameter.name,):
             if member in seen:
-                raise TwinError(f"{member} is sought twice: in {seen[member]} and in {parameter.name}")
+                raise TwinError(f"{member} is {asked.done} twice: in {seen[member]} and in {parameter.name}")
             seen[member] = parameter.name
     return found
 
 
-def _parameter(name: str, library: Library, scene: Values) -> Parameter:
-    if name in ADDITIONS:
+def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Parameter:
+    if name in ADDITIONS and name in asked.examples:
         unit, size = ADDITIONS[name]
         return Parameter(name, unit, (), (0.0,), False, size, -10.0, 0.0)
-    members = _members(name, library)
+    members = _members(name, library, asked)
     first = library.variable(members[0])
     unit = first.unit or getattr(first.declaredType, "unit", None) or "1"
     base = tuple(float(scene.get(member, library.variable(member).start)) for member in members)
@@ -111,7 +125,7 @@ def _parameter(name: str, library: Library, scene: Values) -> Parameter:
     return Parameter(name, unit, members, base, True, 1.0, 0.02 if rigid else 0.0, 1.0)
 
 
-def _members(name: str, library: Library) -> tuple[str, ...]:
+def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
     """The variables that a name means: with a list in brackets, or all indices if there are no brackets."""
     found = BRACKETS.search(name)
     if found:
@@ -123,7 +137,7 @@ def _members(name: str, library: Library) -> tuple[str, ...]:
     for member in members or (name,):
         variable = library.variables.get(member)
         if variable is None or variable.causality != "parameter" or variable.type != "Real" or member.startswith(("solver.", "estimator.", "init.")):
-            raise TwinError(f"{name} cannot be sought: {member} is no parameter of the machine; {', '.join(USUAL)} and {DELAY} are examples")
+            raise TwinError(f"{name} cannot be {asked.done}: {member} is no parameter of the machine; {', '.join(asked.examples)} are examples")
     return members
 
 

@@ -62,7 +62,7 @@ def run(options: Options) -> int:
     """0 if every member came to its end, 1 if some failed."""
     from fivebar.twin.ensemble import results
 
-    fmu, plan = plan_of(options)
+    fmu, plan, lowest = plan_of(options)
     members = options.members
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "members.parquet"
@@ -84,15 +84,16 @@ def run(options: Options) -> int:
                 "same_bytes": file.read_bytes() == alone_bytes,
             }
     story = results.read(file, plan)
-    summary = story.summary() | {"seed": plan.seed, "seconds": plan.seconds, "spreads": plan.spreads, "measured": measured, "results": str(file)}
+    raised = results.raised(file, lowest)
+    summary = story.summary() | {"raised": raised, "seed": plan.seed, "seconds": plan.seconds, "spreads": plan.spreads, "measured": measured, "results": str(file)}
     (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     files = [file, options.out / "summary.json", *results.draw(options.out, story)]
     _print(summary, files)
     return 1 if story.failed else 0
 
 
-def plan_of(options: Options) -> tuple[bytes, Plan]:
-    """The unit as bytes, and values that all members have in common; refused if the unit would refuse them on each worker."""
+def plan_of(options: Options) -> tuple[bytes, Plan, dict[str, float]]:
+    """The unit as bytes, values that all members have in common, and the least draws; refused if the unit would refuse them on each worker."""
     for name, least in (("members", 1), ("points", 1), ("workers", 0), ("seed", 0)):
         if getattr(options, name) < least:
             raise TwinError(f"{name} is {getattr(options, name)}; {least} or more is allowed")
@@ -106,8 +107,10 @@ def plan_of(options: Options) -> tuple[bytes, Plan]:
             plan = from_state(options.state, library, given if options.vary else None, common)
         else:
             plan = from_scene(options.scene, library, given, common)
-        Runner(library, plan).close()
-        return options.fmu.read_bytes(), plan
+        runner = Runner(library, plan)
+        lowest = {name: parameter.lowest for name, parameter in zip(runner.of_machine, runner.sought, strict=True)}
+        runner.close()
+        return options.fmu.read_bytes(), plan, lowest
     finally:
         library.close()
 
@@ -235,6 +238,8 @@ def _print(summary: dict[str, Any], files: list[Path]) -> None:
     print()
     for name, band in summary["end"].items():
         print(f"  {name:9} in the end {band['0.5']:10.5f} {_interval(band, 5)}")
+    for name, (count, least) in summary["raised"].items():
+        print(f"  {name}: {count} of {summary['members']} draws were below {least:g} of the value, and are {least:g} of it")
     from fivebar.twin.ensemble.results import FEWEST
 
     if summary["members"] - summary["failed"] < FEWEST:

@@ -15,12 +15,14 @@ import numpy as np
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
-from fivebar.twin.calibrate.parameters import Values, assemble, parameters
+from fivebar.twin.calibrate.parameters import OFFSETS, USUAL, Asked, Values, assemble, parameters
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library, Reader, Unit, UnitError
 
 STATE: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 """Names of a run's start; a spread of them is in rad and rad/s."""
+
+VARIED: Final = Asked("varied", (*(name for name in USUAL if name not in OFFSETS), *STATE))
 
 SHOWN: Final = ("tip.x", "tip.y", "theta[1]", "theta[2]")
 """Values of each member that are kept at every point of time."""
@@ -76,7 +78,7 @@ class Runner:
         self.of_state = [name for name in plan.spreads if name in STATE]
         self.of_machine = [name for name in plan.spreads if name not in STATE]
         self.values = METHOD | plan.values
-        self.sought = parameters(self.of_machine, library, plan.values)
+        self.sought = parameters(self.of_machine, library, plan.values, VARIED)
         members = [library.variable(member) for parameter in self.sought for member in parameter.members]
         self.tunable = not self.of_state and all(v.variability == "tunable" for v in members) and not self._switches()
         if plan.state:
@@ -114,8 +116,7 @@ class Runner:
         """Brings a member to its begin; returns the values in which it differs."""
         plan, unit = self.plan, self.unit
         offs = {name: sigma * x for (name, sigma), x in zip(plan.spreads.items(), self.drawn(member), strict=True)}
-        x = [p.origin + offs[name] for p, name in zip(self.sought, self.of_machine, strict=True)]
-        x = [max(number, p.lowest) for number, p in zip(x, self.sought, strict=True)]
+        x = [max(p.origin + offs[name], p.lowest) for p, name in zip(self.sought, self.of_machine, strict=True)]
         unit.restore(self.base)
         if self.tunable:
             changed = assemble(plan.values, self.library, self.sought, x)

@@ -102,6 +102,13 @@ def read(file: Path, plan: Plan) -> Story:
     return Story(time, bands, {kind: times[kinds == kind] for kind in KINDS[1:]}, members, failed)
 
 
+def raised(file: Path, lowest: dict[str, float]) -> dict[str, tuple[int, float]]:
+    """Draws that were below the least one, and are at it: how many, and that share of the value, by name."""
+    table = pq.ParquetFile(file).read(columns=[f"drawn.{name}" for name in lowest])
+    counts = {name: int(np.sum(table[f"drawn.{name}"].to_numpy() == least)) for name, least in lowest.items()}
+    return {name: (count, lowest[name]) for name, count in counts.items() if count}
+
+
 def _quantiles(parquet: pq.ParquetFile, name: str, first: int, last: int) -> Array:
     parts = []
     for batch in parquet.iter_batches(batch_size=4096, columns=[name]):
