@@ -5,7 +5,9 @@ The same as a file of scenes/, for `cargo xtask run --scene`, takes no code: see
 """
 
 import numpy as np
-from fmpy import simulate_fmu
+from fmpy import read_model_description, simulate_fmu
+
+FMU = "target/fmu/FiveBar.fmu"
 
 # The machine: links of 10 cm and 12 cm, uniform rods of 15 g and 18 g, motors 8 cm apart.
 start = {"base.distance": 0.08}
@@ -26,14 +28,15 @@ for side, relaxed in ((1, 2.2), (2, 0.94)):
     start |= {f"spring.k[{side}]": 0.5, f"spring.theta0[{side}]": relaxed}
 
 # The push: 0.5 N to the right, rising and falling over 0.2 s. Between two rows FMPy interpolates; the unit holds what it is
-# given over a communication step (here 1 ms). Inputs that the table does not have stay 0, as FMPy says.
+# given over a communication step (here 1 ms). The table has all inputs, the others at 0, for FMPy warns of each that is missing.
 time = np.linspace(0, 2, 201)
-push = np.zeros(len(time), dtype=[("time", float), ("tip.fx", float)])
+inputs = [variable.name for variable in read_model_description(FMU).modelVariables if variable.causality == "input"]
+push = np.zeros(len(time), dtype=[(name, float) for name in ("time", *inputs)])
 push["time"] = time
 push["tip.fx"] = np.where((time > 0.5) & (time < 0.7), 0.5 * np.sin(np.pi * (time - 0.5) / 0.2) ** 2, 0)
 
 result = simulate_fmu(
-    "target/fmu/FiveBar.fmu",
+    FMU,
     stop_time=2,
     output_interval=1e-3,
     start_values=start,

@@ -35,11 +35,14 @@ with Unit(**MACHINE, **{"payload.enabled": True, "payload.mass": 0.02}) as machi
     for sample in range(11):
         now = twin.slave.getFMUstate()
         time = twin.time
+        # Without samples it warns that encoders are silent, which here is known.
+        twin.slave.setDebugLogging(False, [])
         twin.step(AHEAD)
         predictions[sample + round(AHEAD / INTERVAL)] = tuple(twin.get("tip.x", "tip.y"))
         twin.slave.setFMUstate(now)
         twin.slave.freeFMUstate(now)
         twin.time = time
+        twin.slave.setDebugLogging(True, ["logStatusWarning", "logStatusError"])
 
         x, y, xx, yy = twin.get("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[3]")
         tip = machine.get("tip.x", "tip.y")

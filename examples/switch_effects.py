@@ -4,7 +4,7 @@
 """
 
 import numpy as np
-from fmpy import simulate_fmu
+from fmpy import read_model_description, simulate_fmu
 
 FMU = "target/fmu/FiveBar.fmu"
 START = {"init.theta[2]": 2.0944}
@@ -38,9 +38,11 @@ for name, effects in EFFECTS.items():
     print(f"{name:>20}  {end['theta[1]']:14.4f}  {end['tip.y']:9.4f}", end="")
     print(f"  {1e3 * end['energy.dissipated']:15.3f}  {end['energy.error']:11.1e}")
 
-# A tunable parameter may change during the run, and acts from the next step on; FMPy takes it in its table of inputs. (It says
-# which inputs the table does not have: they stay 0.) What the change adds to the stored energy counts as energy.input.
-stiffen = np.array([(0.0, 0.05), (0.5, 0.05), (0.5, 0.5), (1.0, 0.5)], dtype=[("time", float), ("spring.k[1]", float)])
+# A tunable parameter may change during the run, and acts from the next step on; FMPy takes it in its table of inputs, which has
+# them all, for it warns of each that is missing. What the change adds to the stored energy counts as energy.input.
+inputs = [variable.name for variable in read_model_description(FMU).modelVariables if variable.causality == "input"]
+stiffen = np.zeros(4, dtype=[(name, float) for name in ("time", "spring.k[1]", *inputs)])
+stiffen["time"], stiffen["spring.k[1]"] = (0.0, 0.5, 0.5, 1.0), (0.05, 0.05, 0.5, 0.5)
 softer, stiffer = fall({"spring.enabled": True}), fall({"spring.enabled": True}, input=stiffen)
 apart = np.abs(stiffer["theta[1]"] - softer["theta[1]"]) > 0
 print(f"a spring made ten times as stiff at 0.5 s: the motion differs from t = {softer['time'][np.argmax(apart)]:.3f} s on")

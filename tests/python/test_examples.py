@@ -20,6 +20,8 @@ def output(fmu: Path, folder: Path, name: str) -> str:
     command = [sys.executable, str(REPOSITORY / "examples" / name)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    # Warnings around a result would look like a part of it.
+    assert "warning" not in (done.stdout + done.stderr).lower()
     return done.stdout
 
 

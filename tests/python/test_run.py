@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 import fivebar
+from conftest import REPOSITORY
 from fivebar import summary
 from fivebar.drive import Run
 from fivebar.errors import FiveBarError
@@ -205,3 +206,14 @@ def test_what_python_is_given_wrongly_is_named(call: Callable[[], object], sente
 def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: str) -> None:
     with pytest.raises(FiveBarError, match=re.escape(sentence)):
         parse("a", json.dumps({"description": "a", "signals": {name: {"linear": [[0, 1], [1, 2]]}}}))
+
+
+@pytest.mark.parametrize(("end", "note"), [(0.6292, False), (3.7708, True)])
+def test_references_that_cannot_be_closed_are_noted(end: float, note: bool) -> None:
+    """The scene in docs/effects.md turned the left motor until the elbows would have been 0.49 m apart."""
+    page = (REPOSITORY / "docs" / "effects.md").read_text(encoding="utf-8")
+    (block,) = (text for text in re.findall(r"^```json\n(.*?)^```$", page, re.DOTALL | re.MULTILINE) if "servo.theta[1]" in text)
+    content = json.loads(block)
+    content["signals"]["servo.theta[1]"]["minimumJerk"][1][1] = end
+    printed = fivebar.run(parse("turn", json.dumps(content))).summary()
+    assert ("rad at t = 0.39 s cannot be reached: the elbows would be 0.4202 m apart" in printed) == note and ("  note" in printed) == note

@@ -97,7 +97,8 @@ class Result:
         """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
         blocks = [f"{self.scene.name}: {self.scene.description}"]
         for i, run in enumerate(self.runs):
-            lines = [run.label, *summary.lines(run, self._events[i])]
+            values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
+            lines = [run.label, *summary.lines(run, self._events[i]), *summary.servo_note(run, values)]
             blocks.append("\n".join(lines + ([summary.difference(self.own, run)] if i > 0 else [])))
         return "\n\n".join(blocks + self.refused)
 

@@ -1,10 +1,13 @@
 """The short summary at the end of a run."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from fivebar import singularities
 from fivebar.drive import Run
 from fivebar.singularities import Event
+from fivebar.variables import Value
 
 STANDARD_GRAVITY = 9.81
 """Scale of energy where the scene has no gravity, m/s2."""
@@ -48,6 +51,25 @@ def lines(run: Run, events: list[Event]) -> list[str]:
     if run.failure is not None:
         facts.append(("ended early", f"after t = {end:g} s of {run.stop_time:g} s: {run.failure}"))
     return [_line(2, *fact) for fact in facts] + [f"  {sampling(run)}:"] + [_line(4, *fact) for fact in _seen(run, events)]
+
+
+def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:
+    """A line on the first references of the servos with which the loop cannot be closed, or none; `values` are the scene's start values."""
+    given = run.parameters
+    if not given["servo.enabled"] or not all(given[f"servo.kp[{i}]"] for i in (1, 2)):
+        return []
+    told = [np.broadcast_to(run.columns.get(name, values.get(name, 0.0)), run.time.shape) for name in ("servo.theta[1]", "servo.theta[2]")]
+    _, near, far, _ = (lengths := [float(given[f"link[{i}].length"]) for i in (1, 2, 3, 4)])
+    apart = np.abs(float(given["base.distance"]) + lengths[3] * np.exp(1j * told[1]) - lengths[0] * np.exp(1j * told[0]))
+    open_ = np.flatnonzero((apart > (near + far) * (1 + 1e-9)) | (apart < abs(near - far) * (1 - 1e-9)))
+    if not len(open_):
+        return []
+    row = int(open_[0])
+    text = (
+        f"servo.theta = ({told[0][row]:.4g}, {told[1][row]:.4g}) rad at t = {run.time[row]:g} s cannot be reached: the elbows would be {apart[row]:.4g} m "
+        f"apart, link[2].length and link[3].length allow {abs(near - far):.4g} to {near + far:.4g} m"
+    )
+    return [_line(2, "note", text)]
 
 
 def difference(run: Run, other: Run) -> str:
