@@ -10,6 +10,7 @@
 //! and then nothing moves.
 
 use arrayvec::ArrayVec;
+use nalgebra::{SMatrix, SVector};
 
 use super::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
@@ -386,29 +387,13 @@ impl FrictionProblem {
         if trace <= 0.0 {
             return None;
         }
-        // Cholesky, row by row.
-        let mut lower = [[0.0; FRICTION_PLACES]; FRICTION_PLACES];
-        let mut x = [0.0; FRICTION_PLACES];
-        for i in 0..n {
-            for j in 0..=i {
-                let entry = self.bounds[i] * self.mobility[i][j] * self.bounds[j] + if i == j { RIDGE * trace } else { 0.0 };
-                let rest = entry - (0..j).map(|k| lower[i][k] * lower[j][k]).sum::<f64>();
-                if i == j && rest <= 0.0 {
-                    return None;
-                }
-                lower[i][j] = if i == j { rest.sqrt() } else { rest / lower[j][j] };
-            }
-            let known: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
-            x[i] = (-self.bounds[i] * self.change[i] - known) / lower[i][i];
-        }
-        for i in (0..n).rev() {
-            let known: f64 = (i + 1..n).map(|k| lower[k][i] * x[k]).sum();
-            x[i] = (x[i] - known) / lower[i][i];
-        }
-        let mut torques = [0.0; FRICTION_PLACES];
-        for i in 0..n {
-            torques[i] = self.bounds[i] * x[i];
-        }
+        let bounds = SVector::from(self.bounds);
+        let matrix = SMatrix::<f64, FRICTION_PLACES, FRICTION_PLACES>::from_fn(|i, k| {
+            let entry = if i < n && k < n { bounds[i] * self.mobility[i][k] * bounds[k] } else { 0.0 };
+            if i == k { entry + RIDGE * trace } else { entry }
+        });
+        let x = matrix.cholesky()?.solve(&-bounds.component_mul(&SVector::from(self.change)));
+        let torques = bounds.component_mul(&x).into();
         // If no torques keep all places at rest, those of least squares leave accelerations.
         let left = self.accelerations(&torques);
         let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
