@@ -7,11 +7,9 @@ It writes target/follow_push.svg. Encoders of 16 bits measure the machine every 
 from math import pi, sqrt
 from pathlib import Path
 
-import matplotlib
+from matplotlib.figure import Figure
 
-matplotlib.use("Agg")
-from matplotlib import pyplot
-
+from fivebar.kinematics import Machine
 from unit import Unit
 
 STEP, COUNT = 1e-3, 2 * pi / 2**16
@@ -22,6 +20,7 @@ ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator
 ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
 """The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
 PUSH, FROM, TO = 0.5, 0.75, 0.85
+GEOMETRY = Machine(0.1, (0.21, 0.21, 0.21, 0.21))
 
 
 def reference(time: float) -> dict[str, float]:
@@ -31,30 +30,31 @@ def reference(time: float) -> dict[str, float]:
         s = min(max((time - begin) / 0.5, 0.0), 1.0)
         return s**3 * (10 - 15 * s + 6 * s * s), 30 * s * s * (1 - s) ** 2 / 0.5
 
-    (go, rate), (back, back_rate) = jerk(0.2), jerk(0.9)
-    part, speed = go - back, rate - back_rate
+    part, speed = (there - back for there, back in zip(jerk(0.2), jerk(0.9)))
     angles = {f"servo.theta[{i}]": start - 0.9601 * part for i, start in ((1, 2.7567), (2, 1.345))}
     return angles | {f"servo.omega[{i}]": -0.9601 * speed for i in (1, 2)}
 
 
 rows = []
 with Unit(**MACHINE, **PAYLOAD) as machine, Unit(**MACHINE, **ENCODERS) as twin:
-    machine.start({})
-    twin.start({})
+    machine.start({}), twin.start({})
     while machine.time < 1.6 - STEP / 2:
         drive = reference(machine.time + STEP / 2)
         for i, angle in enumerate(machine.get("theta[1]", "theta[2]"), 1):
             twin.set({f"measured.theta[{i}]": round(angle / COUNT) * COUNT, f"measured.time[{i}]": machine.time})
         twin.set(drive)
-        machine.set(drive | {"tip.fy": PUSH if FROM <= machine.time < TO else 0.0})
-        machine.step(STEP)
-        twin.step(STEP)
+        force = PUSH if FROM <= machine.time < TO else 0.0
+        machine.set(drive | {"tip.fy": force})
+        machine.step(STEP), twin.step(STEP)
         names = ("tip.x", "tip.y", "estimated.tip.cov[3]", "estimated.tau[1]", "estimated.tau.sigma[1]", "estimated.alarm")
-        rows.append((machine.time, *machine.get("tip.x", "tip.y"), *twin.get(*names)))
+        # By virtual work the push is a torque of d tip.y / d theta[1] times its force.
+        lever = GEOMETRY.jacobian(GEOMETRY.forward(machine.get("theta[1]", "theta[2]")).theta)[1, 0]
+        rows.append((machine.time, *machine.get("tip.x", "tip.y"), *twin.get(*names), force * lever))
 
-time, x, y, ex, ey, variance, tau, sigma, alarm = (list(column) for column in zip(*rows))
+time, x, y, ex, ey, variance, tau, sigma, alarm, push = (list(column) for column in zip(*rows))
 sigma = [min(value, 1.0) for value in sigma]
-figure, (way, error, force) = pyplot.subplots(3, 1, figsize=(8, 8), layout="constrained", sharex=True)
+figure = Figure(figsize=(8, 8), layout="constrained")
+way, error, force = figure.subplots(3, 1, sharex=True)
 way.plot(time, y, label="truth"), way.plot(time, ey, "--", label="estimate")
 way.set_ylabel("tip.y (m)")
 error.plot(time, [1e6 * (a - b) for a, b in zip(y, ey)], lw=0.7, label="truth - estimate")
@@ -62,15 +62,15 @@ band = [2e6 * sqrt(value) for value in variance]
 error.fill_between(time, [-value for value in band], band, alpha=0.3, label="two standard deviations")
 error.set_ylabel("tip.y (µm)"), error.set_ylim(-60, 60)
 force.plot(time, tau, label="estimated.tau[1]")
-force.fill_between(time, [t - 2 * s for t, s in zip(tau, sigma)], [t + 2 * s for t, s in zip(tau, sigma)], alpha=0.3)
+force.fill_between(time, [t - 2 * s for t, s in zip(tau, sigma)], [t + 2 * s for t, s in zip(tau, sigma)], alpha=0.3, label="two standard deviations")
+force.plot(time, push, "--", color="black", lw=1, label="torque of the push")
 force.fill_between(time, -0.2, 0.2, where=[value > 0.5 for value in alarm], color="tab:red", alpha=0.2, label="alarm")
 force.axvspan(FROM, TO, color="grey", alpha=0.2, label="push of 0.5 N")
 force.set_ylabel("unknown torque (N m)"), force.set_xlabel("time (s)"), force.set_ylim(-0.2, 0.2)
 for panel in (way, error, force):
-    panel.legend(loc="upper right"), panel.grid(alpha=0.3)
+    panel.legend(loc="upper right", fontsize="small"), panel.grid(alpha=0.3)
 Path("target").mkdir(exist_ok=True)
 figure.savefig("target/follow_push.svg", metadata={"Date": None})
-
 off = [sqrt((a - c) ** 2 + (b - d) ** 2) for t, a, b, c, d, *_ in rows if t > 0.1]
 raised = [t for t, value in zip(time, alarm) if value > 0.5]
 first = next((t for t in raised if t >= FROM), None)

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
-from fivebar import paths, pieces, scene, simulate, statics, strokes
+from fivebar import path_pictures, paths, pieces, scene, simulate, statics, strokes
 from fivebar.borders import stop_margin
 from fivebar.demand import Demand
 from fivebar.errors import FiveBarError
@@ -371,6 +372,21 @@ def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
     assert np.abs(late - column("late [m]")).max() < 1e-15 and np.all(column("off [m]")[column("pen") == 1] <= late[column("pen") == 1] + 1e-12)
     with Image.open(folder / "drawn.png") as picture:
         assert min(picture.size) > 900 and len(picture.convert("RGB").getcolors(1_000_000) or []) > 20
+
+
+def test_one_short_line_shows_its_window(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The window about the worst place lay beyond the frame of the sheet, whose legend had a pen that is never lifted."""
+    (tmp_path / "line.csv").write_text("x,y\n0,0\n10,0\n", encoding="utf-8")
+    limits = Limits(torques=(1.0, 1.0))
+    made = paths.plan(scene.read("pick_and_place"), strokes.read(tmp_path / "line.csv").placed((0.05, 0.26), None), Timing("constant", 0.1, 2.0), limits=limits)
+    paths.write_scene(made, tmp_path / "line.json", "line.csv")
+    drawn: list[Figure] = []
+    monkeypatch.setattr(path_pictures, "_save", lambda figure, *_: drawn.append(figure))
+    path_pictures.draw(paths.compare(made, simulate.run(tmp_path / "line.json")), "line.csv", limits, tmp_path)
+    [sheet] = [axes for axes in drawn[0].axes if axes.get_title(loc="left").startswith("c")]
+    assert [text.get_text() for text in sheet.get_legend().get_texts()] == ["commanded", "done by the machine"]
+    window, (low, high) = sheet.patches[-1].get_bbox(), sheet.get_ylim()
+    assert low < window.y0 < window.y1 < high
 
 
 def test_the_command_refuses(tmp_path: Path, fmu: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from fivebar.commands import main
 from fivebar.twin import record
-from fivebar.twin.calibrate import command, data, fit, motion, parameters, scenes, trials
+from fivebar.twin.calibrate import command, data, fit, motion, parameters, pictures, scenes, trials
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import configured, machine
@@ -280,6 +280,18 @@ def test_a_fit_that_comes_to_no_end_is_given_up(fmu: Path, library: Library, tmp
 def test_names_are_checked(library: Library, names: list[str], sentence: str) -> None:
     with pytest.raises(Exception, match=sentence.replace("[", r"\[").replace("]", r"\]").replace(".", r"\.")):
         parameters.parameters(names, library, {})
+
+
+def test_the_picture_of_unknowns_has_what_is_identified(library: Library) -> None:
+    """Names stood twice, struck through by the grid; the first and last row lay on the frame; correlations were of unknowns without a value too."""
+    sought = parameters.parameters(["payload.mass", "link.mass", "viscous.b"], library, BASE)
+    some = np.ones(3)
+    judged = SimpleNamespace(sigma=some, bound=some, correlation=np.eye(3), identified=[True, False, True])
+    figure = pictures._unknowns(SimpleNamespace(x=some), judged, sought)
+    left, right = figure.axes[:2]
+    assert [text.get_text() for text in left.texts] == ["not identified"] and left.get_ylim() == (2.6, -0.6)
+    assert [text.get_text() for text in right.get_yticklabels()] == ["payload.mass", "viscous.b"]
+    pictures.plt.close(figure)
 
 
 def test_residuals_that_change_smoothly_are_no_outliers() -> None:

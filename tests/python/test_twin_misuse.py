@@ -22,7 +22,7 @@ from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follow import Twin
 from fivebar.twin.intake import CONSISTENT, FORGOTTEN, NEAR, Intake, Newest, Orders
-from fivebar.twin.messages import Message, decode, encode
+from fivebar.twin.messages import TRACKED, Message, decode, encode
 from fivebar.twin.process import Disk
 from fivebar.twin.recorder import MOST_WAITING, Recorder
 from fivebar.twin.replay import replay
@@ -452,6 +452,18 @@ def test_nothing_lies_on_the_lines_of_a_picture() -> None:
             legend = axes.get_legend()
             if legend is not None:
                 assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1
+        summary.plt.close(figure)
+
+
+def test_legends_list_what_is_there() -> None:
+    """Of a recording no tracker sees the machine: legends listed its path and errors of forecasts all the same."""
+    made, judged = story(0.0095)
+    made.measured = figures.Table(("time", *TRACKED))
+    unseen = figures.Judged(*(np.full_like(each, np.nan) for each in (judged.error, judged.ahead_error, judged.inside)))
+    drawn = summary._tip(made), summary._error(made, unseen), summary._forecast(made, unseen)
+    labels = [[text.get_text() for axes in figure.axes if (legend := axes.get_legend()) for text in legend.get_texts()] for figure in drawn]
+    assert labels == [["twin", "x", "y"], ["95 % band"], ["half-width, 95 %", "half-width, median"]]
+    for figure in drawn:
         summary.plt.close(figure)
 
 

@@ -30,6 +30,9 @@ TOLD = "#9ecae8"
 BUCKETS = 400
 """Curves over time have the extremes of so many parts."""
 
+SEEN = 1e-6
+"""Length above which a way with the pen lifted is one, m."""
+
 ZOOM = 20.0
 """The enlarged window is so many times the largest distance off the drawing wide, but no less than 1/40 of the drawing."""
 
@@ -39,7 +42,9 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
     made = outcome.plan
     with matplotlib.rc_context(STYLE):
         box = made.drawing.box * MM
-        extent = np.maximum(box[1] - box[0], 0.02 * np.max(box[1] - box[0]))
+        window = _window(outcome)
+        # A line has no height of its own: the window about its worst place has to be seen.
+        extent = np.maximum(box[1] - box[0], (window[1] - window[0]) * MM)
         wide = WIDTH - 1.0
         high = float(np.clip(wide * extent[1] / extent[0], 0.8, 6.0))
         heights = [2.75, high, 1.35]
@@ -59,8 +64,8 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
         figure.text(0.15 / size[0], 1 - 0.22 / size[1], f"{made.scene.name} draws {name} in working mode {left}{right.capitalize()}", va="center", fontsize=11)
         figure.text(0.15 / size[0], 1 - 0.36 / size[1], _broken(outcome.words(), 110), va="top", fontsize=8, color=GREY)
         _overview(whole, made)
-        _sheet(sheet, outcome)
-        _enlarged(near, outcome, sheet)
+        _sheet(sheet, outcome, window)
+        _enlarged(near, outcome, sheet, window)
         _errors(error, outcome)
         _torques(torque, outcome, limits)
         for axes, title in (
@@ -175,30 +180,36 @@ def _lines(axes: Axes, outcome: Outcome, band: float, line: float) -> None:
         axes.plot(*(done.T * MM), color=BLACK, linewidth=line, zorder=6, solid_joinstyle="round")
 
 
-def _sheet(axes: Axes, outcome: Outcome) -> None:
-    made = outcome.plan
-    _lines(axes, outcome, 3.2, 0.9)
-    for way in strokes_of(made.tip, ~made.pen):
-        axes.plot(*(way.T * MM), color=GREY, linewidth=0.6, linestyle=(0, (2, 3)), zorder=3)
-    _frame(axes, np.concatenate([made.tip, outcome.tip]), 0.03)
-    handles = [
-        Line2D([], [], color=TOLD, linewidth=3.2, label="commanded"),
-        Line2D([], [], color=BLACK, linewidth=0.9, label="done by the machine"),
-        Line2D([], [], color=GREY, linewidth=0.6, linestyle=(0, (2, 3)), label="pen lifted"),
-    ]
-    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, borderaxespad=0.2)
-
-
-def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes) -> None:
-    """The worst place, large, and where it is on the sheet."""
+def _window(outcome: Outcome) -> Floats:
+    """Corners about the place where the pen is farthest off, m, (2, 2)."""
     made = outcome.plan
     row = int(np.argmax(np.where(made.pen, outcome.off, -1)))
     middle = (outcome.tip[row] + made.tip[row]) / 2
     half = max(ZOOM / 2 * float(outcome.off[row]), float(np.max(made.drawing.box[1] - made.drawing.box[0])) / 80)
+    return np.stack([middle - half, middle + half])
+
+
+def _sheet(axes: Axes, outcome: Outcome, window: Floats) -> None:
+    made = outcome.plan
+    _lines(axes, outcome, 3.2, 0.9)
+    lifted = [way for way in strokes_of(made.tip, ~made.pen) if np.ptp(way, axis=0).max() > SEEN]
+    for way in lifted:
+        axes.plot(*(way.T * MM), color=GREY, linewidth=0.6, linestyle=(0, (2, 3)), zorder=3)
+    _frame(axes, np.concatenate([made.tip, outcome.tip, window]), 0.03)
+    handles = [
+        Line2D([], [], color=TOLD, linewidth=3.2, label="commanded"),
+        Line2D([], [], color=BLACK, linewidth=0.9, label="done by the machine"),
+    ]
+    if lifted:
+        handles.append(Line2D([], [], color=GREY, linewidth=0.6, linestyle=(0, (2, 3)), label="pen lifted"))
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, borderaxespad=0.2)
+
+
+def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes, window: Floats) -> None:
+    """The worst place, large, and where it is on the sheet."""
     _lines(axes, outcome, 6.0, 1.2)
-    corners = np.stack([middle - half, middle + half])
-    _frame(axes, corners, 0.0)
-    sheet.add_patch(Rectangle(tuple(corners[0] * MM), 2 * half * MM, 2 * half * MM, fill=False, edgecolor=VERMILLION, linewidth=1.0, zorder=8))
+    _frame(axes, window, 0.0)
+    sheet.add_patch(Rectangle(tuple(window[0] * MM), *((window[1] - window[0]) * MM), fill=False, edgecolor=VERMILLION, linewidth=1.0, zorder=8))
     for spine in axes.spines.values():
         spine.set_edgecolor(VERMILLION)
 

@@ -15,8 +15,10 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
+from matplotlib.artist import Artist  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.ticker import LogLocator, NullFormatter  # noqa: E402
 
 from fivebar.twin import figures, handover, scene  # noqa: E402
@@ -193,8 +195,10 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     )
     ahead.set(xlabel="ahead (s)", ylabel="mm")
     _legend(ahead)
-    share = ahead.twinx()
     hits = [judged.inside[w] for w in where]
+    if not any(np.isfinite(h).any() for h in hits):
+        return figure
+    share = ahead.twinx()
     share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
     share.axhline(95, color=MACHINE, linewidth=0.6)
     share.set(ylim=(0, 105), ylabel="inside the 95 % circle (%, dotted; line: 95)")
@@ -219,8 +223,17 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
 
 
 def _legend(axes: Axes) -> None:
-    """Above the picture, where nothing is drawn."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+    """Above the picture, where nothing is drawn, of what is there: a machine that no tracker sees has no line."""
+    known = [(handle, label) for handle, label in zip(*axes.get_legend_handles_labels(), strict=True) if _is_there(handle)]
+    if not known:
+        return
+    axes.legend(*zip(*known, strict=True), loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+
+
+def _is_there(drawn: Artist) -> bool:
+    """Whether a line or an area has a point that is shown."""
+    places = drawn.get_xydata() if isinstance(drawn, Line2D) else np.concatenate([np.empty((0, 2)), *(path.vertices for path in drawn.get_paths())])
+    return bool(np.isfinite(places).all(axis=1).any())
 
 
 def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:

@@ -57,19 +57,26 @@ def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Fi
     for k, parameter in enumerate(sought):
         change = 100 * (fit.x[k] - origin[k])
         if not judgement.identified[k]:
-            left.text(0, k, f"  {parameter.name}: not identified", color=WRONG, va="center", fontsize=8)
+            # On a ground of its own, or lines of the grid would strike it through.
+            ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+            left.text(0.01, k, "not identified", transform=left.get_yaxis_transform(), color=WRONG, va="center", fontsize=8, bbox=ground)
             continue
         left.errorbar(change, k, xerr=100 * interval(judgement.sigma[k]), fmt="o", color=LEFT, capsize=4, markersize=4)
         left.errorbar(change, k + 0.22, xerr=100 * interval(judgement.bound[k]), fmt="none", color=TIP, capsize=2, linewidth=1)
     left.axvline(0, color=INK, linewidth=0.8)
     left.set_yticks(rows, [p.name for p in sought])
-    left.invert_yaxis()
+    left.set_ylim(count - 0.4, -0.6)
     left.set_xlabel("change against the scene, % of its size")
     left.set_title("95 % error bars (blue) and Cramér-Rao bound (orange)")
-    image = right.imshow(judgement.correlation, cmap="RdBu_r", vmin=-1, vmax=1)
-    right.set_yticks(rows, [p.name for p in sought], fontsize=8)
-    right.set_xticks(rows, [p.name for p in sought], rotation=90, fontsize=8)
+    known = [k for k in range(count) if judgement.identified[k]]
+    right.set_title("correlations of what is identified" if known else "nothing is identified")
+    if not known:
+        right.set_axis_off()
+        return figure
+    names = [sought[k].name for k in known]
+    image = right.imshow(judgement.correlation[np.ix_(known, known)], cmap="RdBu_r", vmin=-1, vmax=1)
+    right.set_yticks(range(len(known)), names, fontsize=8)
+    right.set_xticks(range(len(known)), names, rotation=90, fontsize=8)
     right.grid(False)
-    right.set_title("correlations")
     figure.colorbar(image, ax=right, shrink=0.8)
     return figure
