@@ -1,12 +1,13 @@
 //! Uncertainty of the estimate: standard deviations, covariance of the tip, equivalent motor torques.
 
-use nalgebra::{Matrix2, Vector4};
+use nalgebra::{Matrix2, SMatrix, Vector4};
 
 use super::bank::Member;
 use super::belief::Belief;
 use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
 use super::error_state::FORCE;
 use super::hypotheses::Hypothesis;
+use super::learning::Learning;
 use super::tangent::{LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};
 
@@ -30,7 +31,13 @@ impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the start is doubted both assemblies count
     /// alike.
     pub fn sigmas(&self, constants: &Constants, motion: &LinkState) -> [Links; 2] {
-        let known = self.forecast.sigmas(motion).unwrap_or_else(|| sigmas(constants, motion, &self.belief));
+        let known = self.forecast.sigmas(motion).unwrap_or_else(|| {
+            let [angles, rates] = sigmas(constants, motion, &self.belief);
+            let Some(learning) = &self.learning else { return [angles, rates] };
+            let frame = constants.linkage.frame(&motion.theta);
+            let moments = self.mixed(&learning.second_moments(&self.belief.bank, &frame.basis, &frame.links_by_learned()));
+            [moments.diagonal().map(|variance| variance.max(0.0).sqrt()), rates]
+        });
         let Some(other) = self.doubt.other() else { return known };
         let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
         let beside = sigmas(constants, &other.motion, &other.belief);
@@ -50,30 +57,48 @@ impl Estimator {
 
     /// Covariance of the tip about that of a motion, m². While the start is doubted both assemblies count alike.
     pub fn tip_covariance(&self, constants: &Constants, motion: &LinkState) -> Matrix2<f64> {
-        let of_models = |motion: &LinkState, belief: &Belief| -> Matrix2<f64> {
-            tip_of_models(constants, motion, belief).iter().map(|(weight, about)| about * *weight).sum()
+        let of_models = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| -> Matrix2<f64> {
+            tip_of_models(constants, motion, belief, learning).iter().map(|(weight, about)| about * *weight).sum()
         };
-        let by_geometry = || constants.linkage.frame(&motion.theta).tip_by_geometry(&constants.parameters);
-        let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| about + by_geometry());
-        let known = by_points.unwrap_or_else(|| of_models(motion, &self.belief));
+        let by_models = || of_models(motion, &self.belief, self.learning.as_deref());
+        let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| {
+            let frame = constants.linkage.frame(&motion.theta);
+            let by_geometry = match &self.learning {
+                Some(_) => {
+                    let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
+                    by_models() - tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
+                }
+                None => frame.tip_by_geometry(&constants.parameters),
+            };
+            about + by_geometry
+        });
+        // Sigma points of the motion may contradict the geometry that has been learned.
+        let known = by_points.filter(|about| about.trace() > 0.0 && about.determinant() > 0.0).unwrap_or_else(by_models);
         let Some(other) = self.doubt.other() else { return known };
         let apart = tip_apart(constants, motion, &other.motion);
-        (known + of_models(&other.motion, &other.belief) + apart * apart.transpose()) / 2.0
+        (known + of_models(&other.motion, &other.belief, None) + apart * apart.transpose()) / 2.0
+    }
+
+    /// Mixture of second moments of the models.
+    fn mixed<const R: usize>(&self, moments: &[SMatrix<f64, R, R>; MODELS]) -> SMatrix<f64, R, R> {
+        moments.iter().zip(&self.belief.bank.members).map(|(moments, member)| moments * member.weight).sum()
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
     /// doubted, in either assembly. No two places of the tip are further apart than the diameter of its reach.
     pub fn tip_radius(&self, constants: &Constants, motion: &LinkState) -> f64 {
-        let radius = |motion: &LinkState, belief: &Belief| {
-            let models = tip_of_models(constants, motion, belief).map(|(weight, about)| {
+        let radius = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| {
+            let models = tip_of_models(constants, motion, belief, learning).map(|(weight, about)| {
                 let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
                 let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
                 (weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
             });
             radius_of_95_percent(&models)
         };
-        let beside = |other: &Hypothesis| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief);
-        radius(motion, &self.belief).max(self.doubt.other().map_or(0.0, beside)).min(constants.linkage.widest_reach())
+        let beside =
+            |other: &Hypothesis| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
+        let own = radius(motion, &self.belief, self.learning.as_deref());
+        own.max(self.doubt.other().map_or(0.0, beside)).min(constants.linkage.widest_reach())
     }
 
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where
@@ -99,8 +124,17 @@ fn sigmas(constants: &Constants, motion: &LinkState, belief: &Belief) -> [Links;
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
-fn tip_of_models(constants: &Constants, motion: &LinkState, belief: &Belief) -> [(f64, Matrix2<f64>); MODELS] {
+fn tip_of_models(
+    constants: &Constants,
+    motion: &LinkState,
+    belief: &Belief,
+    learning: Option<&Learning>,
+) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
+    if let Some(learning) = learning {
+        let moments = learning.second_moments(&belief.bank, &frame.tip(), &frame.tip_by_learned());
+        return std::array::from_fn(|j| (belief.bank.members[j].weight, moments[j]));
+    }
     let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
     belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
         let off: Pair = tip * error.fixed_rows::<2>(0);

@@ -10,7 +10,7 @@ use super::bank::Innovation;
 use super::constants::{
     BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
 };
-use super::error_state::{Error, LEARNED, MASSES, Matrix};
+use super::error_state::{Error, LOADS, MASSES, Matrix};
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
 use super::witness::{DELAY, FAULTS, Faults, OFFSETS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};
@@ -145,7 +145,7 @@ impl Causes {
         noise: &ProcessNoise,
         [scale, inertia]: [f64; 2],
         (wrong, h): (bool, f64),
-        parameters: impl FnOnce() -> SMatrix<f64, 4, LEARNED>,
+        parameters: impl FnOnce() -> SMatrix<f64, 4, LOADS>,
     ) {
         self.calm = if wrong { 0.0 } else { (self.calm + h).min(f64::MAX) };
         if self.calm > CAUSE_PERSISTS {

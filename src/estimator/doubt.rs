@@ -65,6 +65,11 @@ impl Doubt {
         self.branches.is_some()
     }
 
+    /// Whether the start is or will be doubted.
+    pub(super) fn is_undecided(&self) -> bool {
+        self.pending || self.is_open()
+    }
+
     /// Motion in the other assembly, while it is followed.
     pub(super) fn other(&self) -> Option<&Hypothesis> {
         self.branches.as_ref().map(|branches| &branches.other)
@@ -122,7 +127,7 @@ impl Doubt {
         let follow = |witness: &mut Witness, step: &Propagation, [from, to]: [&LinkState; 2], force: &Links| {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
-            let by = scene.by_learned(from, force, &alpha);
+            let by = scene.by_loads(from, force, &alpha);
             witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, h);
         };
         let (before, acts) = (other.motion, other.belief.force);

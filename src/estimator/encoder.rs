@@ -184,19 +184,21 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the variance of the encoder's persistent error, rad².
+    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the variance of the encoder's persistent error, rad², `offset` its
+    /// mounting angle, rad.
     pub(super) fn sample(
         &mut self,
         i: usize,
         constants: &Constants,
         (motion, frame, history): (&LinkState, &Frame, &History),
-        persistent: f64,
+        (persistent, offset): (f64, f64),
         (measured, now): (&Measured, f64),
     ) -> Option<Sample> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
         let last_change = self.change;
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
+        let angle = angle - offset;
         let second_difference = wrapped(self.change - last_change);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let noise = self.noise(sigma, quantum, rate, persistent);

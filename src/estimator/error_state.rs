@@ -17,7 +17,11 @@ pub type Error = SVector<f64, ERRORS>;
 pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Number of parameters that may be learned.
-pub const LEARNED: usize = 11;
+pub const LEARNED: usize = 18;
+/// Number of those that change accelerations: loads and lengths, the first.
+pub const MOVING: usize = 16;
+/// Number of loads, the first: masses, payload and friction.
+pub const LOADS: usize = 11;
 /// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
 pub const MASSES: Range<usize> = 0..4;
 /// Mass of the payload, kg.
@@ -26,7 +30,11 @@ pub const PAYLOAD: usize = 4;
 pub const VISCOUS: Range<usize> = 5..10;
 /// Logarithm of the factor of dry friction in all joints.
 pub const DRY: usize = 10;
-/// Values of the parameters: logarithms, kg, N·m·s/rad.
+/// Lengths of links 1 to 4 and of the base: errors of the parameters, m.
+pub const LENGTHS: Range<usize> = LOADS..MOVING;
+/// Mounting angles of the encoders, rad.
+pub const OFFSETS: Range<usize> = MOVING..LEARNED;
+/// Values of the parameters: logarithms, kg, N·m·s/rad, m, rad.
 pub type Learned = SVector<f64, LEARNED>;
 
 /// F P Fᵀ + Q, symmetric to the bit.

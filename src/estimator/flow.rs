@@ -8,8 +8,8 @@ use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 use super::constants::{
     EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
 };
-use super::error_state::LEARNED;
-use super::tangent::{Frame, LinkState, Linkage, Links};
+use super::error_state::{LENGTHS, LOADS};
+use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
 
 /// Equations of motion linearised at a state.
 #[derive(Clone, Copy, Debug)]
@@ -32,8 +32,12 @@ pub trait Scene {
     /// Accelerations of the links with their derivatives, and by two torques on the links, N·m.
     fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised;
 
-    /// Derivatives of the accelerations, which are `alpha`, by the learned parameters, by columns.
-    fn by_learned(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LEARNED>;
+    /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned, by columns.
+    fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS>;
+
+    /// Derivatives of the accelerations, which are `alpha`, by the lengths of links 1 to 4, at held angles and rates; `None` where these are
+    /// not learned.
+    fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>>;
 
     /// Mass matrix M in the link angles, kg·m².
     fn mass(&self, theta: &Links) -> Matrix4<f64>;
@@ -55,6 +59,8 @@ pub struct Flow<const P: usize = 0> {
     pub d_omega: Matrix4x6<f64>,
     /// Derivatives of angles and rates with respect to the learned parameters.
     pub by_learned: [SMatrix<f64, 4, P>; 2],
+    /// Inputs that exert a unit of each initial force on the tangent basis.
+    pub units: Matrix4x2<f64>,
 }
 
 /// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
@@ -136,7 +142,7 @@ pub fn flow<const P: usize>(
     let units = unit_forces(linkage, frame);
     let near = scene.linearised(from, force, &(frame.by_inputs() * units));
     let steps = steps(frame, &near, scene, (from, h)).max(least);
-    let by_learned = [SMatrix::zeros(); 2];
+    let (by_learned, by_lengths) = lengths_at_begin(scene, (from, frame), force, &near.alpha);
     let mut point = Point { state: *from, d_theta: Matrix4x6::zeros(), d_omega: Matrix4x6::zeros(), by_learned };
     point.d_theta.fixed_columns_mut::<2>(0).copy_from(&frame.basis);
     point.d_omega.fixed_columns_mut::<2>(2).copy_from(&frame.basis);
@@ -146,22 +152,57 @@ pub fn flow<const P: usize>(
         point.d_omega.set_column(k, &turned);
     }
     let h = h / f64::from(steps);
-    let learned = |at: &LinkState, alpha: &Links| match P {
-        0 => SMatrix::zeros(),
-        _ => scene.by_learned(at, force, alpha).fixed_columns::<P>(0).into_owned(),
+    // Masses move against known forces alone: against an unknown one that wanders, a common factor of them would seem to be told by a fall.
+    let unknown = if P > 0 { frame.basis.tr_mul(&(frame.by_inputs() * force)) } else { Pair::zeros() };
+    let learned = |at: &LinkState, near: &Linearised| {
+        let mut learned: SMatrix<f64, 4, P> = by_lengths;
+        if P > 0 {
+            let alpha = near.alpha - near.by_torque * unknown;
+            learned.fixed_columns_mut::<LOADS>(0).copy_from(&scene.by_loads(at, force, &alpha));
+        }
+        learned
     };
-    let rate_at = |point: &Point<P>| {
-        let torques = linkage.posture(&point.state.theta).by_inputs() * units;
-        let near = scene.linearised(&point.state, force, &torques);
-        point.rate(&near, &learned(&point.state, &near.alpha))
-    };
+    let near_at = |state: &LinkState| scene.linearised(state, force, &(linkage.posture(&state.theta).by_inputs() * units));
     for step in 0..steps {
-        let k1 = if step == 0 { point.rate(&near, &learned(from, &near.alpha)) } else { rate_at(&point) };
-        let k2 = rate_at(&point.plus(h / 2.0, &k1));
+        let near = if step == 0 { near } else { near_at(&point.state) };
+        let LinkState { theta, omega } = point.state;
+        let middle = LinkState { theta: theta + omega * (h / 2.0), omega: omega + near.alpha * (h / 2.0) };
+        let near_middle = near_at(&middle);
+        // Accelerations by the parameters are those of the middle throughout.
+        let held = learned(&middle, &near_middle);
+        let rate_at = |point: &Point<P>| point.rate(&near_at(&point.state), &held);
+        let k1 = point.rate(&near, &held);
+        let k2 = point.plus(h / 2.0, &k1).rate(&near_middle, &held);
         let k3 = rate_at(&point.plus(h / 2.0, &k2));
         let k4 = rate_at(&point.plus(h, &k3));
         point = point.plus(h / 6.0, &k1.plus(2.0, &k2).plus(2.0, &k3).plus(1.0, &k4));
     }
     let Point { state: end, d_theta, d_omega, by_learned } = point;
-    Flow { end, steps, d_theta, d_omega, by_learned }
+    Flow { end, steps, d_theta, d_omega, by_learned, units }
+}
+
+/// Derivatives of angles and rates by the learned parameters at the begin of a step, where other lengths close the loop with other angles and rates;
+/// and the accelerations by lengths, which are held over all steps.
+fn lengths_at_begin<const P: usize>(
+    scene: &impl Scene,
+    (from, frame): (&LinkState, &Frame),
+    force: &Links,
+    alpha: &Links,
+) -> ([SMatrix<f64, 4, P>; 2], SMatrix<f64, 4, P>) {
+    let (mut begin, mut accelerations) = ([SMatrix::<f64, 4, P>::zeros(); 2], SMatrix::<f64, 4, P>::zeros());
+    if P > 0
+        && let Some(by_lengths) = scene.by_lengths(from, force, alpha)
+    {
+        let turned = frame.turned_by_lengths();
+        for (i, turned) in turned.column_iter().enumerate() {
+            let turned: Links = turned.into();
+            begin[0].set_column(LENGTHS.start + i, &turned);
+            begin[1].set_column(
+                LENGTHS.start + i,
+                &frame.least_squares(frame.inward(&from.omega, &turned) - frame.opened(&from.omega, i)),
+            );
+        }
+        accelerations.fixed_columns_mut::<4>(LENGTHS.start).copy_from(&by_lengths);
+    }
+    (begin, accelerations)
 }

@@ -1,10 +1,14 @@
-//! Effect of uncertain lengths and mounting angles of the encoders on motor angles and tip: a persistent error.
+//! Effect of uncertain lengths and mounting angles of the encoders on motor angles and tip: a persistent error, or parameters that are learned.
 
-use nalgebra::{Matrix2, Matrix2x5};
+use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix};
 
 use super::Parameters;
 use super::constants::{MOTOR_REGULARIZATION, NEAR_VERTEX};
-use super::tangent::{CLOSURE_SIGNS, Frame, Links, MEASURED, Pair};
+use super::error_state::{LEARNED, LENGTHS, Learned, OFFSETS};
+use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
+
+/// Lengths of the closed loop: four links and the base.
+pub(super) const LENGTH_COUNT: usize = 5;
 
 impl Frame {
     /// Variances of the motor angles that the encoders show, rad²: the loop closes by J⁺ for lengths that are off, and mounting angles add.
@@ -14,7 +18,7 @@ impl Frame {
             return [offset * offset; 2];
         }
         let turned = self.turned_by_lengths();
-        MEASURED.map(|link| offset * offset + turned.iter().map(|turned| (length * turned[link]).powi(2)).sum::<f64>())
+        MEASURED.map(|link| offset * offset + length * length * turned.row(link).norm_squared())
     }
 
     /// Covariance of the tip, m², by lengths and mounting angles, while encoders hold the motors as far as possible.
@@ -23,28 +27,73 @@ impl Frame {
         if length == 0.0 && offset == 0.0 {
             return Matrix2::zeros();
         }
+        let (turned, by_motors) = (self.turned_by_lengths(), self.tip() * self.holding());
+        let moved = self.tip_by_lengths(&turned) - by_motors * motors_of(&turned);
+        moved * moved.transpose() * (length * length) + by_motors * by_motors.transpose() * (offset * offset)
+    }
+
+    /// Tangent coordinates by the angles of the motors, as far as motors determine them.
+    fn holding(&self) -> Matrix2<f64> {
         let motors = self.motors();
         // Regularised, the matrix is positive definite.
         let squared = motors.tr_mul(&motors) + Matrix2::identity() * MOTOR_REGULARIZATION;
-        let holding = squared.try_inverse().unwrap_or_default() * motors.transpose();
-        let by_motors = self.tip() * holding;
-        let by_lengths = self.turned_by_lengths().into_iter().enumerate().map(|(link, turned)| {
-            let moved = self.tip_by_links() * turned - by_motors * Pair::new(turned[MEASURED[0]], turned[MEASURED[1]]);
-            let moved = if link < 2 { moved + self.directions.column(link) } else { moved };
-            moved * moved.transpose()
-        });
-        by_lengths.sum::<Matrix2<f64>>() * (length * length) + by_motors * by_motors.transpose() * (offset * offset)
+        squared.try_inverse().unwrap_or_default() * motors.transpose()
+    }
+
+    /// Displacement of the tip by each length, dimensionless, whose links turn so.
+    fn tip_by_lengths(&self, turned: &Matrix4x5<f64>) -> Matrix2x5<f64> {
+        let mut moved = self.tip_by_links() * turned;
+        let mut of_left_leg = moved.fixed_columns_mut::<2>(0);
+        of_left_leg += self.directions.fixed_columns::<2>(0);
+        moved
+    }
+
+    /// Derivatives of the angles of links 1 to 4 by the learned parameters, with the tangent coordinates held.
+    pub(crate) fn links_by_learned(&self) -> SMatrix<f64, 4, LEARNED> {
+        let mut by_learned = SMatrix::<f64, 4, LEARNED>::zeros();
+        by_learned.fixed_columns_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&self.turned_by_lengths());
+        by_learned
+    }
+
+    /// Derivatives of both readings by the learned parameters.
+    pub(crate) fn readings_by_learned(&self) -> [Learned; 2] {
+        let turned = self.turned_by_lengths();
+        [0, 1].map(|i| {
+            let mut row = Learned::zeros();
+            row.fixed_rows_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&turned.row(MEASURED[i]).transpose());
+            row[OFFSETS.start + i] = 1.0;
+            row
+        })
+    }
+
+    /// Derivatives of the tip by the learned parameters, m.
+    pub(crate) fn tip_by_learned(&self) -> SMatrix<f64, 2, LEARNED> {
+        let mut by_learned = SMatrix::<f64, 2, LEARNED>::zeros();
+        let moved = self.tip_by_lengths(&self.turned_by_lengths());
+        by_learned.fixed_columns_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&moved);
+        by_learned
+    }
+
+    /// Tangent coordinates by the learned parameters while encoders hold the motors as far as possible.
+    pub(super) fn held_by_learned(&self) -> SMatrix<f64, 2, LEARNED> {
+        let [left, right] = self.readings_by_learned();
+        self.holding() * -SMatrix::<f64, LEARNED, 2>::from_columns(&[left, right]).transpose()
     }
 
     /// Turns of the links by the length of each link and of the base: −J⁺ of the closure gap, damped next to a vertex, where J⁺ grows without
     /// bound and says nothing of finite lengths.
-    fn turned_by_lengths(&self) -> [Links; 5] {
+    pub(super) fn turned_by_lengths(&self) -> Matrix4x5<f64> {
         let part = (self.smallest / NEAR_VERTEX).min(1.0);
         let mut gaps = Matrix2x5::zeros();
         for (i, sign) in CLOSURE_SIGNS.into_iter().enumerate() {
             gaps.set_column(i, &(self.directions.column(i) * sign));
         }
         gaps[(0, 4)] = -1.0;
-        std::array::from_fn(|i| self.least_squares(gaps.column(i).into()) * (-part * part))
+        self.jacobian().tr_mul(&(self.inverse_gram * gaps)) * (-part * part)
     }
+}
+
+/// Turns of the motors among those of the links.
+fn motors_of(turned: &Matrix4x5<f64>) -> Matrix2x5<f64> {
+    Matrix2x5::from_rows(&MEASURED.map(|link| turned.row(link).into_owned()))
 }

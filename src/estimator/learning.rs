@@ -1,10 +1,12 @@
-//! Masses and friction that the estimator learns while it runs: parameters behind the error state, with a value and a covariance each.
+//! Masses, friction, lengths and mounting angles that the estimator learns while it runs: parameters behind the error state, with a value and a
+//! covariance each.
 //!
-//! Errors δp of the parameters move the motion by Ψ = ∂x/∂p (`flow.rs`), and stay themselves, so that of the covariance of all only two blocks move:
+//! Errors δp of the parameters move the motion by Ψ = ∂x/∂p (`flow.rs`), and stay themselves, so that of the covariance of all only two blocks move.
+//! A sample shows them by h beside the errors, y = H x + hᵀ δp, with h by lengths and mounting angles (`geometry.rs`):
 //!
 //! ```text
-//! P = [ A   C ]       C' = Φ C + Ψ S
-//!     [ Cᵀ  S ]       A' = Φ A Φᵀ + Y + Yᵀ        Y = (Φ C + ½ Ψ S) Ψᵀ
+//! P = [ A   C ]       C' = Φ C + Ψ S                                         K ∝ [ A Hᵀ + C h  ]
+//!     [ Cᵀ  S ]       A' = Φ A Φᵀ + Y + Yᵀ        Y = (Φ C + ½ Ψ S) Ψᵀ           [ Cᵀ Hᵀ + S h ]
 //! ```
 //!
 //! The bank of the estimate has A, each model here C and S. Masses are in logarithms: a fall without torques leaves a common factor of all
@@ -15,16 +17,21 @@ use std::ops::Range;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::bank::{Bank, Mixing, PredictedSample, bound, persistence};
-use super::constants::{LARGEST_FACTORS, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
-use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, Learned, MASSES, Matrix, turned};
+use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
+use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
+use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, OFFSETS, turned};
 use super::flow::Flow;
-use super::parameters::Prior;
+use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
+use super::tangent::Frame;
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
+/// Derivatives Ψ of the errors of the motion by the parameters that move it.
+type Moving = SMatrix<f64, FORCE, MOVING>;
+/// Number of lengths and mounting angles, the last parameters.
+const GEOMETRY: usize = LEARNED - LOADS;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
@@ -49,6 +56,8 @@ pub(super) struct Learning {
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     values: Learned,
     models: [Moments; MODELS],
+    /// Whether lengths and mounting angles are learned at present; elsewhere they are noise that persists.
+    geometry: bool,
 }
 
 impl Learning {
@@ -56,7 +65,7 @@ impl Learning {
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
         let model = Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance };
-        Self { values: prior.values, models: [model; MODELS] }
+        Self { values: prior.values, models: [model; MODELS], geometry: false }
     }
 
     /// Values of the parameters.
@@ -77,6 +86,52 @@ impl Learning {
         let error = Learned::from_fn(|i, _| if free(i) { truth[i] - self.values[i] } else { 0.0 });
         let count = (0..LEARNED).filter(|&i| free(i)).count();
         (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), count)
+    }
+
+    /// Values that the next correction leads to.
+    pub(super) fn corrected(&self, own: &Bank, constants: &Constants) -> Learned {
+        let error = self.mean(own);
+        // Round-off, and a bound that another one has led beyond.
+        Learned::from_fn(|i, _| {
+            let [least, most] = bounds(i, constants);
+            (self.values[i] + error[i]).clamp(least, most)
+        })
+    }
+
+    /// Whether lengths and mounting angles are learned at present.
+    pub(super) fn learns_geometry(&self) -> bool {
+        self.geometry
+    }
+
+    /// Second moments of what the errors move by `by_error` and the parameters by `by_learned`, in each model.
+    pub(super) fn second_moments<const R: usize>(
+        &self,
+        own: &Bank,
+        by_error: &SMatrix<f64, R, 2>,
+        by_learned: &SMatrix<f64, R, LEARNED>,
+    ) -> [SMatrix<f64, R, R>; MODELS] {
+        std::array::from_fn(|j| {
+            let (Moments { error, cross, covariance }, member) = (&self.models[j], &own.members[j]);
+            let both = by_error * cross.fixed_rows::<2>(0) * by_learned.transpose();
+            let off = by_error * member.error.fixed_rows::<2>(0) + by_learned * error;
+            let angles = by_error * member.covariance.fixed_view::<2, 2>(0, 0) * by_error.transpose();
+            angles + both + both.transpose() + by_learned * covariance * by_learned.transpose() + off * off.transpose()
+        })
+    }
+
+    /// Variance of what the parameters add to a sample that shows them so, rad².
+    pub(super) fn variance(&self, own: &Bank, row: &Learned) -> f64 {
+        let shown = row.fixed_rows::<GEOMETRY>(LOADS);
+        let of = |model: &Moments| {
+            let within = model.covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
+            shown.dot(&(within * shown)) + row.dot(&model.error).powi(2)
+        };
+        self.models
+            .iter()
+            .zip(&own.members)
+            .filter(|(_, member)| member.weight > 0.0)
+            .map(|(model, member)| member.weight * of(model))
+            .sum()
     }
 
     /// Mean error of the mixture.
@@ -104,6 +159,22 @@ impl Learning {
     pub(super) fn hold(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
         self.models = [Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance }; MODELS];
+        self.geometry = false;
+    }
+
+    /// Begins to learn lengths and mounting angles: encoders have held the motors, so that their errors are in the angles as well.
+    pub(super) fn begin_geometry(&mut self, own: &mut Bank, frame: &Frame) {
+        if !std::mem::replace(&mut self.geometry, true) {
+            let by_learned = frame.held_by_learned();
+            for (model, member) in self.models.iter_mut().zip(&mut own.members) {
+                let cross = by_learned * model.covariance;
+                let mut angles = model.cross.fixed_rows_mut::<2>(0);
+                angles += cross;
+                let mut angles = member.covariance.fixed_view_mut::<2, 2>(0, 0);
+                angles += cross * by_learned.transpose();
+                member.covariance.fill_upper_triangle_with_lower_triangle();
+            }
+        }
     }
 
     /// A parameter begins anew.
@@ -122,16 +193,19 @@ impl Learning {
     pub(super) fn predict(
         &mut self,
         own: &mut Bank,
-        (step, flow): (&Propagation, &Flow<LEARNED>),
+        (step, flow): (&Propagation, &Flow<MOVING>),
         noise: &ProcessNoise,
         (scales, (h, switch_time)): ([f64; 3], (f64, f64)),
         priors: &[f64; MODELS],
     ) {
         let stay = persistence(h, switch_time);
         let [by_angle, by_rate] = flow.by_learned.map(|by_learned| step.to.basis.tr_mul(&by_learned));
-        let mut psi = SMatrix::<f64, FORCE, LEARNED>::zeros();
+        let mut psi = Moving::zeros();
         psi.fixed_rows_mut::<2>(0).copy_from(&by_angle);
         psi.fixed_rows_mut::<2>(2).copy_from(&by_rate);
+        if !self.geometry {
+            psi.fixed_columns_mut::<{ MOVING - LOADS }>(LOADS).fill(0.0);
+        }
         let (all, mean) = (self.moments(own), own.mean());
         // Shares of the parameters in mean and covariance of each model.
         let mut added = [(SVector::<f64, FORCE>::zeros(), SMatrix::<f64, ERRORS, FORCE>::zeros()); MODELS];
@@ -156,31 +230,54 @@ impl Learning {
         });
     }
 
-    /// Measurement update by a sample of this row as the bank of the estimate has expected it, before that of this bank.
-    pub(super) fn update(&mut self, expected: &PredictedSample, row: &Error) {
-        for ((model, weight), (residual, variance, own)) in self.models.iter_mut().zip(expected.weights).zip(&expected.each) {
+    /// Completes the expectation of a sample by what it shows of the parameters, by `row`; returns its covariance with them in each model.
+    pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Learned) -> [Learned; MODELS] {
+        let shown = row.fixed_rows::<GEOMETRY>(LOADS);
+        let mut columns = [Learned::zeros(); MODELS];
+        for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
+            if expected.weights[j] == 0.0 {
+                continue;
+            }
+            let by_errors = model.cross.fixed_columns::<GEOMETRY>(LOADS) * shown;
+            let by_parameters = model.covariance.fixed_columns::<GEOMETRY>(LOADS) * shown;
+            *residual -= row.dot(&model.error);
+            *variance += 2.0 * sample.row.dot(&by_errors) + row.dot(&by_parameters);
+            *of_errors += by_errors;
+            columns[j] = model.cross.tr_mul(&sample.row) + by_parameters;
+        }
+        columns
+    }
+
+    /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate.
+    /// Lengths and mounting angles may be considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
+    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], considered: bool) {
+        let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
+        for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
                 continue;
             }
-            let column = model.cross.tr_mul(row);
             let gain = column / *variance;
+            let before = considered.then(|| model.geometry());
             model.error += gain * *residual;
             subtract(&mut model.cross, own, &gain);
-            subtract(&mut model.covariance, &gain, &column);
+            subtract(&mut model.covariance, &gain, column);
             model.covariance.fill_upper_triangle_with_lower_triangle();
             for i in 0..LEARNED {
                 // A variance may turn negative by round-off only.
                 model.covariance[(i, i)] = model.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+            }
+            if let Some(before) = before {
+                model.set_geometry(&before);
             }
         }
     }
 
     /// Keeps the values within their bounds, before a correction: mean errors that would lead beyond are moved to the bound, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
-    pub(super) fn keep_within_bounds(&mut self, own: &mut Bank) {
+    pub(super) fn keep_within_bounds(&mut self, own: &mut Bank, constants: &Constants) {
         for i in 0..LEARNED {
             let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
-            let [least, most] = bounds(i);
+            let [least, most] = bounds(i, constants);
             let beyond = (self.values[i] + error).clamp(least, most) - (self.values[i] + error);
             if beyond != 0.0 {
                 let Moments { cross, covariance, .. } = self.moments(own);
@@ -194,29 +291,39 @@ impl Learning {
     }
 
     /// Follows a correction of the motion that turns its tangent basis, and corrects the values.
-    pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>) {
-        let error = self.mean(own);
+    pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, constants: &Constants) {
+        let (error, values) = (self.mean(own), self.corrected(own, constants));
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
             model.error -= error;
             model.cross = turned(turn, &model.cross);
         }
-        self.values += error;
-        // Round-off, and a bound that another one has led beyond.
-        for (i, value) in self.values.iter_mut().enumerate() {
-            let [least, most] = bounds(i);
-            *value = value.clamp(least, most);
-        }
+        self.values = values;
     }
 
     /// Whether stored values are possible beside a bank.
-    pub(super) fn is_sound(&self, own: &Bank) -> bool {
-        let is_within = |(i, value): (usize, &f64)| (bounds(i)[0]..=bounds(i)[1]).contains(value);
+    pub(super) fn is_sound(&self, own: &Bank, constants: &Constants) -> bool {
+        let is_within = |(i, value): (usize, &f64)| {
+            let [least, most] = bounds(i, constants);
+            (least..=most).contains(value)
+        };
         self.values.iter().enumerate().all(is_within)
             && self.models.iter().zip(&own.members).all(|(model, member)| model.is_sound(&member.covariance))
     }
 }
 
 impl Moments {
+    /// Mean error and covariance of lengths and mounting angles.
+    fn geometry(&self) -> (SVector<f64, GEOMETRY>, SMatrix<f64, GEOMETRY, GEOMETRY>) {
+        let Self { error, covariance, .. } = self;
+        (error.fixed_rows::<GEOMETRY>(LOADS).into(), covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS).into())
+    }
+
+    /// Sets mean error and covariance of lengths and mounting angles.
+    fn set_geometry(&mut self, (error, covariance): &(SVector<f64, GEOMETRY>, SMatrix<f64, GEOMETRY, GEOMETRY>)) {
+        self.error.fixed_rows_mut::<GEOMETRY>(LOADS).copy_from(error);
+        self.covariance.fixed_view_mut::<GEOMETRY, GEOMETRY>(LOADS, LOADS).copy_from(covariance);
+    }
+
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
         let by = self.error - all.error;
@@ -227,15 +334,15 @@ impl Moments {
     }
 
     /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
-    fn step(&mut self, f: &Matrix, psi: &SMatrix<f64, FORCE, LEARNED>) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
-        let pushed = psi * self.covariance;
+    fn step(&mut self, f: &Matrix, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
+        let pushed = psi * self.covariance.fixed_rows::<MOVING>(0);
         self.cross = f * self.cross;
         let mut half = self.cross;
         let mut rows = half.fixed_rows_mut::<FORCE>(0);
         rows += pushed * 0.5;
         let mut rows = self.cross.fixed_rows_mut::<FORCE>(0);
         rows += pushed;
-        (psi * self.error, half * psi.transpose())
+        (psi * self.error.fixed_rows::<MOVING>(0), half.fixed_columns::<MOVING>(0) * psi.transpose())
     }
 
     /// Whether stored moments are possible beside the covariance of motion and force.
@@ -276,11 +383,14 @@ fn combine<const R: usize>(
     }
 }
 
-/// Bounds of a value: no mass or friction below 0, and no factor that no machine has.
-fn bounds(parameter: usize) -> [f64; 2] {
+/// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle that no machine has.
+fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
+    let about_0 = |most: f64| [-most, most];
     match parameter {
-        _ if MASSES.contains(&parameter) => [-LARGEST_FACTORS[0], LARGEST_FACTORS[0]],
-        DRY => [-LARGEST_FACTORS[1], LARGEST_FACTORS[1]],
+        _ if MASSES.contains(&parameter) => about_0(LARGEST_FACTORS[0]),
+        DRY => about_0(LARGEST_FACTORS[1]),
+        _ if LENGTHS.contains(&parameter) => about_0(LARGEST_MISFIT * constants.nominal[parameter - LENGTHS.start]),
+        _ if OFFSETS.contains(&parameter) => about_0(LARGEST_MISFIT),
         _ => [0.0, f64::MAX],
     }
 }

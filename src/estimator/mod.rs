@@ -6,7 +6,7 @@
 //! | `tangent.rs`, `error_state.rs` | the closed loop: J, N, closure; errors on N and their covariance |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
-//! | `learning.rs` | masses and friction as parameters behind the errors |
+//! | `learning.rs` | masses, friction, lengths and mounting angles as parameters behind the errors |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
@@ -58,7 +58,7 @@ use constants::{
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Reading, Sample};
-use error_state::{LEARNED, Learned};
+use error_state::{LEARNED, Learned, MOVING, OFFSETS};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -66,7 +66,7 @@ use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, Hypothesis};
 use learning::Learning;
-pub use parameters::{Bands, Constants, Parameters, Prior};
+pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 use unaided::Unaided;
@@ -101,7 +101,7 @@ pub struct Estimator {
     hypotheses: Hypotheses,
     doubt: Doubt,
     unaided: [Unaided; 2],
-    /// Learning of masses and friction; boxed, so that an estimator that does not learn is no larger.
+    /// Learning of parameters; boxed, so that an estimator that does not learn is no larger.
     learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
     history: History,
@@ -145,12 +145,25 @@ impl Estimator {
 
     /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion,
     /// `None` where no sample has changed the estimate.
-    pub fn correct(&mut self, constants: &Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let (linkage, mut motion) = (&constants.linkage, *motion);
-        let mut frame = linkage.frame(&motion.theta);
-        let persistent = frame.motors_by_geometry(&constants.parameters);
+    /// Lengths that are learned change those of the closed loop.
+    pub fn correct(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
+        let corrected = self.corrected(constants, motion, measured, now)?;
+        match self.learned() {
+            // Learning has begun anew.
+            Some(learned) if constants.learn(&learned) => {
+                Some(constants.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
+            }
+            _ => Some(corrected),
+        }
+    }
+
+    /// Measurement update, with a motion that closes the loop unless learning has begun anew.
+    fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
+        let mut motion = *motion;
+        let mut frame = constants.linkage.frame(&motion.theta);
+        let systematic = self.systematic_errors(constants, &frame);
         let mut samples =
-            [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), persistent[i], (measured, now)));
+            [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
         // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
@@ -165,7 +178,7 @@ impl Estimator {
             return None;
         }
         // While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected.
-        let favoured = self.hypotheses.favoured(linkage, &self.belief, &samples);
+        let favoured = self.hypotheses.favoured(&constants.linkage, &self.belief, &samples);
         if let Some(other) = favoured {
             frame = self.take_over(other, constants, &mut motion);
             samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
@@ -176,8 +189,11 @@ impl Estimator {
             return favoured.map(|_| motion);
         }
         if let Some(learning) = &mut self.learning {
-            learning.keep_within_bounds(&mut self.belief.bank);
+            learning.keep_within_bounds(&mut self.belief.bank, constants);
+            constants.learn(&learning.corrected(&self.belief.bank, constants));
         }
+        let constants = &*constants;
+        let linkage = &constants.linkage;
         match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
@@ -185,7 +201,7 @@ impl Estimator {
                 self.causes.correct(&error, &turn);
                 self.doubt.follow(&error, &turn);
                 if let Some(learning) = &mut self.learning {
-                    learning.correct(&self.belief.bank, &turn);
+                    learning.correct(&self.belief.bank, &turn, constants);
                 }
                 frame = to;
             }
@@ -217,6 +233,17 @@ impl Estimator {
         Some(motion)
     }
 
+    /// Variance, rad², and known part, rad, of the persistent error of each encoder.
+    fn systematic_errors(&self, constants: &Constants, frame: &Frame) -> [(f64, f64); 2] {
+        match &self.learning {
+            Some(learning) => {
+                let (rows, values) = (frame.readings_by_learned(), learning.values());
+                [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]), values[OFFSETS.start + i]))
+            }
+            None => frame.motors_by_geometry(&constants.parameters).map(|variance| (variance, 0.0)),
+        }
+    }
+
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
     fn update(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> Update {
         if self.are_exchanged((motion, frame), samples) {
@@ -227,16 +254,26 @@ impl Estimator {
         }
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
+        let rows = self.learning.as_ref().map(|learning| match learning.learns_geometry() {
+            true => frame.readings_by_learned(),
+            false => [Learned::zeros(); 2],
+        });
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
-            let expected = self.belief.bank.predict_sample(&sample.innovation);
+            // Lengths and mounting angles that are learned are no noise.
+            let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
+            let used = if learns_geometry { self.encoders[i].without_persistent_error(sample) } else { *sample };
+            let mut expected = self.belief.bank.predict_sample(&used.innovation);
+            let by_learned = self.learning.as_ref().zip(rows.as_ref());
+            let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
             let own = expected.nis();
             nis += own;
             self.watch(constants, frame, (i, sample), own);
             let conditions = self.gate_conditions((i, sample), frame, &models);
-            if let Some(told) = self.encoders[i].admit(&expected, sample, conditions) {
-                if let Some(learning) = &mut self.learning {
-                    learning.update(&told, &sample.innovation.row);
+            if let Some(told) = self.encoders[i].admit(&expected, &used, conditions) {
+                if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
+                    // The witnesses of a doubted start take lengths and mounting angles as they are.
+                    learning.update(&told, columns, self.doubt.is_undecided());
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
@@ -410,7 +447,7 @@ impl Estimator {
         self.coasts = coasts;
         let (mass, ahead) = (scene.mass(&from.theta), linkage.frame(&to.theta));
         let (step, learned) = if self.learning.is_some() {
-            let flow: Flow<LEARNED> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
+            let flow: Flow<MOVING> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
             (Propagation::along(&flow, mass, &frame, (to, &ahead), h), Some(flow))
         } else {
             let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
@@ -439,6 +476,7 @@ impl Estimator {
         let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
         match (&mut self.learning, &learned) {
             (Some(learning), Some(flow)) if known => {
+                learning.begin_geometry(&mut self.belief.bank, &frame);
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
             }
             (learning, _) => {
@@ -450,7 +488,7 @@ impl Estimator {
             unaided.predict(&step, &noise, [scale, observable], timing);
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
-        let by_parameters = || scene.by_learned(from, &self.belief.force, &((to.omega - from.omega) / h));
+        let by_parameters = || scene.by_loads(from, &self.belief.force, &((to.omega - from.omega) / h));
         self.causes.predict(&step, &noise, [scale, observable], (wrong, h), by_parameters);
         self.held = step.held;
         let about = (&step, [from, to], &self.belief.force);
@@ -567,7 +605,7 @@ impl Estimator {
             return Err("a number of its estimator is not finite");
         }
         if self.learning.is_some() != constants.prior.is_some()
-            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank))
+            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank, constants))
         {
             return Err("what its estimator has learned is not valid");
         }

@@ -1,7 +1,8 @@
 //! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
 use super::constants::UNKNOWN_FORCE;
-use super::error_state::Learned;
+use super::error_state::{LENGTHS, Learned};
+use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::Linkage;
 use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
@@ -35,7 +36,7 @@ pub struct Parameters {
     pub sigma0_length: f64,
     /// Standard deviation of the constant mounting angle of each encoder, rad.
     pub sigma0_offset: f64,
-    /// Whether masses and friction are learned.
+    /// Whether masses, friction, lengths and mounting angles are learned.
     pub learn_enabled: bool,
     /// Relative standard deviation of the mass of each link at the start; 0: known.
     pub learn_mass: f64,
@@ -116,6 +117,8 @@ pub struct Prior {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constants {
     pub(super) geometry: Geometry,
+    /// Lengths of links and base as the parameters say, m.
+    pub(super) nominal: [f64; LENGTH_COUNT],
     /// Lengths of the closed loop.
     pub linkage: Linkage,
     /// The parameters in force.
@@ -137,7 +140,24 @@ impl Constants {
         let weight_torque = (weight(0, 1) + weight(3, 2)) / 2.0;
         let torque_scale = if parameters.torque_scale > 0.0 { parameters.torque_scale } else { weight_torque };
         let prior = prior.map(Box::new);
-        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale, prior }
+        let nominal = std::array::from_fn(|i| geometry.links.get(i).map_or(geometry.base_distance, |link| link.length));
+        Self { geometry: *geometry, nominal, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale, prior }
+    }
+
+    /// Length of link i or of the base as the parameters say, m.
+    pub fn length(&self, i: usize) -> f64 {
+        self.nominal[i]
+    }
+
+    /// Takes over the lengths that have been learned; returns whether they are others.
+    pub fn learn(&mut self, learned: &Learned) -> bool {
+        let before = self.geometry;
+        set_lengths(&mut self.geometry, |i, _| self.nominal[i] + learned[LENGTHS.start + i]);
+        let changed = self.geometry != before;
+        if changed {
+            self.linkage = Linkage::new(&self.geometry);
+        }
+        changed
     }
 
     /// Torque scale of the unknown force, N·m.
@@ -150,4 +170,10 @@ impl Constants {
         let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
         [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale].map(|sigma| sigma * sigma)
     }
+}
+
+/// Sets the lengths of links and base, m, by number and present length.
+pub fn set_lengths(geometry: &mut Geometry, length: impl Fn(usize, f64) -> f64) {
+    let lengths = geometry.links.iter_mut().map(|link| &mut link.length).chain([&mut geometry.base_distance]);
+    lengths.enumerate().for_each(|(i, of)| *of = length(i, *of));
 }

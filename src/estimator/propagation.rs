@@ -105,6 +105,9 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matri
     let mut f = turned(&from.basis_map_to(to), &Matrix::identity());
     f.fixed_rows_mut::<2>(0).copy_from(&to.basis.tr_mul(&flow.d_theta));
     f.fixed_rows_mut::<2>(2).copy_from(&to.basis.tr_mul(&flow.d_omega));
+    if P > 0 {
+        f.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&to.basis.tr_mul(&(to.by_inputs() * flow.units)));
+    }
     f
 }
 

@@ -166,6 +166,15 @@ impl Posture {
         self.arms * omega.component_mul(x)
     }
 
+    /// Rate at which the closure opens by each meter of length i, 1/s, with links that turn at ω: ∂J/∂lᵢ ω. The base does not turn.
+    pub(super) fn opened(&self, omega: &Links, i: usize) -> Pair {
+        if i == 4 {
+            return Pair::zeros();
+        }
+        let direction = self.directions.column(i);
+        Pair::new(-direction[1], direction[0]) * (CLOSURE_SIGNS[i] * omega[i])
+    }
+
     /// (JJᵀ)⁻¹, 1/m², and the smallest singular value of J over the mean length `length`, m.
     pub(super) fn gram(&self, length: f64) -> (Matrix2<f64>, f64) {
         let (scale, gram) = (length * length, self.jacobian() * self.jacobian().transpose());
@@ -198,7 +207,7 @@ impl Posture {
 pub struct Frame {
     posture: Posture,
     /// (JJᵀ)⁻¹, 1/m².
-    inverse_gram: Matrix2<f64>,
+    pub(super) inverse_gram: Matrix2<f64>,
     /// Smallest singular value of J over the mean length: 0 in a vertex.
     pub smallest: f64,
     /// Tangent basis N: two orthonormal directions of motion of the closed loop.

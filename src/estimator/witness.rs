@@ -16,7 +16,7 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 use super::bank::Innovation;
 use super::constants::{LARGEST_NIS, RATES_PERSIST, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
-    ERRORS, Error, FORCE, LEARNED, MASSES, Matrix, PAYLOAD, VISCOUS, reduce, transformed, turned, turned_covariance,
+    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, reduce, transformed, turned, turned_covariance,
 };
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
@@ -30,7 +30,7 @@ pub(super) const OFFSETS: usize = 4;
 pub(super) const DELAY: usize = 6;
 pub(super) const PARAMETERS: usize = 7;
 /// Number of columns.
-pub(super) const FAULTS: usize = PARAMETERS + LEARNED;
+pub(super) const FAULTS: usize = PARAMETERS + LOADS;
 
 /// Responses of the errors to faults of unit size, by columns.
 type Responses = SMatrix<f64, ERRORS, FAULTS>;
@@ -126,7 +126,7 @@ impl Witness {
         &mut self,
         step: &Propagation,
         (noise, model, [scale, inertia]): (&ProcessNoise, usize, [f64; 2]),
-        by: &SMatrix<f64, 4, LEARNED>,
+        by: &SMatrix<f64, 4, LOADS>,
         h: f64,
     ) {
         let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
@@ -149,7 +149,7 @@ impl Witness {
 
     /// Lets the unknown force contain the effect of the masses from the begin of the step on that has just been followed, as it does where masses
     /// have been off before.
-    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &SMatrix<f64, 4, LEARNED>) {
+    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &SMatrix<f64, 4, LOADS>) {
         let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * generalised(&step.from, &step.mass, by);
         let mut of = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
         of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
@@ -173,10 +173,10 @@ impl Witness {
 }
 
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
-fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LEARNED>) -> SMatrix<f64, 2, FAULTS> {
+fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LOADS>) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
     forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));
-    forces.fixed_columns_mut::<LEARNED>(PARAMETERS).copy_from(&(at.basis.tr_mul(mass) * by));
+    forces.fixed_columns_mut::<LOADS>(PARAMETERS).copy_from(&(at.basis.tr_mul(mass) * by));
     forces
 }
 

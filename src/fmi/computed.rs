@@ -3,7 +3,7 @@
 
 use super::bindings::{self, Field};
 use crate::estimator;
-use crate::estimator::error_state::{DRY, MASSES, PAYLOAD, VISCOUS};
+use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS, PAYLOAD, VISCOUS};
 use crate::observers::{self, Estimated, Observed, Point};
 use crate::scalar::Scalar;
 use crate::variables::{
@@ -88,6 +88,10 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::EstimatedViscousSigma(i) => estimated(&|of| of.following.learned()[1][VISCOUS.start + i]),
         V::EstimatedFriction => estimated(&|of| of.following.learned()[0][DRY]),
         V::EstimatedFrictionSigma => estimated(&|of| of.following.learned()[1][DRY]),
+        V::EstimatedLength(i) => estimated(&|of| of.following.learned()[0][LENGTHS.start + i]),
+        V::EstimatedLengthSigma(i) => estimated(&|of| of.following.learned()[1][LENGTHS.start + i]),
+        V::EstimatedOffset(i) => estimated(&|of| of.following.learned()[0][OFFSETS.start + i]),
+        V::EstimatedOffsetSigma(i) => estimated(&|of| of.following.learned()[1][OFFSETS.start + i]),
         V::EstimatedInnovation(i) => estimated(&|of| of.following.estimator().innovation()[i]),
         V::EstimatedSingularProbability => estimated(&|of| of.singularity_probability()),
     })

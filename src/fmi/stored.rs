@@ -31,7 +31,7 @@ use crate::variables::{Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Version of the layout; changes with every change of the stored data.
-const FORMAT: u32 = 15;
+const FORMAT: u32 = 16;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + size_of::<Guid>() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 

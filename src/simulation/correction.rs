@@ -30,8 +30,8 @@ impl Run {
         }
     }
 
-    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another model of
-    /// equal lengths. The energy difference counts as input work; sign changes of the configuration do not count as passages.
+    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another
+    /// model. The energy difference counts as input work; sign changes of the configuration do not count as passages.
     pub(super) fn resume_from(&mut self, [before, model]: [&Model; 2], motion: &LinkState, inputs: &Inputs) {
         let turns = self.turns;
         let assembled = |model: &Model, LinkState { theta, omega }: LinkState| {

@@ -3,13 +3,13 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::learned::Bodies;
+use super::learned::Others;
 use super::linearised::{FollowedScene, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
-use crate::estimator::error_state::{DRY, Learned, MASSES};
+use crate::estimator::error_state::{DRY, LENGTHS, Learned, MASSES};
 use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, Measured, Status};
 use crate::mechanism::SceneError;
 
@@ -52,7 +52,10 @@ impl Following {
         let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
         let mut simulation = Simulation::restored(learned.as_ref().unwrap_or(parameters), run)?;
         simulation.parameters = parameters.clone();
-        let constants = constants_of(parameters)?;
+        let mut constants = constants_of(parameters)?;
+        if let Some(learned) = estimate.estimator.learned() {
+            constants.learn(&learned);
+        }
         estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
@@ -92,12 +95,12 @@ impl Following {
         let (turns, from) = (run.turns, run.motion(model));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         // The weights have been checked by the model.
-        let bodies = match estimate.estimator.learned() {
-            Some(learned) => Bodies::new(&parameters.with_learned(&learned)).ok(),
-            None if estimate.estimator.asks_for_parameters() => Bodies::new(parameters).ok(),
+        let others = match estimate.estimator.learned() {
+            Some(learned) => Others::new(&parameters.with_learned(&learned)).ok(),
+            None if estimate.estimator.asks_for_parameters() => Others::new(parameters).ok(),
             None => None,
         };
-        let scene = FollowedScene { model, inputs, turns: &turns, learned: bodies.as_ref() };
+        let scene = FollowedScene { model, inputs, turns: &turns, learned: others.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
@@ -140,6 +143,9 @@ impl Following {
         self.simulation.tune(&learned(&tuned).effects)?;
         // A payload that joins changes the masses.
         self.constants = constants_of(&tuned)?;
+        if let Some(learned) = self.estimate.estimator.learned() {
+            self.constants.learn(&learned);
+        }
         self.simulation.parameters = tuned;
         Ok(())
     }
@@ -161,7 +167,7 @@ impl Following {
     }
 
     /// Learned values with standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of dry
-    /// friction. Where nothing is learned, the parameters in force.
+    /// friction, lengths, m, mounting angles, rad. Where nothing is learned, the parameters in force.
     pub fn learned(&self) -> [Learned; 2] {
         let parameters = self.parameters();
         let estimator = &self.estimate.estimator;
@@ -171,7 +177,11 @@ impl Following {
             DRY => libm::exp(values[i]),
             _ => 1.0,
         });
-        let natural = |i: usize| if MASSES.contains(&i) || i == DRY { factors[i] } else { values[i] };
+        let natural = |i: usize| match i {
+            _ if MASSES.contains(&i) || i == DRY => factors[i],
+            _ if LENGTHS.contains(&i) => self.constants.length(i - LENGTHS.start) + values[i],
+            _ => values[i],
+        };
         [Learned::from_fn(|i, _| natural(i)), sigma.component_mul(&factors)]
     }
 

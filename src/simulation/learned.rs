@@ -1,27 +1,34 @@
-//! A scene whose masses and friction an estimator learns: its parameters with what has been learned, and the torques of each.
+//! A scene whose masses, friction, lengths and mounting angles an estimator learns: its parameters with what has been learned, and the accelerations
+//! by each.
 
-use nalgebra::SMatrix;
+use nalgebra::{Matrix4, SMatrix};
 
-use super::{FollowedScene, Parameters};
+use super::{FollowedScene, Model, Parameters};
 use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
 use crate::effects::payload::CARRIER;
 use crate::effects::{Effect, ForceLaw, JOINT_LINKS, JOINTS};
-use crate::estimator::Prior;
-use crate::estimator::error_state::{DRY, LEARNED, Learned, MASSES, PAYLOAD, VISCOUS};
-use crate::estimator::{LinkState, Links, MEASURED};
+use crate::estimator::error_state::{DRY, LENGTHS, LOADS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
+use crate::estimator::{LinkState, Links, MEASURED, Prior, Scene, set_lengths};
 use crate::mechanism::placement::by_legs;
 use crate::mechanism::{Link, Mechanism, SceneError};
+
+/// Difference of lengths by which derivatives are taken, m: round-off of accelerations over it is 1e-8 of their derivatives in machines of 0.1 m.
+const LONGER: f64 = 1e-8;
 
 impl Parameters {
     /// Values and standard deviations of what is learned, before any sample; `None` where nothing is. What a scene does not have is known.
     pub(super) fn prior(&self) -> Option<Prior> {
-        let Self { estimator, effects, .. } = self;
+        let Self { estimator, effects, geometry, .. } = self;
         estimator.learn_enabled.then(|| {
             let has = |enabled: bool, sigma: f64| if enabled { sigma } else { 0.0 };
             let sigma = Learned::from_fn(|i, _| match i {
                 PAYLOAD => has(effects.payload.enabled, estimator.learn_payload),
                 DRY => has(effects.friction.enabled, estimator.learn_friction),
                 _ if VISCOUS.contains(&i) => has(effects.viscous.enabled, estimator.learn_viscous),
+                // Coaxial motors have no base.
+                _ if i == LENGTHS.end - 1 => has(geometry.base_distance > 0.0, estimator.sigma0_length),
+                _ if LENGTHS.contains(&i) => estimator.sigma0_length,
+                _ if OFFSETS.contains(&i) => estimator.sigma0_offset,
                 _ => estimator.learn_mass,
             });
             Prior { values: self.known(), sigma }
@@ -45,6 +52,7 @@ impl Parameters {
             let factor = libm::exp(*factor);
             (link.mass, link.inertia) = (link.mass * factor, link.inertia * factor);
         }
+        set_lengths(&mut parameters.geometry, |i, length| length + learned[LENGTHS.start + i]);
         let effects = &mut parameters.effects;
         effects.payload.mass = learned[PAYLOAD];
         effects.viscous.b = std::array::from_fn(|joint| learned[VISCOUS.start + joint]);
@@ -57,13 +65,32 @@ impl Parameters {
     }
 }
 
-/// Bodies whose masses are learned, each as if alone.
-#[derive(Clone, Copy, Debug)]
-pub struct Bodies([(Inertia, Weight); 3]);
+/// Machines that differ from a scene's by what is learned.
+#[derive(Clone, Debug)]
+pub struct Others {
+    /// Bodies whose masses are learned, each as if alone.
+    bodies: [(Inertia, Weight); 3],
+    /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close the
+    /// loop alone.
+    longer: Option<Box<[Model; 4]>>,
+}
 
-impl Bodies {
-    /// Proximal links, distal links, and a payload of 1 kg.
+impl Others {
+    /// Machines beside that of a scene.
     pub(super) fn new(parameters: &Parameters) -> Result<Self, SceneError> {
+        let with = |i: usize| {
+            let mut other = parameters.clone();
+            other.geometry.links[i].length += LONGER;
+            Model::new(&other)
+        };
+        let Parameters { estimator, .. } = parameters;
+        let learns = estimator.learn_enabled && estimator.sigma0_length > 0.0;
+        let longer = learns.then(|| Ok(Box::new([with(0)?, with(1)?, with(2)?, with(3)?]))).transpose()?;
+        Ok(Self { bodies: Self::bodies(parameters)?, longer })
+    }
+
+    /// Proximal links, distal links, and a payload of 1 kg.
+    fn bodies(parameters: &Parameters) -> Result<[(Inertia, Weight); 3], SceneError> {
         let of = |link: fn(usize, &Link) -> Link| -> Result<(Inertia, Weight), SceneError> {
             let mut alone = parameters.geometry;
             for (i, own) in alone.links.iter_mut().enumerate() {
@@ -72,20 +99,27 @@ impl Bodies {
             let mechanism = Mechanism::arranged(&alone);
             Ok((Inertia::new(&mechanism), Weight::new(&mechanism, &parameters.effects.weight(&mechanism)?)))
         };
-        Ok(Self([
+        Ok([
             of(|i, link| if MEASURED.contains(&i) { *link } else { Link { mass: 0.0, inertia: 0.0, ..*link } })?,
             of(|i, link| if MEASURED.contains(&i) { Link { mass: 0.0, inertia: 0.0, ..*link } } else { *link })?,
             of(|i, link| Link { mass: if i == CARRIER { 1.0 } else { 0.0 }, inertia: 0.0, com: link.length, ..*link })?,
-        ]))
+        ])
     }
 }
 
 impl FollowedScene<'_> {
-    /// Derivatives of the accelerations, which are `alpha`, by the learned parameters: the equations solved for the torques that each parameter
+    /// Derivatives of the accelerations, which are `alpha`, by lengths of links: differences to those of machines with longer links.
+    pub(super) fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
+        let longer = self.learned?.longer.as_ref()?;
+        let by_length = longer.each_ref().map(|model| (FollowedScene { model, ..*self }.acceleration(at, force) - alpha) / LONGER);
+        Some(Matrix4::from_columns(&by_length))
+    }
+
+    /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned: the equations solved for the torques that each
     /// adds, less what its masses need to move.
-    pub(super) fn by_learned(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LEARNED> {
-        let mut by_learned = SMatrix::zeros();
-        let Some(Bodies(bodies)) = self.learned else { return by_learned };
+    pub(super) fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
+        let mut by_loads = SMatrix::zeros();
+        let Some(Others { bodies, .. }) = self.learned else { return by_loads };
         self.at(at, force, |five_bar, equations, pose, motion| {
             let (alpha, rates) = (angles(by_legs((*alpha).into())), angles(by_legs(at.omega.into())));
             let missing = bodies.each_ref().map(|(inertia, weight)| {
@@ -95,7 +129,7 @@ impl FollowedScene<'_> {
             let [proximal, distal, payload] = missing;
             let mut set = |i: usize, torques: [f64; 4]| {
                 let solved = equations.by_torques(&angles(by_legs(torques)));
-                by_learned.set_column(i, &Links::from(in_link_order(&solved)));
+                by_loads.set_column(i, &Links::from(in_link_order(&solved)));
             };
             set(MASSES.start, [proximal[0], 0.0, 0.0, 0.0]);
             set(MASSES.start + 1, [distal[0], distal[1], 0.0, 0.0]);
@@ -113,7 +147,7 @@ impl FollowedScene<'_> {
                 }
             }
         });
-        by_learned
+        by_loads
     }
 }
 
@@ -131,12 +165,13 @@ fn on_links(torques: [f64; JOINTS]) -> [f64; 4] {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix4x2, Vector4};
+    use nalgebra::Matrix4x2;
 
     use super::*;
     use crate::effects::Inputs;
+    use crate::estimator::Linkage;
+    use crate::estimator::error_state::MOVING;
     use crate::estimator::flow::{flow, motion};
-    use crate::estimator::{Linkage, Scene};
     use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::simulation::Model;
 
@@ -162,52 +197,81 @@ mod tests {
         (parameters, inputs, at)
     }
 
-    /// Accelerations, and motions over a step, change with the learned parameters as their differences do.
+    /// Accelerations, and motions over a step, change with the learned parameters as their differences do; readings and the tip change by lengths.
     #[test]
     fn derivatives_by_what_is_learned_are_differences() {
         let (parameters, inputs, at) = scene();
         let known = parameters.known();
-        let made = |learned: &Learned| Model::new(&parameters.with_learned(learned)).expect("a scene");
-        let (bodies, model, none) = (Bodies::new(&parameters).expect("bodies"), made(&known), Links::zeros());
-        let here = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: Some(&bodies) };
+        let made = |learned: &Learned| {
+            let parameters = parameters.with_learned(learned);
+            (Model::new(&parameters).expect("a scene"), Linkage::new(&parameters.geometry))
+        };
+        let (others, (model, linkage), none) = (Others::new(&parameters).expect("machines"), made(&known), Links::zeros());
+        let here = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: Some(&others) };
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
-        let exact = Scene::by_learned(&here, &at, &none, &alpha);
-        let linkage = Linkage::new(&parameters.geometry);
-        let (h, least) = (2e-3, 4);
-        let moved = flow::<LEARNED>(&linkage, &here, (&at, &linkage.frame(&at.theta)), &none, (h, least));
-        for i in 0..LEARNED {
-            let step = if i == PAYLOAD || VISCOUS.contains(&i) { 1e-6 } else { 1e-5 };
+        let loads = Scene::by_loads(&here, &at, &none, &alpha);
+        let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");
+        let (h, least, frame) = (2e-3, 4, linkage.frame(&at.theta));
+        let moved = flow::<MOVING>(&linkage, &here, (&at, &frame), &none, (h, least));
+        let links = frame.links_by_learned();
+        let (readings, tip) = (frame.readings_by_learned(), frame.tip_by_learned());
+        for i in 0..MOVING {
+            let is_length = LENGTHS.contains(&i);
+            let step = if i == PAYLOAD || VISCOUS.contains(&i) || is_length { 1e-6 } else { 1e-5 };
             let [ahead, behind] = [step, -step].map(|by| {
                 let mut learned = known;
                 learned[i] += by;
-                let model = made(&learned);
+                let (model, linkage) = made(&learned);
                 let scene = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: None };
-                (scene.acceleration(&at, &none), motion(&scene, &at, &none, h, moved.steps))
+                let from = linkage.closed(at).expect("a closed loop").0;
+                let end = motion(&scene, &from, &none, h, moved.steps);
+                (scene.acceleration(&at, &none), end, from, linkage.tip(&from.theta))
             });
-            let close = |got: Vector4<f64>, ahead: Vector4<f64>, behind: Vector4<f64>, size: f64| {
+            // Accelerations by loads are those of the middle of a step, by lengths of the begin.
+            let tolerance = if is_length { 1e-3 } else { 1e-4 };
+            let close = |got: Links, ahead: Links, behind: Links, (size, tolerance): (f64, f64)| {
                 let off = (got - (ahead - behind) / (2.0 * step)).amax();
-                // Round-off of the difference, and step² times a third derivative.
-                assert!(off < 1e-5 * size, "{i}: {off:e} of {size:e}");
+                assert!(off <= tolerance * size, "{i}: {off:e} of {size:e}");
             };
-            let size = exact.column(i).amax();
-            assert!(size > 0.0);
-            close(exact.column(i).into(), ahead.0, behind.0, size);
-            let [by_angle, by_rate] = moved.by_learned.map(|by| Vector4::from(by.column(i)));
-            close(by_angle, ahead.1.theta, behind.1.theta, by_rate.amax());
-            close(by_rate, ahead.1.omega, behind.1.omega, by_rate.amax());
+            let is_base = i == LENGTHS.end - 1;
+            let exact: Links = match i {
+                _ if is_base => Links::zeros(),
+                _ if is_length => lengths.column(i - LENGTHS.start).into(),
+                _ => loads.column(i).into(),
+            };
+            let size = exact.amax();
+            assert!(size > 0.0 || is_base);
+            // Round-off of the difference, and step² times a third derivative.
+            close(exact, ahead.0, behind.0, (size, 1e-5));
+            let [by_angle, by_rate] = moved.by_learned.map(|by| Links::from(by.column(i)));
+            let size = by_rate.amax();
+            close(by_angle, ahead.1.theta, behind.1.theta, (size, tolerance));
+            close(by_rate, ahead.1.omega, behind.1.omega, (size, tolerance));
+            if is_length {
+                close(links.column(i).into(), ahead.2.theta, behind.2.theta, (10.0, 1e-6));
+                let off = tip.column(i) - (ahead.3 - behind.3) / (2.0 * step);
+                assert!(off.amax() < 1e-6, "{off}");
+                for (row, link) in readings.iter().zip(MEASURED) {
+                    assert_eq!(row[i], links[(link, i)]);
+                }
+            }
+        }
+        for (row, own) in readings.iter().zip([0, 1]) {
+            assert!(OFFSETS.enumerate().all(|(k, i)| row[i] == f64::from(u8::from(k == own))));
         }
     }
 
-    /// A scene without payload and friction learns its masses alone.
+    /// A scene without payload and friction, of exact geometry, learns its masses alone.
     #[test]
     fn absent_effects_are_not_learned() {
         let (mut parameters, ..) = scene();
         assert!(parameters.prior().expect("it learns").sigma.iter().all(|sigma| *sigma > 0.0));
+        (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
         parameters.effects.payload.enabled = false;
         parameters.effects.viscous.enabled = false;
         parameters.effects.friction.enabled = false;
         let sigma = parameters.prior().expect("it learns").sigma;
-        assert!((0..LEARNED).all(|i| (sigma[i] > 0.0) == MASSES.contains(&i)), "{sigma}");
+        assert!(sigma.iter().enumerate().all(|(i, sigma)| (*sigma > 0.0) == MASSES.contains(&i)), "{sigma}");
         parameters.estimator.learn_enabled = false;
         assert!(parameters.prior().is_none());
     }

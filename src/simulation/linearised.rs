@@ -4,11 +4,11 @@ use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
 use super::Inputs;
 use super::five_bar::FiveBar;
-use super::learned::Bodies;
+use super::learned::Others;
 use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::effects::Motion;
-use crate::estimator::error_state::LEARNED;
+use crate::estimator::error_state::LOADS;
 use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::Work;
 use crate::mechanism::Pose;
@@ -51,8 +51,8 @@ pub struct FollowedScene<'a> {
     pub inputs: &'a Inputs,
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
-    /// Bodies whose masses are learned, where anything is.
-    pub learned: Option<&'a Bodies>,
+    /// Machines that differ by what is learned, where anything is.
+    pub learned: Option<&'a Others>,
 }
 
 impl FollowedScene<'_> {
@@ -112,8 +112,13 @@ impl Scene for FollowedScene<'_> {
     }
 
     #[inline(never)]
-    fn by_learned(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LEARNED> {
-        FollowedScene::by_learned(self, at, force, alpha)
+    fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
+        FollowedScene::by_loads(self, at, force, alpha)
+    }
+
+    #[inline(never)]
+    fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
+        FollowedScene::by_lengths(self, at, force, alpha)
     }
 
     fn mass(&self, theta: &Links) -> Matrix4<f64> {

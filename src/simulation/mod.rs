@@ -32,7 +32,7 @@ use crate::mechanism::{self, SceneError, closure};
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 pub use following::{Estimate, Following};
-pub use learned::Bodies;
+pub use learned::Others;
 pub use linearised::FollowedScene;
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;

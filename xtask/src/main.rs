@@ -88,7 +88,7 @@ enum Command {
     },
     /// Measure how well machines are followed, print tables of figures beside their targets; half an hour
     Estimator {
-        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes, foreign, geometry, learning
+        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes, foreign, geometry, workshop, learning
         #[arg(long, default_value = "")]
         only: String,
         /// Part of the runs that are made

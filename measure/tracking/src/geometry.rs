@@ -1,5 +1,5 @@
-//! Machines whose lengths or encoders' mounting angles are not those of the model: how far the tip is off, whether it is within its band, and
-//! whether a machine is lost without a word.
+//! Machines whose lengths or encoders' mounting angles are not those of the model, told, learned or neither: how far the tip is off, whether it is
+//! within its band, and whether a machine is lost without a word.
 
 use fivebar::estimator::MEASURED;
 use fivebar::mechanism::Start;
@@ -105,6 +105,55 @@ pub fn as_built(scene: Scene, random: &mut Random) -> Scenario {
         offset(scenario, random);
     };
     drawn(scene, error, TOLD, random)
+}
+
+/// Time for which lengths and mounting angles are learned, s, and of its end that is judged.
+const LEARNING: [f64; 2] = [5.0, 0.5];
+
+/// Machines of which the twin is told, and which it learns or not: tip errors in the last half second of 5 s, coverage and lost runs of all.
+pub fn learned(runs: u64, first: u64) -> Table {
+    let mut table = Table::new("Geometry that is off, told, and learned or not, at 1 ms: the tip after 5 s");
+    let both: Error = |scenario, random| {
+        lengths_off(scenario, random);
+        offset(scenario, random);
+    };
+    let errors: [(&str, Error); 3] = [("lengths 0.1 % off", lengths_off), ("an encoder 1 mrad off", offset), ("both", both)];
+    let scenes: [(&str, Scene); 2] =
+        [("falls", |random| fall(random, false)), ("servos on sines", |random| sines(random, LEARNING[0]))];
+    for (what, error) in errors {
+        for (name, scene) in scenes {
+            for encoder in [COARSE, FINE] {
+                for learns in [false, true] {
+                    let outcomes: Vec<Outcome> = (0..runs)
+                        .map(|seed| {
+                            let mut random = Random::new(first + 7_750_000 + seed);
+                            let mut scenario = drawn(scene, error, TOLD, &mut random);
+                            scenario.duration = LEARNING[0];
+                            scenario.model.estimator.learn_enabled = learns;
+                            run(&scenario, &encoder, &mut random)
+                        })
+                        .collect();
+                    let last = |outcome: &Outcome| outcome.errors.len().saturating_sub((LEARNING[1] / 1e-3) as usize);
+                    let ends = || outcomes.iter().flat_map(|outcome| &outcome.errors[last(outcome)..]);
+                    let all = |k: usize| 1e3 * median(ends().map(|error| error[k]));
+                    let covered = 100.0 * outcomes.iter().map(|outcome| outcome.inside).sum::<f64>() / runs as f64;
+                    let count = |of: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| of(outcome)).count() as f64;
+                    let label =
+                        format!("{what}, {name}, {}, {} for 5 s", encoder.name, if learns { "learned" } else { "not learned" });
+                    let of = format!("of {runs}; lost at the end: {}", count(|outcome| outcome.lost));
+                    table.push(Figure::told(format!("{label}: tip, mm"), all(0), format!("median; half-width {:.3} mm", all(1))));
+                    table.push(Figure::between(format!("{label}: within, %"), covered, [88.0, 100.0], String::new()));
+                    table.push(Figure::at_most(
+                        format!("{label}: lost without a word"),
+                        count(|outcome| outcome.silently),
+                        0.0,
+                        of,
+                    ));
+                }
+            }
+        }
+    }
+    table
 }
 
 /// Tip errors, coverage and lost runs by what is off, scene, encoder, and whether the twin is told.

@@ -46,6 +46,8 @@ LEARNED: Final = {
     "estimated.payload": "estimated.payload.sigma",
     **{f"estimated.viscous[{i}]": f"estimated.viscous.sigma[{i}]" for i in (1, 2, 3, 4, 5)},
     "estimated.friction": "estimated.friction.sigma",
+    **{f"estimated.length[{i}]": f"estimated.length.sigma[{i}]" for i in (1, 2, 3, 4, 5)},
+    **{f"estimated.offset[{i}]": f"estimated.offset.sigma[{i}]" for i in LEGS},
 }
 """Names of all that a unit may learn, and of its standard deviation, which is 0 where it is taken as known."""
 
@@ -263,8 +265,10 @@ class Follower(Rider):
                 values[f"viscous.b[{place}]"] = value
             elif name == "estimated.payload":
                 values["payload.mass"] = value
-            else:
+            elif name == "estimated.friction":
                 values |= {each: value * seen[each] for each in DRY}
+            elif name.startswith("estimated.length"):
+                values[f"link[{place}].length" if place != "5" else "base.distance"] = value
         fields = {each: seen[each] for name in known for each in (name, LEARNED[name])}
         return Message("learned", "", self.book.time + self.setup.step_ns, self.book.seq, fields, {"values": values})
 

@@ -8,7 +8,7 @@ from fivebar import scene_file
 from fivebar.scene import write_content
 from fivebar.twin.calibrate.parameters import SWITCHES
 
-TOLD: Final = "Masses, payload and friction as a twin has learned them."
+TOLD: Final = "Masses, payload, friction and lengths as a twin has learned them."
 """Sentence at the end of the scene's description."""
 
 

@@ -90,7 +90,7 @@ class Options:
 
     faults: str
     learn: bool
-    """Whether the twin learns masses, payload and friction."""
+    """Whether the twin learns masses, payload, friction, lengths and mounting angles."""
 
     exact: bool
     """Whether lengths and encoders are as the scene says, and the twin takes them so."""
