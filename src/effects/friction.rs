@@ -67,7 +67,7 @@ pub struct Friction {
 
 impl Friction {
     /// Makes the friction ready; refuses torques that are negative, or below the Coulomb torque at breakaway.
-    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    pub(crate) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);

@@ -5,8 +5,9 @@ use nalgebra::{Matrix4, SMatrix};
 
 use super::{FollowedScene, Model, Parameters};
 use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
+use crate::effects::friction::Friction;
 use crate::effects::payload::CARRIER;
-use crate::effects::{Effect, ForceLaw, JOINT_LINKS, JOINTS};
+use crate::effects::{ForceLaw, JOINT_LINKS, JOINTS};
 use crate::estimator::error_state::{DRY, LENGTHS, LOADS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
 use crate::estimator::{LinkState, Links, MEASURED, Prior, Scene, set_lengths};
 use crate::mechanism::placement::by_legs;
@@ -73,6 +74,9 @@ pub struct Others {
     /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close the
     /// loop alone.
     longer: Option<Box<[Model; 4]>>,
+    /// Friction by the `friction.*` variables, also of a scene that has none, unless it learns: its machine may have some. `None` where they are
+    /// not valid.
+    friction: Option<Friction>,
 }
 
 impl Others {
@@ -86,7 +90,10 @@ impl Others {
         let Parameters { estimator, .. } = parameters;
         let learns = estimator.learn_enabled && estimator.sigma0_length > 0.0;
         let longer = learns.then(|| Ok(Box::new([with(0)?, with(1)?, with(2)?, with(3)?]))).transpose()?;
-        Ok(Self { bodies: Self::bodies(parameters)?, longer })
+        let may_rub = parameters.effects.friction.enabled || !estimator.learn_enabled;
+        let friction =
+            may_rub.then(|| Friction::new(&parameters.effects.friction, &Mechanism::arranged(&parameters.geometry)).ok()).flatten();
+        Ok(Self { bodies: Self::bodies(parameters)?, longer, friction })
     }
 
     /// Proximal links, distal links, and a payload of 1 kg.
@@ -119,8 +126,8 @@ impl FollowedScene<'_> {
     /// adds, less what its masses need to move.
     pub(super) fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
         let mut by_loads = SMatrix::zeros();
-        let Some(Others { bodies, .. }) = self.learned else { return by_loads };
-        self.at(at, force, |five_bar, equations, pose, motion| {
+        let Some(Others { bodies, friction, .. }) = self.learned else { return by_loads };
+        self.at(at, force, |_, equations, pose, motion| {
             let (alpha, rates) = (angles(by_legs((*alpha).into())), angles(by_legs(at.omega.into())));
             let missing = bodies.each_ref().map(|(inertia, weight)| {
                 let held = inertia.with_centripetal(weight.torques(pose), pose, &rates);
@@ -141,10 +148,8 @@ impl FollowedScene<'_> {
                 torques[joint] = -rate;
                 set(VISCOUS.start + joint, on_links(torques));
             }
-            for effect in &five_bar.model.effects {
-                if let Effect::Friction(friction) = effect {
-                    set(DRY, on_links(friction.torques(&motion.joints)));
-                }
+            if let Some(friction) = friction {
+                set(DRY, on_links(friction.torques(&motion.joints)));
             }
         });
         by_loads
