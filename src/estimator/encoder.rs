@@ -21,7 +21,7 @@ pub struct Measured {
     /// Angles of the proximal links, rad.
     #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub theta: [f64; 2],
-    /// Times of measurement, s on the master's clock; [`NEVER`] before the first sample.
+    /// Times of measurement, s on the master's clock; −1e30 before the first sample.
     #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub time: [f64; 2],
 }
