@@ -193,9 +193,8 @@ impl Bank {
                 continue;
             }
             *likelihood = log_likelihood(residual * residual / variance, *variance);
-            let gain = column / *variance;
-            member.error += gain * *residual;
-            reduce(&mut member.covariance, &gain, column);
+            member.error += column * (residual / variance);
+            reduce(&mut member.covariance, column, *variance);
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
         for (member, likelihood) in self.members.iter_mut().zip(likelihood) {

@@ -60,13 +60,13 @@ pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Mat
     turned
 }
 
-/// Measurement update of a covariance, P − K (P Hᵀ)ᵀ, by the gain K and `column`, P Hᵀ.
-pub(super) fn reduce(covariance: &mut Matrix, gain: &Error, column: &Error) {
-    *covariance -= gain * column.transpose();
-    covariance.fill_upper_triangle_with_lower_triangle();
-    for i in 0..ERRORS {
+/// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
+pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
+    let taken = column / variance.sqrt();
+    covariance.ger(-1.0, &taken, &taken, 1.0);
+    for i in 0..N {
         // A variance may turn negative by round-off only.
-        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
+        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * taken[i] * taken[i]);
     }
 }
 

@@ -15,11 +15,13 @@
 use std::ops::Range;
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
-use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, OFFSETS, turned};
+use super::error_state::{
+    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, OFFSETS, reduce, turned,
+};
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
@@ -64,7 +66,7 @@ impl Learning {
     /// Nothing learned yet.
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
-        let model = Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance };
+        let model = Moments { covariance, ..Moments::ZERO };
         Self { values: prior.values, models: [model; MODELS], geometry: false }
     }
 
@@ -142,23 +144,23 @@ impl Learning {
     /// Moments of the mixture.
     fn moments(&self, own: &Bank) -> Moments {
         let (mean, mean_own) = (self.mean(own), own.mean());
-        let mut all = Moments { error: mean, cross: Cross::zeros(), covariance: Square::zeros() };
+        let mut all = Moments { error: mean, ..Moments::ZERO };
         for (model, member) in self.models.iter().zip(&own.members) {
             let weight = member.weight;
             if weight >= NEGLIGIBLE_PROBABILITY {
-                let off = model.error - mean;
-                combine(&mut all.cross, 1.0, (weight, &model.cross), (weight, &(member.error - mean_own), &off));
-                combine(&mut all.covariance, 1.0, (weight, &model.covariance), (weight, &off, &off));
+                let share = weight.sqrt();
+                let (off, off_own) = ((model.error - mean) * share, (member.error - mean_own) * share);
+                combine(&mut all.cross, 1.0, (weight, &model.cross), (&off_own, &off));
+                combine(&mut all.covariance, 1.0, (weight, &model.covariance), (&off, &off));
             }
         }
-        all.covariance.fill_upper_triangle_with_lower_triangle();
         all
     }
 
     /// Holds learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
     pub(super) fn hold(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
-        self.models = [Moments { error: Learned::zeros(), cross: Cross::zeros(), covariance }; MODELS];
+        self.models = [Moments { covariance, ..Moments::ZERO }; MODELS];
         self.geometry = false;
     }
 
@@ -231,7 +233,9 @@ impl Learning {
     }
 
     /// Completes the expectation of a sample by what it shows of the parameters, by `row`; returns its covariance with them in each model.
+    /// Lengths and mounting angles that are not learned at present are part of its noise.
     pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Learned) -> [Learned; MODELS] {
+        let row = if self.geometry { *row } else { Learned::zeros() };
         let shown = row.fixed_rows::<GEOMETRY>(LOADS);
         let mut columns = [Learned::zeros(); MODELS];
         for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
@@ -259,31 +263,26 @@ impl Learning {
             let gain = column / *variance;
             let before = considered.then(|| model.geometry());
             model.error += gain * *residual;
-            subtract(&mut model.cross, own, &gain);
-            subtract(&mut model.covariance, &gain, column);
-            model.covariance.fill_upper_triangle_with_lower_triangle();
-            for i in 0..LEARNED {
-                // A variance may turn negative by round-off only.
-                model.covariance[(i, i)] = model.covariance[(i, i)].max(f64::EPSILON * gain[i] * column[i]);
-            }
+            model.cross.ger(-1.0, own, &gain, 1.0);
+            reduce(&mut model.covariance, column, *variance);
             if let Some(before) = before {
                 model.set_geometry(&before);
             }
         }
     }
 
-    /// Keeps the values within their bounds, before a correction: mean errors that would lead beyond are moved to the bound, with all that they are
-    /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
+    /// Keeps the values within their bounds, before a correction: mean errors that would lead beyond are moved to the bound in each model, with all
+    /// that they are correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn keep_within_bounds(&mut self, own: &mut Bank, constants: &Constants) {
         for i in 0..LEARNED {
             let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
             let [least, most] = bounds(i, constants);
             let beyond = (self.values[i] + error).clamp(least, most) - (self.values[i] + error);
             if beyond != 0.0 {
-                let Moments { cross, covariance, .. } = self.moments(own);
-                let part = beyond / covariance[(i, i)].max(f64::MIN_POSITIVE);
                 for (model, member) in self.models.iter_mut().zip(&mut own.members) {
-                    model.error += covariance.column(i) * part;
+                    let Moments { error, cross, covariance } = model;
+                    let part = beyond / covariance[(i, i)].max(f64::MIN_POSITIVE);
+                    *error += covariance.column(i) * part;
                     member.error += cross.column(i) * part;
                 }
             }
@@ -312,6 +311,13 @@ impl Learning {
 }
 
 impl Moments {
+    /// Parameters that are known exactly.
+    const ZERO: Self = Self {
+        error: Learned::from_array_storage(ArrayStorage([[0.0; LEARNED]])),
+        cross: Cross::from_array_storage(ArrayStorage([[0.0; ERRORS]; LEARNED])),
+        covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
+    };
+
     /// Mean error and covariance of lengths and mounting angles.
     fn geometry(&self) -> (SVector<f64, GEOMETRY>, SMatrix<f64, GEOMETRY, GEOMETRY>) {
         let Self { error, covariance, .. } = self;
@@ -326,10 +332,10 @@ impl Moments {
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
-        let by = self.error - all.error;
-        combine(&mut self.cross, own, (any, &all.cross), (own * any, off, &by));
-        combine(&mut self.covariance, own, (any, &all.covariance), (own * any, &by, &by));
-        self.covariance.fill_upper_triangle_with_lower_triangle();
+        let share = (own * any).sqrt();
+        let (by, off) = ((self.error - all.error) * share, off * share);
+        combine(&mut self.cross, own, (any, &all.cross), (&off, &by));
+        combine(&mut self.covariance, own, (any, &all.covariance), (&by, &by));
         self.error = self.error * own + all.error * any;
     }
 
@@ -359,26 +365,16 @@ impl Moments {
     }
 }
 
-/// Subtracts x yᵀ.
-fn subtract<const R: usize>(from: &mut SMatrix<f64, R, LEARNED>, x: &SVector<f64, R>, y: &Learned) {
-    for (k, column) in from.data.0.iter_mut().enumerate() {
-        for i in 0..R {
-            column[i] -= x[i] * y[k];
-        }
-    }
-}
-
-/// Becomes its multiple, plus one of another matrix, plus one of x yᵀ.
+/// Becomes its multiple, plus one of another matrix, plus x yᵀ; symmetric to the bit where all of them are.
 fn combine<const R: usize>(
     matrix: &mut SMatrix<f64, R, LEARNED>,
     own: f64,
     (part, other): (f64, &SMatrix<f64, R, LEARNED>),
-    (factor, x, y): (f64, &SVector<f64, R>, &Learned),
+    (x, y): (&SVector<f64, R>, &Learned),
 ) {
     for (k, (column, other)) in matrix.data.0.iter_mut().zip(&other.data.0).enumerate() {
-        let y = factor * y[k];
         for i in 0..R {
-            column[i] = column[i] * own + other[i] * part + x[i] * y;
+            column[i] = column[i] * own + other[i] * part + x[i] * y[k];
         }
     }
 }

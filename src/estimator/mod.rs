@@ -161,7 +161,8 @@ impl Estimator {
     fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let mut motion = *motion;
         let mut frame = constants.linkage.frame(&motion.theta);
-        let systematic = self.systematic_errors(constants, &frame);
+        let mut rows = self.rows_by_learned(&frame);
+        let systematic = self.systematic_errors(constants, &frame, rows.as_ref());
         let mut samples =
             [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
         // Samples end a forecast even where their values cannot be used.
@@ -181,9 +182,10 @@ impl Estimator {
         let favoured = self.hypotheses.favoured(&constants.linkage, &self.belief, &samples);
         if let Some(other) = favoured {
             frame = self.take_over(other, constants, &mut motion);
+            rows = self.rows_by_learned(&frame);
             samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
         }
-        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), &samples);
+        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), rows.as_ref(), &samples);
         let used = samples.iter().flatten().count();
         if used == 0 {
             return favoured.map(|_| motion);
@@ -233,11 +235,16 @@ impl Estimator {
         Some(motion)
     }
 
+    /// Derivatives of both readings by the learned parameters; `None` where nothing is learned.
+    fn rows_by_learned(&self, frame: &Frame) -> Option<[Learned; 2]> {
+        self.learning.is_some().then(|| frame.readings_by_learned())
+    }
+
     /// Variance, rad², and known part, rad, of the persistent error of each encoder.
-    fn systematic_errors(&self, constants: &Constants, frame: &Frame) -> [(f64, f64); 2] {
-        match &self.learning {
-            Some(learning) => {
-                let (rows, values) = (frame.readings_by_learned(), learning.values());
+    fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Learned; 2]>) -> [(f64, f64); 2] {
+        match self.learning.as_ref().zip(rows) {
+            Some((learning, rows)) => {
+                let values = learning.values();
                 [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]), values[OFFSETS.start + i]))
             }
             None => frame.motors_by_geometry(&constants.parameters).map(|variance| (variance, 0.0)),
@@ -245,7 +252,13 @@ impl Estimator {
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
-    fn update(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> Update {
+    fn update(
+        &mut self,
+        constants: &Constants,
+        (motion, frame): (&LinkState, &Frame),
+        rows: Option<&[Learned; 2]>,
+        samples: &[Option<Sample>; 2],
+    ) -> Update {
         if self.are_exchanged((motion, frame), samples) {
             for (i, sample) in samples.iter().flatten().enumerate() {
                 self.innovation[i] = sample.innovation.residual;
@@ -254,17 +267,13 @@ impl Estimator {
         }
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
-        let rows = self.learning.as_ref().map(|learning| match learning.learns_geometry() {
-            true => frame.readings_by_learned(),
-            false => [Learned::zeros(); 2],
-        });
+        let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             // Lengths and mounting angles that are learned are no noise.
-            let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
             let used = if learns_geometry { self.encoders[i].without_persistent_error(sample) } else { *sample };
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
-            let by_learned = self.learning.as_ref().zip(rows.as_ref());
+            let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
             let own = expected.nis();
             nis += own;

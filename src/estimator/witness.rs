@@ -113,7 +113,7 @@ impl Witness {
         response[DELAY] -= rate;
         let gain = column / variance;
         self.error += gain * off;
-        reduce(&mut self.covariance, &gain, &column);
+        reduce(&mut self.covariance, &column, variance);
         self.responses -= gain * response.transpose();
         self.information += response * (response / variance).transpose();
         self.told += response * (off / variance);

@@ -94,12 +94,10 @@ impl Following {
         estimate.inputs = *inputs;
         let (turns, from) = (run.turns, run.motion(model));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
+        let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
+        let asked = learned.as_ref().or_else(|| estimate.estimator.asks_for_parameters().then_some(parameters));
         // The weights have been checked by the model.
-        let others = match estimate.estimator.learned() {
-            Some(learned) => Others::new(&parameters.with_learned(&learned)).ok(),
-            None if estimate.estimator.asks_for_parameters() => Others::new(parameters).ok(),
-            None => None,
-        };
+        let others = asked.and_then(|parameters| Others::new(parameters).ok());
         let scene = FollowedScene { model, inputs, turns: &turns, learned: others.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())

@@ -68,32 +68,37 @@ impl Parameters {
 
 /// Machines that differ from a scene's by what is learned.
 #[derive(Clone, Debug)]
-pub struct Others {
+pub struct Others<'a> {
+    /// Parameters of the scene.
+    parameters: &'a Parameters,
     /// Bodies whose masses are learned, each as if alone.
     bodies: [(Inertia, Weight); 3],
-    /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close the
-    /// loop alone.
-    longer: Option<Box<[Model; 4]>>,
     /// Friction by the `friction.*` variables, also of a scene that has none, unless it learns: its machine may have some. `None` where they are
     /// not valid.
     friction: Option<Friction>,
 }
 
-impl Others {
+impl<'a> Others<'a> {
     /// Machines beside that of a scene.
-    pub(super) fn new(parameters: &Parameters) -> Result<Self, SceneError> {
-        let with = |i: usize| {
-            let mut other = parameters.clone();
-            other.geometry.links[i].length += LONGER;
-            Model::new(&other)
-        };
-        let Parameters { estimator, .. } = parameters;
-        let learns = estimator.learn_enabled && estimator.sigma0_length > 0.0;
-        let longer = learns.then(|| Ok(Box::new([with(0)?, with(1)?, with(2)?, with(3)?]))).transpose()?;
-        let may_rub = parameters.effects.friction.enabled || !estimator.learn_enabled;
+    pub(super) fn new(parameters: &'a Parameters) -> Result<Self, SceneError> {
+        let may_rub = parameters.effects.friction.enabled || !parameters.estimator.learn_enabled;
         let friction =
             may_rub.then(|| Friction::new(&parameters.effects.friction, &Mechanism::arranged(&parameters.geometry)).ok()).flatten();
-        Ok(Self { bodies: Self::bodies(parameters)?, longer, friction })
+        Ok(Self { parameters, bodies: Self::bodies(parameters)?, friction })
+    }
+
+    /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close
+    /// the loop alone.
+    fn longer(&self) -> Option<impl Iterator<Item = Result<Model, SceneError>>> {
+        let mut other = self.parameters.clone();
+        let learns = other.estimator.learn_enabled && other.estimator.sigma0_length > 0.0;
+        learns.then(|| {
+            (0..4).map(move |i| {
+                other.geometry = self.parameters.geometry;
+                other.geometry.links[i].length += LONGER;
+                Model::new(&other)
+            })
+        })
     }
 
     /// Proximal links, distal links, and a payload of 1 kg.
@@ -117,9 +122,12 @@ impl Others {
 impl FollowedScene<'_> {
     /// Derivatives of the accelerations, which are `alpha`, by lengths of links: differences to those of machines with longer links.
     pub(super) fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
-        let longer = self.learned?.longer.as_ref()?;
-        let by_length = longer.each_ref().map(|model| (FollowedScene { model, ..*self }.acceleration(at, force) - alpha) / LONGER);
-        Some(Matrix4::from_columns(&by_length))
+        let mut by_lengths = Matrix4::zeros();
+        for (mut column, model) in by_lengths.column_iter_mut().zip(self.learned?.longer()?) {
+            let model = &model.ok()?;
+            column.copy_from(&((FollowedScene { model, ..*self }.acceleration(at, force) - alpha) / LONGER));
+        }
+        Some(by_lengths)
     }
 
     /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned: the equations solved for the torques that each

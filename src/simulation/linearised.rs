@@ -52,7 +52,7 @@ pub struct FollowedScene<'a> {
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
     /// Machines that differ by what is learned, where anything is.
-    pub learned: Option<&'a Others>,
+    pub learned: Option<&'a Others<'a>>,
 }
 
 impl FollowedScene<'_> {

@@ -40,27 +40,39 @@ fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64
     Ok(samples)
 }
 
-/// A twin of a machine with these parameters.
-fn twin(mut parameters: Parameters, inputs: &Inputs) -> Result<Following> {
+/// A twin of a machine with these parameters, whose lengths and mounting angles are uncertain or exact.
+fn twin(mut parameters: Parameters, inputs: &Inputs, geometry: bool) -> Result<Following> {
     parameters.estimator.enabled = true;
     parameters.estimator.quantum = [QUANTUM; 2];
     parameters.estimator.sigma0_theta = 1e-3;
     parameters.estimator.sigma0_omega = 1e-2;
-    (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+    if !geometry {
+        (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+    }
     Ok(Following::new(&parameters, inputs)?)
 }
 
-/// The fall, followed: `speak` says whether the encoders do, `learn` whether masses, payload and viscous friction are learned.
-fn followed(name: &'static str, speak: bool, learn: bool) -> Case {
+/// Parameters that are learned.
+#[derive(Clone, Copy, PartialEq)]
+enum Learned {
+    None,
+    /// Masses, payload and viscous friction.
+    Loads,
+    /// Loads, lengths and mounting angles.
+    All,
+}
+
+/// The fall, followed: `speak` says whether the encoders do.
+fn followed(name: &'static str, speak: bool, learned: Learned) -> Case {
     Case::new(FOLLOWING, name, STEPS, move || {
         let Scene { mut parameters, inputs, .. } = Scene::fall();
-        let effects = &mut parameters.effects;
+        let (effects, learn) = (&mut parameters.effects, learned != Learned::None);
         (effects.payload.enabled, effects.viscous.enabled) = (learn, learn);
         (effects.payload.mass, effects.viscous.b) = (5e-3, [1e-5; 5]);
         parameters.estimator.learn_enabled = learn;
         let run_up = if speak { RUN_UP } else { 0 };
         let mut samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..run_up + STEPS)?;
-        let mut twin = twin(parameters, &inputs)?;
+        let mut twin = twin(parameters, &inputs, learned == Learned::All)?;
         for (measured, now) in samples.drain(..run_up as usize) {
             twin.correct(&measured, now);
             twin.advance_along(&Signal::held(inputs), H, 1).map_err(|failure| anyhow::anyhow!("{failure}"))?;
@@ -85,7 +97,7 @@ type Sampled = (Following, Vec<(Measured, f64)>);
 fn start() -> Result<Sampled> {
     let Scene { parameters, inputs, .. } = Scene::fall();
     let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..LATEST)?;
-    Ok((twin(parameters, &inputs)?, samples))
+    Ok((twin(parameters, &inputs, false)?, samples))
 }
 
 /// A free machine that crosses the line of its distal links slowly, so that samples do not tell for some time whether it has.
@@ -114,7 +126,7 @@ fn crossing() -> Result<Sampled> {
     parameters.start.omega = MEASURED.map(|link| omega[link]);
     parameters.start.assembly = if (theta[2] - theta[1]).sin() > 0.0 { Assembly::Plus } else { Assembly::Minus };
     let samples = samples(&mut machine, &inputs, 0..LATEST)?;
-    Ok((twin(parameters, &inputs)?, samples))
+    Ok((twin(parameters, &inputs, false)?, samples))
 }
 
 /// A machine of which both assemblies are followed.
@@ -150,9 +162,10 @@ fn doubtful(name: &'static str, machine: fn() -> Result<Sampled>) -> Case {
 /// Table `following`.
 pub(super) fn cases() -> Vec<Case> {
     vec![
-        followed("a step with a sample of both encoders", true, false),
-        followed("a step with a sample of both encoders, masses, payload and viscous friction learned", true, true),
-        followed("a coasting step", false, false),
+        followed("a step with a sample of both encoders", true, Learned::None),
+        followed("a step with a sample of both encoders, masses, payload and viscous friction learned", true, Learned::Loads),
+        followed("a step with a sample of both encoders, lengths and mounting angles learned as well", true, Learned::All),
+        followed("a coasting step", false, Learned::None),
         doubtful("a step with a sample of both encoders, the start doubted", start),
         doubtful("a step with a sample of both encoders, two assemblies followed", crossing),
     ]
