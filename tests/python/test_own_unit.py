@@ -200,7 +200,7 @@ def test_without_a_file_there_is_no_instance(mine: Unit, copy: Path) -> None:
             started(mine, copy, location)
         sentence = str(refusal.value)
         assert sentence.startswith(f"fmi2Instantiate: fmuGUID is {mine.model.guid}, this library belongs to ")
-        assert str(copy / "resources" / "unit.xml") in sentence and "\n" not in sentence
+        assert str(copy / "resources" / "unit.txt") in sentence and "\n" not in sentence
 
 
 def text(change: Callable[[str], str]) -> Callable[[Path], None]:
@@ -226,20 +226,21 @@ def endless(file: Path) -> None:
     file.symlink_to("/dev/zero")
 
 
+FORM = 'there must be a line "unit NAME GUID LIBRARY"'
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
-    "empty": (text(lambda _: ""), "there must be one <unit>"),
+    "empty": (text(lambda _: ""), FORM),
     "cut short": (text(lambda all: all[: len(all) // 2]), ""),
-    "no XML": (text(lambda _: "{}"), "there must be one <unit>"),
-    "not UTF-8": (lambda file: file.write_bytes(b"<unit name='\xff'/>"), "cannot be read: stream did not contain valid UTF-8"),
+    "cut before the last line": (text(lambda all: all.removesuffix("end\n")), FORM),
+    "of another form": (text(lambda _: "{}"), FORM),
+    "not UTF-8": (lambda file: file.write_bytes(b"unit \xff"), "cannot be read: stream did not contain valid UTF-8"),
     "oversized": (text(lambda all: all + " " * 70_000), "at most 65536 bytes"),
-    "deep": (text(lambda all: all.replace("<start", "<start>" * 1000 + "<start", 1)), "there must be one <unit>"),
-    "entities": (text(lambda all: '<!DOCTYPE unit [<!ENTITY a "1">]>' + all.partition("?>")[2]), "there must be one <unit>"),
-    "of another unit": (text(lambda all: all.replace('guid="{', 'guid="{0')), "these start values belong to the unit MyMachine with {0"),
-    "of another library": (text(lambda all: all.replace('library="{', 'library="{0')), "was made for the library {0"),
-    "a value below its bound": (text(lambda all: all.replace('"0.1"', '"-0.1"')), "base.distance = -0.1 m is not allowed: it must be at least 0 m"),
-    "a value that is no number": (text(lambda all: all.replace('"0.1"', '"nan"')), "base.distance = NaN m is not allowed: it must be finite"),
-    "a value of another type": (text(lambda all: all.replace('"true"', '"yes"')), 'payload.enabled = "yes" is not allowed: it must be of type Boolean'),
-    "no item of an enumeration": (text(lambda all: all.replace('value="4"', 'value="99"')), "solver.method = 99 is not allowed: it must be one of 1"),
+    "of many units": (text(lambda all: all.partition("\n")[0].join(["", "\n"]) * 300), FORM),
+    "of another unit": (text(lambda all: all.replace("{", "{0", 1)), "these start values belong to the unit MyMachine with {0"),
+    "of another library": (text(lambda all: all.replace("} {", "} {0")), "was made for the library {0"),
+    "a value below its bound": (text(lambda all: all.replace(" 0.1\n", " -0.1\n")), "base.distance = -0.1 m is not allowed: it must be at least 0 m"),
+    "a value that is no number": (text(lambda all: all.replace(" 0.1\n", " nan\n")), "base.distance = NaN m is not allowed: it must be finite"),
+    "a value of another type": (text(lambda all: all.replace("true", "yes")), 'payload.enabled = "yes" is not allowed: it must be of type Boolean'),
+    "no item of an enumeration": (text(lambda all: all.replace("method 4", "method 99")), "solver.method = 99 is not allowed: it must be one of 1"),
     "an unknown variable": (text(lambda all: all.replace("base.distance", "base.width")), "there is no variable base.width"),
     "an output": (text(lambda all: all.replace("base.distance", "tip.x")), "tip.x is computed and cannot be set"),
     "a value twice": (text(lambda all: all.replace("init.theta[2]", "init.theta[1]")), "init.theta[1] has two start values"),
@@ -253,16 +254,16 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_file_that_is_broken_is_refused_in_one_sentence(mine: Unit, copy: Path, what: str) -> None:
     spoil, expected = BROKEN[what]
-    spoil(copy / "resources" / "unit.xml")
+    spoil(copy / "resources" / "unit.txt")
     with pytest.raises(Refused) as refusal:
         started(mine, copy, (copy / "resources").as_uri().encode())
     sentence = str(refusal.value)
-    assert sentence.startswith(f"fmi2Instantiate: {copy / 'resources' / 'unit.xml'}: ") and expected in sentence, sentence
+    assert sentence.startswith(f"fmi2Instantiate: {copy / 'resources' / 'unit.txt'}: ") and expected in sentence, sentence
     assert "\n" not in sentence and sentence.endswith(".") and len(sentence) < 600
 
 
 def test_a_unit_with_another_unit_s_file_is_refused(mine: Unit, own: Unit, copy: Path) -> None:
-    shutil.copy(Path(own.directory) / "resources" / "unit.xml", copy / "resources")
+    shutil.copy(Path(own.directory) / "resources" / "unit.txt", copy / "resources")
     with pytest.raises(Refused, match="these start values belong to the unit OwnMachine with "):
         started(mine, copy, None)
 
@@ -271,7 +272,7 @@ def test_the_plain_unit_reads_no_file(model: ModelDescription, directory: str, t
     """A file that would be refused lies there in vain."""
     folder = Path(shutil.copytree(directory, tmp_path / "plain"))
     (folder / "resources").mkdir(exist_ok=True)
-    (folder / "resources" / "unit.xml").write_text("broken")
+    (folder / "resources" / "unit.txt").write_text("broken")
     values = started(Unit(tmp_path, str(folder), model), folder, (folder / "resources").as_uri().encode())
     assert values["base.distance"] == 0.42 and values["solver.method"] == 1
 

@@ -1,7 +1,7 @@
 """Writes a unit of one's own from the shipped one, without a compiler: the same libraries under another name, with start values,
 experiment and description of a scene.
 
-The model description in the archive has them for masters, and `resources/unit.xml` for the library, which reads it when it is
+The model description in the archive has them for masters, and `resources/unit.txt` for the library, which reads it when it is
 instantiated (src/fmi/own.rs). Equal scenes and names give equal bytes and GUIDs.
 """
 
@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import fmpy
 
@@ -28,7 +27,7 @@ from fivebar.variables import Value, Variable, Variables, of_unit
 
 Naming = Literal["structured", "flat"]
 
-MODEL, PAGE, START = "modelDescription.xml", "documentation/index.html", "resources/unit.xml"
+MODEL, PAGE, START = "modelDescription.xml", "documentation/index.html", "resources/unit.txt"
 PLAIN = "FiveBar"
 """Name of the shipped unit."""
 
@@ -144,7 +143,7 @@ class Start:
 
     @property
     def text(self) -> str:
-        """The value as XML writes it."""
+        """The value as XML and `resources/unit.txt` write it."""
         return repr(self.value).lower()
 
     def shown(self, value: Value) -> str:
@@ -218,10 +217,9 @@ def _description(scene: Scene) -> str:
 
 
 def _start_file(name: str, description: _Description, starts: list[Start]) -> str:
-    """`resources/unit.xml`, which src/fmi/own.rs reads."""
-    head = f"<unit name={quoteattr(name)} guid={quoteattr(description.guid)} library={quoteattr(description.library)}>"
-    rows = [f"  <start name={quoteattr(start.variable.name)} value={quoteattr(start.text)}/>" for start in starts]
-    return "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', head, *rows, "</unit>", ""])
+    """`resources/unit.txt`, which src/fmi/own.rs reads."""
+    rows = [f"{start.variable.name} {start.text}" for start in starts]
+    return "\n".join([f"unit {name} {description.guid} {description.library}", *rows, "end", ""])
 
 
 def _page(page: str, description: _Description, starts: list[Start]) -> str:
