@@ -43,6 +43,15 @@ fn camel(name: &str) -> String {
     name.split('.').map(capital).collect()
 }
 
+/// An enum with descriptions and variants.
+fn rust_enum(code: &mut String, description: &str, name: &str, variants: impl Iterator<Item = (String, String)>) -> Written {
+    writeln!(code, "\n/// {description}.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum {name} {{")?;
+    for (description, variant) in variants {
+        writeln!(code, "    /// {description}.\n    {variant},")?;
+    }
+    writeln!(code, "}}")
+}
+
 fn constants(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(
         code,
@@ -55,11 +64,9 @@ fn constants(description: &ModelDescription, code: &mut String) -> Written {
         description.model_identifier
     )?;
     writeln!(code, "/// Number of event indicators.\npub const EVENT_INDICATORS: usize = {};", description.event_indicators)?;
-    writeln!(code, "\n/// The declared log categories.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum Category {{")?;
-    for category in &description.categories {
-        writeln!(code, "    /// {}.\n    {},", category.description, camel(&category.name))?;
-    }
-    writeln!(code, "}}\n\nimpl Category {{\n    /// All categories, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
+    let variants = description.categories.iter().map(|category| (category.description.clone(), camel(&category.name)));
+    rust_enum(code, "The declared log categories", "Category", variants)?;
+    writeln!(code, "\nimpl Category {{\n    /// All categories, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
     for category in &description.categories {
         writeln!(code, "        Self::{},", camel(&category.name))?;
     }
@@ -80,11 +87,10 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
             continue;
         };
         let name = &simple_type.name;
-        writeln!(code, "\n/// {}.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum {name} {{", simple_type.description)?;
-        for item in &enumeration.items {
-            writeln!(code, "    /// {}.\n    {} = {},", item.description, camel(&item.name), item.value)?;
-        }
-        writeln!(code, "}}\n\nimpl {name} {{\n    /// Items with their numbers.\n    pub const ITEMS: &[Item] = &[")?;
+        let variants =
+            enumeration.items.iter().map(|item| (item.description.clone(), format!("{} = {}", camel(&item.name), item.value)));
+        rust_enum(code, &simple_type.description, name, variants)?;
+        writeln!(code, "\nimpl {name} {{\n    /// Items with their numbers.\n    pub const ITEMS: &[Item] = &[")?;
         for item in &enumeration.items {
             writeln!(code, "        Item {{ name: {:?}, value: {} }},", item.name, item.value)?;
         }
@@ -129,19 +135,14 @@ fn variant(group: &str, name: &Name, index: &str) -> String {
 fn families(description: &ModelDescription, code: &mut String) -> Written {
     let groups = groups(description);
     for (group, families) in &groups {
-        writeln!(code, "\n/// Variables of one role; indices count from 0.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]")?;
-        writeln!(code, "pub enum {group} {{")?;
-        for name in families {
+        let variants = families.iter().map(|name| {
             let index = if name.index.is_some() { "(usize)" } else { "" };
-            writeln!(code, "    /// `{}`.\n    {}{index},", name.family, camel(&name.family))?;
-        }
-        writeln!(code, "}}")?;
+            (format!("`{}`", name.family), camel(&name.family) + index)
+        });
+        rust_enum(code, "Variables of one role; indices count from 0", group, variants)?;
     }
-    writeln!(code, "\n/// A variable of any type and role.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum VariableId {{")?;
-    for group in groups.keys() {
-        writeln!(code, "    /// See [`{group}`].\n    {group}({group}),")?;
-    }
-    writeln!(code, "}}")
+    let variants = groups.keys().map(|group| (format!("See [`{group}`]"), format!("{group}({group})")));
+    rust_enum(code, "A variable of any type and role", "VariableId", variants)
 }
 
 fn table(description: &ModelDescription, code: &mut String) -> Written {
@@ -195,18 +196,16 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(code, "];")
 }
 
-/// The continuous states and their derivatives, in the order of the file.
+/// The continuous states, in the order of the file.
 fn states(description: &ModelDescription, code: &mut String) -> Written {
-    let states: Vec<&Variable> =
-        description.states().iter().flat_map(|name| description.variables.iter().find(|v| v.name.full == *name)).collect();
-    let ids: Vec<String> = states
-        .iter()
-        .map(|state| variant("RealComputed", &state.name, &state.name.index.map(|index| index.to_string()).unwrap_or_default()))
-        .collect();
-    let derivatives: Vec<&str> = description.structure.derivatives.iter().map(|unknown| unknown.name.as_str()).collect();
-    let number = states.len();
-    writeln!(code, "\n/// The continuous states.\npub const CONTINUOUS_STATES: [RealComputed; {number}] = [{}];", ids.join(", "))?;
-    writeln!(code, "\n/// Names of their derivatives.\npub const DERIVATIVES: [&str; {number}] = {derivatives:?};")
+    let names = description.states();
+    writeln!(code, "\n/// Names of the continuous states and their variables.")?;
+    writeln!(code, "pub const CONTINUOUS_STATES: [(&str, RealComputed); {}] = [", names.len())?;
+    for state in names.iter().flat_map(|name| description.variables.iter().find(|variable| variable.name.full == *name)) {
+        let index = state.name.index.map(|index| index.to_string()).unwrap_or_default();
+        writeln!(code, "    ({:?}, {}),", state.name.full, variant("RealComputed", &state.name, &index))?;
+    }
+    writeln!(code, "];")
 }
 
 /// Name of the enumeration type of a variable.

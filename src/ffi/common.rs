@@ -107,7 +107,7 @@ functions! {
     fmi2SetDebugLogging(loggingOn: fmi2Boolean, nCategories: size_t, categories: [in fmi2String; nCategories]) |instance| {
         // SAFETY: the caller vouches for the strings.
         let names = categories.iter().map(|name| unsafe { string("a category", *name) }).collect::<Result<Vec<&str>, _>>()?;
-        instance.log.choose(loggingOn != fmi2False, names.into_iter())
+        instance.log.choose(loggingOn != fmi2False, names.into_iter())?;
     };
     /// Start and end of the experiment (section 2.1.6); the tolerance is not used.
     fmi2SetupExperiment(
@@ -118,20 +118,20 @@ functions! {
         stopTime: fmi2Real
     ) |instance| {
         let defined = |flag: fmi2Boolean, value| (flag != fmi2False).then_some(value);
-        instance.setup_experiment(defined(toleranceDefined, tolerance), startTime, defined(stopTimeDefined, stopTime))
+        instance.setup_experiment(defined(toleranceDefined, tolerance), startTime, defined(stopTimeDefined, stopTime))?;
     };
     /// Begins initialisation (section 2.1.6).
-    fmi2EnterInitializationMode() |instance| instance.enter_initialization_mode();
+    fmi2EnterInitializationMode() |instance| instance.enter_initialization_mode()?;
     /// Ends initialisation: the scene is validated and made ready (section 2.1.6).
-    fmi2ExitInitializationMode() |instance| instance.exit_initialization_mode();
+    fmi2ExitInitializationMode() |instance| instance.exit_initialization_mode()?;
     /// Ends the run (section 2.1.6).
     fmi2Terminate() |instance| instance.terminate();
     /// Back to a fresh instance (section 2.1.6).
     fmi2Reset() |instance| instance.reset();
     /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
-    fmi2GetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *mut fmi2String]) |instance| instance.no_strings(vr);
+    fmi2GetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *mut fmi2String]) |instance| instance.no_strings(vr)?;
     /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
-    fmi2SetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *const fmi2String]) |instance| instance.no_strings(vr);
+    fmi2SetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *const fmi2String]) |instance| instance.no_strings(vr)?;
 }
 
 /// Defines the getter and the setter of a type (section 2.1.7).
@@ -144,11 +144,10 @@ macro_rules! access {
                     place.write($to_c(found));
                 }
             }
-            Ok(())
         };
         /// Sets variables, all or none (section 2.1.7).
         $set(vr: [in fmi2ValueReference; nvr], nvr: size_t, value: [in $c_type; nvr]) |instance|
-            instance.set(vr.iter().copied().zip(value.iter().map(|value| Value::$type($from_c(*value)))));
+            instance.set(vr.iter().copied().zip(value.iter().map(|value| Value::$type($from_c(*value)))))?;
     )+} };
 }
 

@@ -16,7 +16,6 @@ functions! {
     ) |instance| {
         let knowns = vKnown_ref.iter().copied().zip(dvKnown.iter().copied());
         dvUnknown.write_copy_of_slice(&instance.directional_derivative(vUnknown_ref, knowns)?);
-        Ok(())
     };
     /// Sets derivatives of inputs, all or none (section 4.2.1).
     fmi2SetRealInputDerivatives(
@@ -26,7 +25,7 @@ functions! {
         value: [in fmi2Real; nvr]
     ) |instance| {
         let triples = vr.iter().zip(order).zip(value).map(|((reference, order), value)| (*reference, *order, *value));
-        instance.set_input_derivatives(triples)
+        instance.set_input_derivatives(triples)?;
     };
     /// Reads derivatives of outputs at the present communication point (section 4.2.1).
     fmi2GetRealOutputDerivatives(
@@ -34,8 +33,5 @@ functions! {
         nvr: size_t,
         order: [in fmi2Integer; nvr],
         value: [out fmi2Real; nvr]
-    ) |instance| {
-        value.write_copy_of_slice(&instance.output_derivatives(vr, order)?);
-        Ok(())
-    };
+    ) |instance| value.write_copy_of_slice(&instance.output_derivatives(vr, order)?);
 }

@@ -15,7 +15,7 @@ use std::mem::MaybeUninit;
 use super::fmi2String;
 use crate::fmi::CallError;
 
-/// Defines C functions that take an instance, by the table on top of this file. A body is a closure over the instance.
+/// Defines C functions that take an instance, by the table on top of this file. A body acts on the instance, and refuses by `?`.
 macro_rules! functions {
     ($($(#[doc = $doc:literal])+ $name:ident($($argument:ident: $kind:tt),*) |$instance:ident| $body:expr;)+) => {$(
         $(#[doc = $doc])+
@@ -27,9 +27,10 @@ macro_rules! functions {
             c: $crate::ffi::fmi2Component,
             $($argument: functions!(@type $kind)),*
         ) -> $crate::ffi::fmi2Status {
-            let body = |$instance: &mut $crate::fmi::Instance| {
+            let body = |$instance: &mut $crate::fmi::Instance| -> Result<(), $crate::fmi::CallError> {
                 $(functions!(@check $argument $kind);)*
-                $body
+                $body;
+                Ok(())
             };
             // SAFETY: the caller vouches for the component.
             unsafe { $crate::ffi::guard::guard(c, $crate::fmi::Call::$name, body) }

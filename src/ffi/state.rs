@@ -32,13 +32,11 @@ functions! {
     fmi2GetFMUstate(FMUstate: [out fmi2FMUstate]) |instance| {
         // SAFETY: the caller has initialised the place, and vouches for the state.
         unsafe { store(FMUstate.assume_init_mut(), instance.snapshot()) };
-        Ok(())
     };
     /// Restores a stored state, made by any instance of this unit for the same kind, co-simulation or model exchange.
     fmi2SetFMUstate(FMUstate: fmi2FMUstate) |instance| {
         // SAFETY: the caller vouches for the state.
-        let snapshot = unsafe { stored(FMUstate) }?;
-        instance.restore(snapshot)
+        instance.restore(unsafe { stored(FMUstate) }?)?;
     };
     /// Frees a stored state and sets the pointer to null; a null state or a null pointer to it is allowed.
     fmi2FreeFMUstate(FMUstate: [raw *mut fmi2FMUstate]) |_instance| {
@@ -50,13 +48,11 @@ functions! {
             drop(unsafe { Box::from_raw(state.cast::<Snapshot>()) });
             *state = null_mut();
         }
-        Ok(())
     };
     /// Number of bytes that the state takes.
     fmi2SerializedFMUstateSize(FMUstate: fmi2FMUstate, size: [out size_t]) |_instance| {
         // SAFETY: the caller vouches for the state.
         size.write(unsafe { stored(FMUstate) }?.to_bytes()?.len());
-        Ok(())
     };
     /// Writes the state as bytes; `size` must be at least the number from fmi2SerializedFMUstateSize.
     fmi2SerializeFMUstate(FMUstate: fmi2FMUstate, serializedState: [raw *mut fmi2Byte], size: size_t) |_instance| {
@@ -68,7 +64,6 @@ functions! {
         }
         // SAFETY: not null, and the caller vouches for `size` places, which are enough; our own bytes do not overlap them.
         unsafe { serializedState.copy_from_nonoverlapping(bytes.as_ptr().cast(), bytes.len()) };
-        Ok(())
     };
     /// Makes a state from bytes: where `*FMUstate` is null a new one, otherwise over the old one. Bytes that are not a state of this FMU
     /// are refused and change nothing.
@@ -78,6 +73,5 @@ functions! {
         let snapshot = instance.deserialize(bytes)?;
         // SAFETY: the caller has initialised the place, and vouches for the state.
         unsafe { store(FMUstate.assume_init_mut(), &snapshot) };
-        Ok(())
     };
 }

@@ -7,6 +7,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::values::check_finite;
 use super::{CallError, Kind};
 
 /// Relative tolerance within which a master's points and step sizes count as the planned ones.
@@ -45,18 +46,16 @@ pub struct Plan {
 impl Clock {
     /// fmi2SetupExperiment: a clock at `start`, s; the end `stop`, s, must not be passed.
     pub fn new(start: f64, stop: Option<f64>) -> Result<Self, CallError> {
-        if !start.is_finite() {
-            return Err(CallError::error(format!("startTime is {start} s, must be finite.")));
-        }
-        match stop {
-            Some(stop) if !stop.is_finite() => {
-                Err(CallError::error(format!("stopTime is {stop} s, must be finite; leave it undefined for an open end.")))
+        check_finite(start, || format!("startTime is {start} s"))?;
+        if let Some(stop) = stop {
+            check_finite(stop, || format!("stopTime, undefined for an open end, is {stop} s"))?;
+            if stop < start {
+                return Err(CallError::error(format!(
+                    "stopTime is {stop:?} s, must not be before startTime, which is {start:?} s."
+                )));
             }
-            Some(stop) if stop < start => {
-                Err(CallError::error(format!("stopTime is {stop:?} s, must not be before startTime, which is {start:?} s.")))
-            }
-            stop => Ok(Self { point: start, stop }),
         }
+        Ok(Self { point: start, stop })
     }
 
     /// Refuses a stored clock that no run can have reached.
@@ -72,9 +71,7 @@ impl Clock {
 
     /// fmi2SetTime: sets the time, s, forward or backward.
     pub(super) fn set(&mut self, time: f64) -> Result<(), CallError> {
-        if !time.is_finite() {
-            return Err(CallError::error(format!("time is {time} s, must be finite.")));
-        }
+        check_finite(time, || format!("time is {time} s"))?;
         self.point = time;
         Ok(())
     }

@@ -8,7 +8,7 @@
 use num_dual::Dual64;
 
 use super::computed::real;
-use super::values::{check_computed, check_settable, find, lookup};
+use super::values::{check_computed, check_finite, check_settable, find, lookup};
 use super::{CallError, Instance, bindings};
 use crate::observers::Observed;
 use crate::simulation::{Direction, ORDERS, Signal};
@@ -34,13 +34,8 @@ impl Instance {
                     variable.name
                 )));
             }
-            if !value.is_finite() {
-                return Err(CallError::error(format!(
-                    "derivative {order} of {} is {value} {}/s^{order}, must be finite.",
-                    variable.name,
-                    variable.unit().unwrap_or_default()
-                )));
-            }
+            let unit = variable.unit().unwrap_or_default();
+            check_finite(value, || format!("derivative {order} of {} is {value} {unit}/s^{order}", variable.name))?;
             *bindings::input_mut(&mut derivatives[order as usize - 1], input) = value;
         }
         self.change().next.signal = Some(Signal::new(signal.value, derivatives));
@@ -102,23 +97,15 @@ pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
     }
     let reached = signal.at(size);
     for (variable, input) in bindings::inputs() {
-        let value = *bindings::input(&reached, input);
-        if !value.is_finite() {
-            return Err(CallError::error(format!(
-                "{} would become {value} {} within {size:?} s by its derivatives, must stay finite.",
-                variable.name,
-                variable.unit().unwrap_or_default()
-            )));
-        }
+        let (value, unit) = (*bindings::input(&reached, input), variable.unit().unwrap_or_default());
+        check_finite(value, || format!("{}, by its derivatives {value} {unit} within {size:?} s", variable.name))?;
     }
     Ok(())
 }
 
 /// Adds the change of a known variable to the direction.
 fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), CallError> {
-    if !change.is_finite() {
-        return Err(CallError::error(format!("change of {} is {change}, must be finite.", variable.name)));
-    }
+    check_finite(change, || format!("change of {} is {change}", variable.name))?;
     let place = match (variable.id, variable.state()) {
         (VariableId::Input(input), _) => bindings::input_mut(&mut direction.inputs, input),
         (_, Some(state)) => &mut direction.proximal.get_or_insert_default().as_flattened_mut()[state],

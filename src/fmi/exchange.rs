@@ -6,12 +6,12 @@
 
 use super::computed::real;
 use super::snapshot::Scene;
-use super::values::check_computed;
+use super::values::{check_computed, check_finite};
 use super::{CallError, Instance, Stage};
 use crate::mechanism::SceneError;
 use crate::observers::{INDICATORS, Observed};
 use crate::simulation::{STATES, Simulation};
-use crate::variables::{CONTINUOUS_STATES, DERIVATIVES, EVENT_INDICATORS, Value, Variable};
+use crate::variables::{CONTINUOUS_STATES, EVENT_INDICATORS};
 
 const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
@@ -23,9 +23,8 @@ impl Instance {
     }
 
     /// fmi2EnterEventMode.
-    pub fn enter_event_mode(&mut self) -> Result<(), CallError> {
+    pub fn enter_event_mode(&mut self) {
         self.change().stage = Stage::EventMode;
-        Ok(())
     }
 
     /// fmi2NewDiscreteStates: parameters that were set take effect. Whether continuous states have changed.
@@ -58,25 +57,13 @@ impl Instance {
 
     /// fmi2SetContinuousStates: discarded, with the instance unchanged, at a direct singularity.
     pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), CallError> {
-        match states.try_into() {
-            Ok(states) => self.drive(states),
-            Err(_) => Err(CallError::error(format!("nx is {}, must be {STATES}.", states.len()))),
+        let Ok(states) = <[f64; STATES]>::try_from(states) else {
+            return Err(CallError::error(format!("nx is {}, must be {STATES}.", states.len())));
+        };
+        for ((name, _), value) in CONTINUOUS_STATES.into_iter().zip(states) {
+            check_finite(value, || format!("{name} is {value}"))?;
         }
-    }
-
-    /// fmi2SetReal of continuous states, beyond the standard; pairs of other variables are skipped.
-    pub(super) fn set_states(&mut self, pairs: &mut dyn Iterator<Item = (u32, Value)>) -> Result<(), CallError> {
-        let mut states = None;
-        for (reference, value) in pairs {
-            let (Some(variable), Value::Real(value)) = (Variable::find(reference), value) else { continue };
-            let Some(place) = variable.state() else { continue };
-            let states = match &mut states {
-                Some(states) => states,
-                none => none.insert(self.continuous_states()?),
-            };
-            states[place] = value;
-        }
-        states.map_or(Ok(()), |states| self.drive(states))
+        self.simulation().set_states(states).map_err(no_coordinates)
     }
 
     /// fmi2GetContinuousStates: angles of the proximal links, rad, left and right, and their rates, rad/s.
@@ -89,8 +76,8 @@ impl Instance {
         let observed = self.observe()?;
         observed.check_direct_singularity().map_err(no_coordinates)?;
         let derivatives = motion(&observed, 1);
-        for (name, value) in DERIVATIVES.into_iter().zip(derivatives) {
-            check_computed(|| name.to_owned(), value)?;
+        for ((name, _), value) in CONTINUOUS_STATES.into_iter().zip(derivatives) {
+            check_computed(|| format!("der({name})"), value)?;
         }
         Ok(derivatives)
     }
@@ -104,13 +91,6 @@ impl Instance {
         Ok(indicators)
     }
 
-    fn drive(&mut self, states: [f64; STATES]) -> Result<(), CallError> {
-        if let Some(value) = states.iter().find(|value| !value.is_finite()) {
-            return Err(CallError::error(format!("a continuous state is {value}, must be finite.")));
-        }
-        self.simulation().set_states(states).map_err(no_coordinates)
-    }
-
     /// Mutable access to the simulation; clears cached observations.
     fn simulation(&mut self) -> &mut Simulation {
         match &mut self.change().scene {
@@ -122,7 +102,7 @@ impl Instance {
 
 /// The continuous states, or their time derivatives of an order.
 fn motion(of: &Observed<'_, f64>, order: usize) -> [f64; STATES] {
-    CONTINUOUS_STATES.map(|state| real(of, state, order).unwrap_or_else(|| unreachable!("{state:?} is an angle or a rate")))
+    CONTINUOUS_STATES.map(|(name, state)| real(of, state, order).unwrap_or_else(|| unreachable!("{name} is an angle or a rate")))
 }
 
 fn no_coordinates(SceneError(why): SceneError) -> CallError {

@@ -7,7 +7,7 @@ use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::own::Unit;
 use super::snapshot::Scene;
-use super::values::{check_computed, check_settable, check_value, find, lookup};
+use super::values::{check_computed, check_finite, check_settable, check_value, find, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::observers::{Observation, Observed};
 use crate::simulation::Method;
@@ -80,16 +80,14 @@ impl Instance {
     /// fmi2SetupExperiment; `tolerance` and `stop`, s, where they are defined. The tolerance is not used: `solver.errorTolerance`
     /// has units, a relative tolerance has none.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), CallError> {
-        if let Some(tolerance) = tolerance.filter(|tolerance| !tolerance.is_finite()) {
-            return Err(CallError::error(format!("tolerance is {tolerance}, must be finite.")));
-        }
         let clock = Clock::new(start, stop)?;
-        self.change().clock = Some(clock);
         if let Some(tolerance) = tolerance {
+            check_finite(tolerance, || format!("tolerance is {tolerance}"))?;
             self.log.push(Status::Ok, || {
                 format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
             });
         }
+        self.change().clock = Some(clock);
         Ok(())
     }
 
@@ -119,16 +117,12 @@ impl Instance {
                     bindings::method_name(settings.method),
                     settings.step_size,
                     match settings.method {
-                        Method::I3alpConserving => "strictly fixed".to_owned(),
-                        _ => format!("adaptive {}", settings.adaptive),
+                        Method::I3alp => format!("adaptive {}", settings.adaptive),
+                        _ => "solver.adaptive is not used".to_owned(),
                     },
                 ),
             }
         });
-        if kind == Kind::CoSimulation && settings.adaptive && settings.method == Method::I3alpConserving {
-            self.log
-                .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
-        }
         let now = self.change();
         now.next.drop_held_signal();
         now.scene = *scene;
@@ -164,31 +158,36 @@ impl Instance {
     }
 
     /// fmi2Terminate.
-    pub fn terminate(&mut self) -> Result<(), CallError> {
+    pub fn terminate(&mut self) {
         self.change().stage = Stage::Terminated;
         self.log.push(Status::Ok, || "terminated".to_owned());
-        Ok(())
     }
 
     /// fmi2Reset: the state after fmi2Instantiate. Only the master's choice of log categories stays.
-    pub fn reset(&mut self) -> Result<(), CallError> {
+    pub fn reset(&mut self) {
         let fresh = Self::new(self.now.kind, false);
         let Self { unit, log, .. } = std::mem::replace(self, fresh);
         self.belong_to(unit);
         self.log = log;
         self.log.push(Status::Ok, || "reset".to_owned());
-        Ok(())
     }
 
     /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
     pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), CallError> {
+        let mut states = None;
         for (reference, value) in pairs.clone() {
             let variable = lookup(reference, value.fmi_type())?;
             check_settable(variable, self.now.stage)?;
             check_value(variable, value)?;
+            // Beyond the standard, fmi2SetReal sets continuous states.
+            if variable.start.is_none()
+                && let (Some(place), Value::Real(value)) = (variable.state(), value)
+            {
+                states.get_or_insert(self.continuous_states()?)[place] = value;
+            }
         }
-        if self.now.kind == Kind::ModelExchange {
-            self.set_states(&mut pairs.clone())?;
+        if let Some(states) = states {
+            self.set_continuous_states(&states)?;
         }
         let now = self.change();
         for (reference, value) in pairs {
@@ -233,19 +232,14 @@ impl Instance {
             (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::initialise(now.kind, parameters, &now.inputs())?)),
             (ready, _) => ready,
         };
-        match scene {
-            Scene::Ready(simulation) => {
-                let model = simulation.model();
-                let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation))
-            }
-            Scene::Following(following) => {
-                let model = following.simulation().model();
-                let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation).with_estimates(following))
-            }
-            Scene::Draft(_) => unreachable!("a preview is made ready"),
-        }
+        let Some(simulation) = scene.simulation() else { unreachable!("a preview is made ready") };
+        let (model, following) = (simulation.model(), scene.following());
+        let observation = observation.get_or_insert_with(|| {
+            let inputs = now.inputs();
+            let state = following.map_or_else(|| simulation.state_for(&inputs), |following| following.state_for(&inputs));
+            Observation::new(model, state)
+        });
+        Ok(Observed::new(model, observation).with_estimates(following))
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.

@@ -6,25 +6,19 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Signal, Simulation, StepFailure};
+use crate::simulation::{Simulation, StepFailure};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
+        let signal = &self.now.signal();
         let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = self.change() else {
             unreachable!("initialisation has made the clock")
         };
         let Some(simulation) = scene.simulation() else { unreachable!("initialisation has made it ready") };
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
-        let held;
-        let signal = if let Some(signal) = &next.signal {
-            check_reach(signal, size)?;
-            signal
-        } else {
-            held = Signal::held(*scene.following().map_or_else(|| simulation.inputs(), |following| following.inputs()));
-            &held
-        };
+        check_reach(signal, size)?;
         // Counters of singularities are copied only where the log passes events on.
         let singular_before = wants_events.then(|| simulation.singular());
         let fallbacks_before = simulation.fallbacks();

@@ -77,6 +77,11 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallE
     }
 }
 
+/// Refuses a number that is not finite, in a sentence that begins with what it is.
+pub(super) fn check_finite(value: f64, what: impl FnOnce() -> String) -> Result<(), CallError> {
+    if value.is_finite() { Ok(()) } else { Err(CallError::error(format!("{}, must be finite.", what()))) }
+}
+
 /// Discards a computed value that is not finite: inputs and parameters that are allowed one by one may be too large together.
 pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), CallError> {
     if value.is_finite() {

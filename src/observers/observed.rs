@@ -42,8 +42,8 @@ impl<'a> Observed<'a, f64> {
     }
 
     /// Adds the estimates of a machine that is followed.
-    pub fn with_estimates(self, following: &'a Following) -> Self {
-        Self { following: Some(following), ..self }
+    pub fn with_estimates(self, following: Option<&'a Following>) -> Self {
+        Self { following, ..self }
     }
 }
 

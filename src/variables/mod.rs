@@ -76,6 +76,14 @@ impl Value {
             Self::Boolean(_) => FmiType::Boolean,
         }
     }
+
+    /// Whether both are equal to the bit.
+    pub fn same(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Real(one), Self::Real(other)) => one.to_bits() == other.to_bits(),
+            _ => self == other,
+        }
+    }
 }
 
 impl fmt::Display for Value {
@@ -101,11 +109,7 @@ pub enum FmiType {
 
 impl fmt::Display for FmiType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Real => "Real",
-            Self::Integer => "Integer",
-            Self::Boolean => "Boolean",
-        })
+        fmt::Debug::fmt(self, f)
     }
 }
 
@@ -128,7 +132,7 @@ impl Variable {
 
     /// Index among the continuous states.
     pub fn state(&self) -> Option<usize> {
-        CONTINUOUS_STATES.iter().position(|state| VariableId::RealComputed(*state) == self.id)
+        CONTINUOUS_STATES.iter().position(|(_, state)| VariableId::RealComputed(*state) == self.id)
     }
 
     /// Name of the variable's type in the XML.

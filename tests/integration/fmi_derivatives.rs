@@ -532,10 +532,7 @@ fn a_ramp_stays_finite() {
     assert_eq!(host.set_input_derivatives(&[(reference("servo.theta[1]"), 1, 1e308)]), fmi2OK);
     assert_eq!(host.do_step(0.0, 2.0), fmi2Error);
     let refusal = format!("{:?}", host.take());
-    assert!(
-        refusal.contains("servo.theta[1] would become inf rad within 2.0 s by its derivatives, must stay finite."),
-        "{refusal}"
-    );
+    assert!(refusal.contains("servo.theta[1], by its derivatives inf rad within 2.0 s, must be finite."), "{refusal}");
     assert_eq!(real(&host, "servo.theta[1]"), 0.0);
     assert_eq!(host.do_step(0.0, 1.0), fmi2OK, "{:?}", host.take());
 }
