@@ -27,44 +27,19 @@ use super::{CallError, Guid, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Signal, Simulation};
-use crate::variables::{Value, Variable, VariableId};
+use crate::variables::{Parameter, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Version of the layout; changes with every change of the stored data.
-const FORMAT: u32 = 16;
-const HEAD: usize = MAGIC.len() + size_of::<u32>() + size_of::<Guid>() + size_of::<u64>();
-const CHECKSUM: usize = size_of::<u32>();
+const FORMAT: u32 = 17;
 
-/// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
-struct ByteReader<'a>(&'a [u8]);
-
-impl Read for ByteReader<'_> {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        self.0.read(into)
-    }
-
-    #[inline(never)]
-    fn read_exact(&mut self, into: &mut [u8]) -> io::Result<()> {
-        self.0.read_exact(into)
-    }
-}
-
-/// Bytes written so far. A type of its own keeps the growth of a vector from being inlined into every field.
-struct ByteWriter(Vec<u8>);
-
-impl Write for ByteWriter {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    #[inline(never)]
-    fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.0.write_all(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
+/// Bytes before the content.
+#[derive(BorshSerialize, BorshDeserialize)]
+struct Head {
+    magic: [u8; 8],
+    format: u32,
+    guid: Guid,
+    length: u64,
 }
 
 /// Stored state of an instance, without samples and estimate.
@@ -73,53 +48,63 @@ struct Content {
     stage: Stage,
     kind: Kind,
     clock: Option<Clock>,
-    /// Parameters in force.
+    /// Parameters in force that are not at their start values.
     values: Values,
     run: Option<Run>,
     /// Values and derivatives of [`Next::signal`].
     signal: Option<(Inputs, [Inputs; ORDERS])>,
-    /// Values of [`Next::parameters`].
+    /// Values of [`Next::parameters`] that are not those in force.
     tuned: Option<Values>,
     warned_of_references: bool,
     warned_of_stiffness: bool,
 }
 
-/// Samples and estimate, stored after the content where a machine is followed.
-#[derive(BorshDeserialize)]
+/// Samples and estimate, stored after the content where there are any.
+#[derive(Default, BorshDeserialize)]
 struct Followed {
     measured: Measured,
     /// Boxed, so that a state without an estimate does not move its size.
     estimate: Option<Box<Estimate>>,
 }
 
-/// Values of parameters by ascending value reference, without those at their start values.
+/// Values of parameters by ascending value reference.
 type Values = Vec<(u32, Value)>;
 
 impl Snapshot {
     /// Serialises the state.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
-        // Order of the fields of `Followed`.
-        let estimate = self.scene.following().map(Following::estimate);
-        let content = Content {
+        self.serialised().map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))
+    }
+
+    fn serialised(&self) -> io::Result<Vec<u8>> {
+        let parameters = self.scene.parameters();
+        // Room for a state without an estimate.
+        let mut content = Vec::with_capacity(1024);
+        // Behind a pointer the writer is not inlined into some hundred fields.
+        let mut writer: &mut dyn Write = &mut content;
+        Content {
             stage: self.stage,
             kind: self.kind,
             clock: self.clock.clone(),
-            values: values(self.scene.parameters()),
+            values: changed(parameters, |variable, _| variable.start),
             run: self.scene.simulation().map(|simulation| simulation.run().clone()),
             signal: self.next.signal.map(|signal| (signal.value, signal.derivatives())),
-            tuned: self.next.parameters.as_ref().map(values),
+            tuned: self
+                .next
+                .parameters
+                .as_ref()
+                .map(|tuned| changed(tuned, |_, id| Some(bindings::parameter(parameters, id).value()))),
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
-        };
-        let mut written = ByteWriter(Vec::new());
-        let all = content.serialize(&mut written).and_then(|()| match is_default(&self.measured, estimate.is_some()) {
-            true => Ok(()),
-            false => (self.measured, estimate).serialize(&mut written),
-        });
-        all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
-        let ByteWriter(content) = written;
-        let length = content.len() as u64;
-        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), &self.guid, &length.to_le_bytes(), &content].concat();
+        }
+        .serialize(&mut writer)?;
+        let estimate = self.scene.following().map(Following::estimate);
+        if estimate.is_some() || !self.measured.same(&Measured::default()) {
+            // In the order of the fields of `Followed`.
+            (self.measured, estimate).serialize(&mut writer)?;
+        }
+        let head = Head { magic: MAGIC, format: FORMAT, guid: self.guid, length: content.len() as u64 };
+        let mut bytes = [borsh::to_vec(&head)?, content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
         Ok(bytes)
     }
@@ -128,16 +113,17 @@ impl Snapshot {
     /// the loop and can be continued.
     #[cold]
     pub fn from_bytes(guid: &Guid, bytes: &[u8]) -> Result<Self, CallError> {
-        let (content, followed) = parse_content(content(guid, bytes)?)
+        let (content, Followed { measured, estimate }) = parse_content(content(guid, bytes)?)
             .map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
         let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
-        let parameters = restored(&values)?;
-        let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
+        let parameters = restored(bindings::default_parameters(), &values, |_| true)?;
+        let tuned = tuned.map(|tuned| restored(parameters.clone(), &tuned, |variable| variable.tunable));
+        let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: tuned.transpose()? };
         if let Some(clock) = &clock {
             clock.check(kind)?;
         }
         let scene = match (stage, run) {
-            (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() && followed.estimate.is_none() => {
+            (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() && estimate.is_none() => {
                 Scene::Draft(parameters)
             }
             (
@@ -145,7 +131,7 @@ impl Snapshot {
                 Some(run),
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| not_a_state(&error.to_string());
-                match (parameters.estimator.enabled, followed.estimate) {
+                match (parameters.estimator.enabled, estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?)),
                     (true, Some(estimate)) => {
                         let following = Following::restored(&parameters, run, *estimate);
@@ -160,31 +146,8 @@ impl Snapshot {
         if clock.is_none() && stage != Stage::Instantiated {
             return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
         }
-        let measured = followed.measured;
         Ok(Self { kind, guid: *guid, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
     }
-}
-
-/// Whether no sample has been set and nothing is estimated, so that `Followed` is not stored.
-fn is_default(measured: &Measured, estimates: bool) -> bool {
-    !estimates && measured.same(&Measured::default())
-}
-
-/// Parses the content and, where there is one, `Followed`.
-fn parse_content(bytes: &[u8]) -> io::Result<(Content, Followed)> {
-    let mut rest = ByteReader(bytes);
-    let content = Content::deserialize_reader(&mut rest)?;
-    if rest.0.is_empty() {
-        return Ok((content, Followed { measured: Measured::default(), estimate: None }));
-    }
-    let followed = Followed::deserialize_reader(&mut rest)?;
-    if !rest.0.is_empty() {
-        return Err(io::Error::other("bytes follow the last field"));
-    }
-    if is_default(&followed.measured, followed.estimate.is_some()) {
-        return Err(io::Error::other("samples at their start values, which are never stored"));
-    }
-    Ok((content, followed))
 }
 
 fn not_a_state(what: &str) -> CallError {
@@ -193,77 +156,62 @@ fn not_a_state(what: &str) -> CallError {
 
 /// The content, after head, length and checksum have been checked.
 fn content<'a>(of: &Guid, bytes: &'a [u8]) -> Result<&'a [u8], CallError> {
-    if bytes.len() < HEAD + CHECKSUM {
-        return Err(not_a_state(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
-    }
-    let (magic, rest) = bytes.split_at(MAGIC.len());
-    let (format, rest) = rest.split_at(size_of::<u32>());
-    let (guid, rest) = rest.split_at(size_of::<Guid>());
-    let (length, _) = rest.split_at(size_of::<u64>());
+    let mut rest = bytes;
+    let head = Head::deserialize(&mut rest).ok();
+    let (Some(Head { magic, format, guid, length }), Some((content, checksum))) = (head, rest.split_last_chunk()) else {
+        return Err(not_a_state(&format!("there are {}, fewer than those of head and checksum", bytes.len())));
+    };
     if magic != MAGIC {
         return Err(not_a_state("they do not begin with FiveBar"));
     }
-    if format != FORMAT.to_le_bytes() {
-        return Err(not_a_state(&format!("their format is not {FORMAT}: another version has written them")));
+    if format != FORMAT {
+        return Err(not_a_state(&format!("their format is {format}, not {FORMAT}: another version has written them")));
     }
-    if guid != of {
+    if guid != *of {
         return Err(not_a_state("they belong to another GUID: another unit or version has written them"));
     }
-    if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
+    if length != content.len() as u64 {
         return Err(not_a_state(&format!("there are {}, which is not the length in their head", bytes.len())));
     }
-    let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
-    if checksum != adler2::adler32_slice(checked).to_le_bytes() {
+    if u32::from_le_bytes(*checksum) != adler2::adler32_slice(&bytes[..bytes.len() - checksum.len()]) {
         return Err(not_a_state("their checksum is wrong"));
     }
-    Ok(&checked[HEAD..])
+    Ok(content)
 }
 
-/// Values of parameters that are not at their start values.
-fn values(parameters: &Parameters) -> Values {
-    let all = bindings::parameters().map(|(variable, id)| (variable, bindings::parameter(parameters, id).value()));
-    all.filter(|(variable, value)| !is_start(variable, *value)).map(|(variable, value)| (variable.reference, value)).collect()
+/// Parses the content and, where there is one, `Followed`.
+fn parse_content(mut bytes: &[u8]) -> io::Result<(Content, Followed)> {
+    let content = Content::deserialize_reader(&mut (&mut bytes as &mut dyn Read))?;
+    let followed = match bytes {
+        [] => Followed::default(),
+        _ => Followed::deserialize_reader(&mut (&mut bytes as &mut dyn Read))?,
+    };
+    if bytes.is_empty() { Ok((content, followed)) } else { Err(io::Error::other("bytes follow the last field")) }
 }
 
-/// Whether a value is the start value of its variable, to the bit.
-fn is_start(variable: &Variable, value: Value) -> bool {
-    match (variable.start, value) {
-        (Some(Value::Real(start)), Value::Real(value)) => start.to_bits() == value.to_bits(),
-        (start, value) => start == Some(value),
-    }
+/// Values of the parameters that differ from those before.
+fn changed(parameters: &Parameters, before: impl Fn(&Variable, Parameter) -> Option<Value>) -> Values {
+    let values = bindings::parameters().map(|(variable, id)| (variable, id, bindings::parameter(parameters, id).value()));
+    let changed = values.filter(|(variable, id, value)| before(variable, *id).is_none_or(|before| !before.same(*value)));
+    changed.map(|(variable, _, value)| (variable.reference, value)).collect()
 }
 
-/// Parameters with these values, each within its bounds; the others at their start values.
-fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
+/// The parameters `base` with other values of those that may differ, each within its bounds.
+fn restored(mut base: Parameters, values: &[(u32, Value)], may_differ: fn(&Variable) -> bool) -> Result<Parameters, CallError> {
     if !values.is_sorted_by(|(before, _), (after, _)| before < after) {
         return Err(not_a_state("their parameters are not in ascending order"));
     }
-    let mut parameters = bindings::default_parameters();
     for &(reference, value) in values {
         let variable = lookup(reference, value.fmi_type())?;
         check_value(variable, value)?;
         let VariableId::Parameter(id) = variable.id else { return Err(not_a_state(&format!("{} is no parameter", variable.name))) };
-        if is_start(variable, value) || !bindings::parameter_mut(&mut parameters, id).set(value) {
-            return Err(not_a_state(&format!("{} = {value} is not allowed", variable.name)));
+        let field = bindings::parameter_mut(&mut base, id);
+        let before = field.value();
+        if !may_differ(variable) || before.same(value) || !field.set(value) {
+            return Err(not_a_state(&format!("{} = {value} is no allowed change of {before}", variable.name)));
         }
     }
-    Ok(parameters)
-}
-
-/// Parameters that differ from those in force in tunable ones only.
-fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option<Parameters>, CallError> {
-    let Some(values) = tuned else { return Ok(None) };
-    let tuned = restored(&values)?;
-    for (variable, id) in bindings::parameters().filter(|(variable, _)| !variable.tunable) {
-        let [before, after] = [in_force, &tuned].map(|parameters| bindings::parameter(parameters, id).value());
-        if before != after {
-            return Err(not_a_state(&format!(
-                "{} = {after} is not allowed during the run: it is fixed at {before}",
-                variable.name
-            )));
-        }
-    }
-    Ok(Some(tuned))
+    Ok(base)
 }
 
 /// Input signal with finite values within the bounds.
