@@ -2,7 +2,7 @@
 
 use std::ptr::null_mut;
 
-use super::function::{functions, not_null, slice};
+use super::function::functions;
 use super::types::{fmi2Byte, fmi2FMUstate, size_t};
 use crate::fmi::{CallError, Snapshot};
 
@@ -55,22 +55,18 @@ functions! {
         size.write(unsafe { stored(FMUstate) }?.to_bytes()?.len());
     };
     /// Writes the state as bytes; `size` must be at least the number from fmi2SerializedFMUstateSize.
-    fmi2SerializeFMUstate(FMUstate: fmi2FMUstate, serializedState: [raw *mut fmi2Byte], size: size_t) |_instance| {
-        not_null("serializedState", serializedState)?;
+    fmi2SerializeFMUstate(FMUstate: fmi2FMUstate, serializedState: [out fmi2Byte; size], size: size_t) |_instance| {
         // SAFETY: the caller vouches for the state.
         let bytes = unsafe { stored(FMUstate) }?.to_bytes()?;
-        if size < bytes.len() {
+        let Some(places) = serializedState.get_mut(..bytes.len()) else {
             return Err(CallError::error(format!("size is {size}, must be at least {}.", bytes.len())));
-        }
-        // SAFETY: not null, and the caller vouches for `size` places, which are enough; our own bytes do not overlap them.
-        unsafe { serializedState.copy_from_nonoverlapping(bytes.as_ptr().cast(), bytes.len()) };
+        };
+        places.write_copy_of_slice(&bytes);
     };
     /// Makes a state from bytes: where `*FMUstate` is null a new one, otherwise over the old one. Bytes that are not a state of this FMU
     /// are refused and change nothing.
-    fmi2DeSerializeFMUstate(serializedState: [raw *const fmi2Byte], size: size_t, FMUstate: [out fmi2FMUstate]) |instance| {
-        // SAFETY: the caller vouches for the array; a byte is a byte, with or without a sign.
-        let bytes = unsafe { slice("serializedState", serializedState.cast::<u8>(), size) }?;
-        let snapshot = instance.deserialize(bytes)?;
+    fmi2DeSerializeFMUstate(serializedState: [in fmi2Byte; size], size: size_t, FMUstate: [out fmi2FMUstate]) |instance| {
+        let snapshot = instance.deserialize(serializedState)?;
         // SAFETY: the caller has initialised the place, and vouches for the state.
         unsafe { store(FMUstate.assume_init_mut(), &snapshot) };
     };

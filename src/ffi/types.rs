@@ -27,8 +27,8 @@ pub type fmi2Boolean = c_int;
 pub type fmi2Char = c_char;
 /// UTF-8, ending with a zero byte.
 pub type fmi2String = *const fmi2Char;
-/// Byte of a serialised state.
-pub type fmi2Byte = c_char;
+/// Byte of a serialised state: a char of C, which may have a sign.
+pub type fmi2Byte = u8;
 
 /// True.
 pub const fmi2True: fmi2Boolean = 1;

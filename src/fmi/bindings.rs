@@ -87,24 +87,22 @@ pub(super) fn inputs() -> impl Iterator<Item = (&'static Variable, Input)> {
 
 /// The scene that a fresh instance has: the start values of the XML.
 pub fn default_parameters() -> Parameters {
-    start_values().0
+    let mut all = Parameters::default();
+    parameters().for_each(|(variable, id)| start(parameter_mut(&mut all, id), variable));
+    all
 }
 
 /// The inputs that a fresh instance has: the start values of the XML.
 pub fn default_inputs() -> Inputs {
-    start_values().1
+    let mut all = Inputs::default();
+    inputs().for_each(|(variable, id)| start(input_mut(&mut all, id), variable));
+    all
 }
 
-fn start_values() -> (Parameters, Inputs) {
-    let (mut parameters, mut inputs) = Default::default();
-    for variable in VARIABLES {
-        // Nothing has been measured: `Measured::default`.
-        if let (VariableId::Parameter(_) | VariableId::Input(_), Some(start)) = (variable.id, variable.start) {
-            let written = write(&mut parameters, &mut inputs, variable, start);
-            debug_assert!(written, "{}: start {start}", variable.name);
-        }
-    }
-    (parameters, inputs)
+/// Gives the field of a variable its start value.
+fn start(field: &mut dyn Field, variable: &Variable) {
+    let written = variable.start.is_some_and(|start| field.set(start));
+    debug_assert!(written, "{}: start {:?}", variable.name, variable.start);
 }
 
 #[cfg(test)]
@@ -123,7 +121,7 @@ mod tests {
 
     #[test]
     fn starts_are_those_of_the_xml() {
-        let (parameters, inputs) = start_values();
+        let (parameters, inputs) = (default_parameters(), default_inputs());
         for variable in VARIABLES {
             assert_eq!(read(&parameters, &inputs, variable), variable.start, "{}", variable.name);
         }
@@ -133,7 +131,7 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_and_nothing_else_changes() {
-        let (mut parameters, mut inputs) = start_values();
+        let (mut parameters, mut inputs) = (default_parameters(), default_inputs());
         let set_one_by_one = |v: &&Variable| v.start.is_some() && !matches!(v.id, VariableId::Sample(_));
         for variable in VARIABLES.iter().filter(set_one_by_one) {
             let value = match (variable.fmi_type(), variable.items()) {

@@ -17,7 +17,7 @@ use crate::variables::{FmiType, Variable, VariableId};
 impl Instance {
     /// fmi2SetRealInputDerivatives: (reference, order, value), all or none.
     pub fn set_input_derivatives(&mut self, triples: impl Iterator<Item = (u32, i32, f64)>) -> Result<(), CallError> {
-        let signal = self.now.signal();
+        let signal = self.now.signal;
         let mut derivatives = signal.derivatives();
         for (reference, order, value) in triples {
             let variable = lookup(reference, FmiType::Real)?;
@@ -38,7 +38,7 @@ impl Instance {
             check_finite(value, || format!("derivative {order} of {} is {value} {unit}/s^{order}", variable.name))?;
             *bindings::input_mut(&mut derivatives[order as usize - 1], input) = value;
         }
-        self.change().next.signal = Some(Signal::new(signal.value, derivatives));
+        self.change().signal = Signal::new(signal.value, derivatives);
         Ok(())
     }
 

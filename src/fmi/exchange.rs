@@ -29,16 +29,19 @@ impl Instance {
 
     /// fmi2NewDiscreteStates: parameters that were set take effect. Whether continuous states have changed.
     pub fn new_discrete_states(&mut self) -> Result<bool, CallError> {
-        let Some(parameters) = self.now.next.parameters.clone() else { return Ok(false) };
+        if !self.now.is_tuned {
+            return Ok(false);
+        }
         let before = self.continuous_states()?;
-        self.simulation().tune(&parameters.effects)?;
-        self.change().next.parameters = None;
+        let effects = self.now.parameters.effects.clone();
+        self.simulation().tune(&effects)?;
+        self.change().is_tuned = false;
         Ok(self.continuous_states()? != before)
     }
 
     /// fmi2EnterContinuousTimeMode.
     pub fn enter_continuous_time_mode(&mut self) -> Result<(), CallError> {
-        if self.now.next.parameters.is_some() {
+        if self.now.is_tuned {
             return Err(CallError::error("parameters have been set: fmi2NewDiscreteStates must be called before."));
         }
         self.change().stage = Stage::ContinuousTimeMode;
@@ -49,7 +52,7 @@ impl Instance {
     pub fn completed_integrator_step(&mut self) -> Result<(), CallError> {
         let Some(clock) = &self.now.clock else { unreachable!("initialisation has made it") };
         clock.check_end()?;
-        let (time, inputs) = (clock.point(), self.now.inputs());
+        let (time, inputs) = (clock.point(), self.now.signal.value);
         self.simulation().complete(&inputs);
         self.warn(time);
         Ok(())
@@ -93,10 +96,8 @@ impl Instance {
 
     /// Mutable access to the simulation; clears cached observations.
     fn simulation(&mut self) -> &mut Simulation {
-        match &mut self.change().scene {
-            Scene::Ready(simulation) => simulation,
-            Scene::Draft(_) | Scene::Following(_) => unreachable!("initialisation has made it ready"),
-        }
+        let Some(Scene::Ready(simulation)) = &mut self.change().scene else { unreachable!("initialisation has made it") };
+        simulation
     }
 }
 

@@ -23,7 +23,7 @@ pub struct Instance {
     /// Observations cached since the last change.
     observation: Option<Observation>,
     /// Scene initialised with the present values, made when an output is read before the end of initialisation.
-    preview: Option<Box<Scene>>,
+    preview: Option<Scene>,
     /// Values read by the present call. The buffer is allocated once: a call allocates
     /// nothing unless it asks for more values than there are variables.
     values: Vec<Value>,
@@ -104,7 +104,7 @@ impl Instance {
     pub fn exit_initialization_mode(&mut self) -> Result<(), CallError> {
         self.observe()?;
         let Some(scene) = self.preview.take() else { unreachable!("an observation before the run makes it") };
-        let Some(simulation) = scene.simulation() else { unreachable!("it has been made ready") };
+        let simulation = scene.simulation();
         let settings = &simulation.parameters().settings;
         let kind = self.now.kind;
         self.log.push(Status::Ok, || {
@@ -124,8 +124,7 @@ impl Instance {
             }
         });
         let now = self.change();
-        now.next.drop_held_signal();
-        now.scene = *scene;
+        now.scene = Some(scene);
         now.stage = match kind {
             Kind::ModelExchange => Stage::EventMode,
             Kind::CoSimulation => Stage::StepComplete,
@@ -228,16 +227,15 @@ impl Instance {
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {
-            (Scene::Draft(_), Some(scene)) => &**scene,
-            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::initialise(now.kind, parameters, &now.inputs())?)),
-            (ready, _) => ready,
+            (Some(scene), _) => scene,
+            (None, Some(scene)) => scene,
+            (None, none) => none.insert(Scene::initialise(now.kind, &now.parameters, &now.signal.value)?),
         };
-        let Some(simulation) = scene.simulation() else { unreachable!("a preview is made ready") };
+        let simulation = scene.simulation();
         let (model, following) = (simulation.model(), scene.following());
         let observation = observation.get_or_insert_with(|| {
-            let inputs = now.inputs();
-            let state = following.map_or_else(|| simulation.state_for(&inputs), |following| following.state_for(&inputs));
-            Observation::new(model, state)
+            let inputs = &now.signal.value;
+            Observation::new(model, following.map_or_else(|| simulation.state_for(inputs), |following| following.state_for(inputs)))
         });
         Ok(Observed::new(model, observation).with_estimates(following))
     }

@@ -1,5 +1,7 @@
 //! Stored states (FMI 2.0.4, section 2.1.8): the state of an instance without its log. `stored.rs` turns them into bytes.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::bindings::{self, Field};
 use super::clock::Clock;
 use super::{Guid, Kind, Stage};
@@ -17,23 +19,32 @@ pub struct Snapshot {
     pub(super) stage: Stage,
     /// Clock, once fmi2SetupExperiment has been called.
     pub(super) clock: Option<Clock>,
-    pub(super) scene: Scene,
-    pub(super) next: Next,
+    /// Parameters as the master has set them.
+    pub(super) parameters: Parameters,
+    /// Whether a tunable parameter has been set that is not in force before the next step or event.
+    pub(super) is_tuned: bool,
+    /// Inputs from the present communication point on.
+    pub(super) signal: Signal,
     /// Last samples of the encoders.
     pub(super) measured: Measured,
-    /// Whether the master has been told that no active effect reads the servo references.
-    pub(super) warned_of_references: bool,
-    /// Whether the master has been told that the loads are stiff.
-    pub(super) warned_of_stiffness: bool,
+    /// Scene, once it has been initialised.
+    pub(super) scene: Option<Scene>,
+    pub(super) warned: Warned,
 }
 
-/// The scene before and after the end of initialisation.
+/// Warnings that the master has got, each of which comes once.
+#[derive(Clone, Copy, Debug, Default, BorshSerialize, BorshDeserialize)]
+pub(super) struct Warned {
+    /// No active effect reads the servo references.
+    pub(super) references: bool,
+    /// The loads are stiff.
+    pub(super) stiffness: bool,
+}
+
+/// An initialised scene, with the parameters and inputs in force.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "to set a parameter allocates nothing")]
 pub(super) enum Scene {
-    /// Parameters before the end of initialisation.
-    Draft(Parameters),
-    /// Simulation with its parameters and inputs in force.
+    /// Simulation without an estimator.
     Ready(Box<Simulation>),
     /// Simulation with an estimator.
     Following(Box<Following>),
@@ -54,56 +65,17 @@ impl Scene {
         }
     }
 
-    /// Simulation of the scene, after the end of initialisation.
-    pub(super) fn simulation(&self) -> Option<&Simulation> {
+    /// Simulation of the scene.
+    pub(super) fn simulation(&self) -> &Simulation {
         match self {
-            Self::Draft(_) => None,
-            Self::Ready(simulation) => Some(simulation),
-            Self::Following(following) => Some(following.simulation()),
-        }
-    }
-
-    /// Parameters of the draft, or those in force.
-    pub(super) fn parameters(&self) -> &Parameters {
-        match self {
-            Self::Draft(parameters) => parameters,
-            Self::Ready(simulation) => simulation.parameters(),
-            Self::Following(following) => following.parameters(),
+            Self::Ready(simulation) => simulation,
+            Self::Following(following) => following.simulation(),
         }
     }
 
     /// The scene with its estimator, where a machine is followed.
     pub(super) fn following(&self) -> Option<&Following> {
         if let Self::Following(following) = self { Some(following) } else { None }
-    }
-}
-
-/// Inputs and parameters that the master has set and that act from the present communication point on.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Next {
-    /// Input signal, where it differs from the held inputs.
-    pub(super) signal: Option<Signal>,
-    /// Parameters, where a tunable one has been set.
-    pub(super) parameters: Option<Parameters>,
-}
-
-impl Next {
-    /// Ends a communication step of `size` seconds: parameters are in force, and inputs with derivatives keep their values at its
-    /// end.
-    #[inline(always)]
-    pub(super) fn after_step(&mut self, size: f64) {
-        self.parameters = None;
-        if self.signal.is_some() {
-            self.drop_held_signal();
-            if let Some(signal) = &mut self.signal {
-                signal.end(size);
-            }
-        }
-    }
-
-    /// Drops a signal without derivatives, whose values the simulation holds.
-    pub(super) fn drop_held_signal(&mut self) {
-        self.signal.take_if(|signal| signal.is_held());
     }
 }
 
@@ -115,65 +87,39 @@ impl Snapshot {
             guid,
             stage: Stage::Instantiated,
             clock: None,
-            scene: Scene::Draft(bindings::default_parameters()),
-            next: Next::default(),
+            parameters: bindings::default_parameters(),
+            is_tuned: false,
+            signal: Signal::held(bindings::default_inputs()),
             measured: Measured::default(),
-            warned_of_references: false,
-            warned_of_stiffness: false,
+            scene: None,
+            warned: Warned::default(),
         }
     }
 
     /// Copies `other`. Allocates nothing where both hold a simulation.
     pub fn copy(&mut self, other: &Self) {
-        let Self { kind, guid, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
+        let Self { kind, guid, stage, clock, parameters, is_tuned, signal, measured, scene, warned } = other;
         self.kind = *kind;
         self.guid = *guid;
         self.stage = *stage;
         self.clock.clone_from(clock);
-        match (&mut self.scene, scene) {
-            (Scene::Ready(own), Scene::Ready(other)) => own.clone_from(other),
-            (Scene::Following(own), Scene::Following(other)) => own.clone_from(other),
-            (own, other) => *own = other.clone(),
-        }
-        self.next.clone_from(next);
+        self.parameters.clone_from(parameters);
+        self.is_tuned = *is_tuned;
+        self.signal = *signal;
         self.measured = *measured;
-        self.warned_of_references = *warned_of_references;
-        self.warned_of_stiffness = *warned_of_stiffness;
-    }
-
-    /// Input signal from the present communication point on.
-    pub(super) fn signal(&self) -> Signal {
-        self.next.signal.unwrap_or_else(|| Signal::held(self.inputs()))
-    }
-
-    /// Values of the inputs at the present communication point.
-    pub(super) fn inputs(&self) -> Inputs {
-        match (&self.next.signal, &self.scene) {
-            (Some(signal), _) => signal.value,
-            (None, Scene::Draft(_)) => bindings::default_inputs(),
-            (None, Scene::Ready(simulation)) => *simulation.inputs(),
-            (None, Scene::Following(following)) => *following.inputs(),
+        match (&mut self.scene, scene) {
+            (Some(Scene::Ready(own)), Some(Scene::Ready(other))) => own.clone_from(other),
+            (Some(Scene::Following(own)), Some(Scene::Following(other))) => own.clone_from(other),
+            (own, other) => own.clone_from(other),
         }
-    }
-
-    /// Parameters as the master has set them.
-    fn parameters(&self) -> &Parameters {
-        self.next.parameters.as_ref().unwrap_or_else(|| self.scene.parameters())
-    }
-
-    /// Parameters for the master to set: the draft's, or those that act from the next step on.
-    fn parameters_mut(&mut self) -> &mut Parameters {
-        match &mut self.scene {
-            Scene::Draft(parameters) => parameters,
-            ready => self.next.parameters.get_or_insert_with(|| ready.parameters().clone()),
-        }
+        self.warned = *warned;
     }
 
     /// The present value of a parameter or input; `None` for an output.
     pub(super) fn read(&self, variable: &Variable) -> Option<Value> {
         match variable.id {
-            VariableId::Parameter(id) => Some(bindings::parameter(self.parameters(), id).value()),
-            VariableId::Input(id) => Some(bindings::input(&self.inputs(), id).value()),
+            VariableId::Parameter(id) => Some(bindings::parameter(&self.parameters, id).value()),
+            VariableId::Input(id) => Some(bindings::input(&self.signal.value, id).value()),
             VariableId::Sample(id) => Some(bindings::sample(&self.measured, id).value()),
             VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => None,
         }
@@ -182,11 +128,11 @@ impl Snapshot {
     /// Sets a parameter or input to a value that has been checked.
     pub(super) fn set(&mut self, variable: &Variable, value: Value) {
         let written = match variable.id {
-            VariableId::Parameter(id) => bindings::parameter_mut(self.parameters_mut(), id).set(value),
-            VariableId::Input(id) => {
-                let held = self.inputs();
-                bindings::input_mut(&mut self.next.signal.get_or_insert_with(|| Signal::held(held)).value, id).set(value)
+            VariableId::Parameter(id) => {
+                self.is_tuned = self.scene.is_some();
+                bindings::parameter_mut(&mut self.parameters, id).set(value)
             }
+            VariableId::Input(id) => bindings::input_mut(&mut self.signal.value, id).set(value),
             VariableId::Sample(id) => bindings::sample_mut(&mut self.measured, id).set(value),
             VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => false,
         };

@@ -6,17 +6,17 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Simulation, StepFailure};
+use crate::simulation::StepFailure;
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
-        let signal = &self.now.signal();
-        let Snapshot { clock: Some(clock), scene, next, measured, stage, .. } = self.change() else {
-            unreachable!("initialisation has made the clock")
+        let Snapshot { clock: Some(clock), scene: Some(scene), parameters, is_tuned, signal, measured, stage, .. } = self.change()
+        else {
+            unreachable!("initialisation has made clock and scene")
         };
-        let Some(simulation) = scene.simulation() else { unreachable!("initialisation has made it ready") };
+        let simulation = scene.simulation();
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
         check_reach(signal, size)?;
         // Counters of singularities are copied only where the log passes events on.
@@ -24,22 +24,20 @@ impl Instance {
         let fallbacks_before = simulation.fallbacks();
         let restarted_before = scene.following().is_some_and(|following| following.estimator().has_restarted());
         let discarded = |failure| discarded(failure, point, size);
-        let tuned = next.parameters.as_ref();
         let taken = match scene {
-            Scene::Ready(simulation) => or_unchanged(&mut **simulation, tuned.is_some(), |simulation| {
-                if let Some(parameters) = tuned {
+            Scene::Ready(simulation) => or_unchanged(&mut **simulation, *is_tuned, |simulation| {
+                if *is_tuned {
                     simulation.tune(&parameters.effects)?;
                 }
                 simulation.advance_along(signal, plan.h, plan.steps).map_err(discarded)
             }),
             Scene::Following(following) => or_unchanged(&mut **following, true, |following| {
-                if let Some(parameters) = tuned {
+                if *is_tuned {
                     following.tune(&parameters.effects, &parameters.estimator)?;
                 }
                 following.correct(measured, point);
                 following.advance_along(signal, plan.h, plan.steps).map_err(discarded)
             }),
-            Scene::Draft(_) => unreachable!("a draft has no simulation"),
         };
         if let Err(refusal) = taken {
             if refusal.status == Status::Discard {
@@ -48,9 +46,10 @@ impl Instance {
             return Err(refusal);
         }
         clock.advance(plan);
-        next.after_step(size);
+        signal.end(size);
+        *is_tuned = false;
         *stage = Stage::StepComplete;
-        let fallbacks = scene.simulation().map_or(0, Simulation::fallbacks) - fallbacks_before;
+        let fallbacks = scene.simulation().fallbacks() - fallbacks_before;
         if let Scene::Following(following) = scene {
             for text in following::warnings(following, restarted_before, point) {
                 self.log.push(Status::Warning, || text);
@@ -77,15 +76,15 @@ impl Instance {
     /// Warns once that servo references are not read, and once that the loads are stiff.
     #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
-        let Some(simulation) = self.now.scene.simulation() else { return };
-        if !self.now.warned_of_references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
-            self.now.warned_of_references = true;
+        let Some(simulation) = self.now.scene.as_ref().map(Scene::simulation) else { return };
+        if !self.now.warned.references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
+            self.now.warned.references = true;
             self.log.push(Status::Warning, || {
                 "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
             });
         }
-        if !self.now.warned_of_stiffness && simulation.is_stiff() {
-            self.now.warned_of_stiffness = true;
+        if !self.now.warned.stiffness && simulation.is_stiff() {
+            self.now.warned.stiffness = true;
             self.log.push(Status::Warning, || {
                 format!(
                     "at {time:?} s: the steps of solver.method dop853 are limited by stability, not by accuracy: the loads are stiff; \

@@ -21,12 +21,12 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::bindings::{self, Field};
 use super::clock::Clock;
 use super::derivatives::check_reach;
-use super::snapshot::{Next, Scene};
+use super::snapshot::{Scene, Warned};
 use super::values::{check_value, lookup};
 use super::{CallError, Guid, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
-use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Signal, Simulation};
+use crate::simulation::{Estimate, Following, Parameters, Run, Signal, Simulation};
 use crate::variables::{Parameter, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
@@ -51,12 +51,10 @@ struct Content {
     /// Parameters in force that are not at their start values.
     values: Values,
     run: Option<Run>,
-    /// Values and derivatives of [`Next::signal`].
-    signal: Option<(Inputs, [Inputs; ORDERS])>,
-    /// Values of [`Next::parameters`] that are not those in force.
+    signal: Signal,
+    /// Parameters as the master has set them that are not those in force, where [`Snapshot::is_tuned`].
     tuned: Option<Values>,
-    warned_of_references: bool,
-    warned_of_stiffness: bool,
+    warned: Warned,
 }
 
 /// Samples and estimate, stored after the content where there are any.
@@ -77,7 +75,8 @@ impl Snapshot {
     }
 
     fn serialised(&self) -> io::Result<Vec<u8>> {
-        let parameters = self.scene.parameters();
+        let (simulation, following) = (self.scene.as_ref().map(Scene::simulation), self.scene.as_ref().and_then(Scene::following));
+        let in_force = simulation.map_or(&self.parameters, Simulation::parameters);
         // Room for a state without an estimate.
         let mut content = Vec::with_capacity(1024);
         // Behind a pointer the writer is not inlined into some hundred fields.
@@ -86,19 +85,14 @@ impl Snapshot {
             stage: self.stage,
             kind: self.kind,
             clock: self.clock.clone(),
-            values: changed(parameters, |variable, _| variable.start),
-            run: self.scene.simulation().map(|simulation| simulation.run().clone()),
-            signal: self.next.signal.map(|signal| (signal.value, signal.derivatives())),
-            tuned: self
-                .next
-                .parameters
-                .as_ref()
-                .map(|tuned| changed(tuned, |_, id| Some(bindings::parameter(parameters, id).value()))),
-            warned_of_references: self.warned_of_references,
-            warned_of_stiffness: self.warned_of_stiffness,
+            values: changed(in_force, |variable, _| variable.start),
+            run: simulation.map(|simulation| simulation.run().clone()),
+            signal: self.signal,
+            tuned: self.is_tuned.then(|| changed(&self.parameters, |_, id| Some(bindings::parameter(in_force, id).value()))),
+            warned: self.warned,
         }
         .serialize(&mut writer)?;
-        let estimate = self.scene.following().map(Following::estimate);
+        let estimate = following.map(Following::estimate);
         if estimate.is_some() || !self.measured.same(&Measured::default()) {
             // In the order of the fields of `Followed`.
             (self.measured, estimate).serialize(&mut writer)?;
@@ -115,27 +109,25 @@ impl Snapshot {
     pub fn from_bytes(guid: &Guid, bytes: &[u8]) -> Result<Self, CallError> {
         let (content, Followed { measured, estimate }) = parse_content(content(guid, bytes)?)
             .map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
-        let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
+        let Content { stage, kind, clock, values, run, signal, tuned, warned } = content;
         let parameters = restored(bindings::default_parameters(), &values, |_| true)?;
-        let tuned = tuned.map(|tuned| restored(parameters.clone(), &tuned, |variable| variable.tunable));
-        let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: tuned.transpose()? };
+        let tuned = tuned.map(|tuned| restored(parameters.clone(), &tuned, |variable| variable.tunable)).transpose()?;
+        let signal = checked(signal)?;
         if let Some(clock) = &clock {
             clock.check(kind)?;
         }
         let scene = match (stage, run) {
-            (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() && estimate.is_none() => {
-                Scene::Draft(parameters)
-            }
+            (Stage::Instantiated | Stage::InitializationMode, None) if tuned.is_none() && estimate.is_none() => None,
             (
                 Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
                 Some(run),
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| not_a_state(&error.to_string());
                 match (parameters.estimator.enabled, estimate) {
-                    (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?)),
+                    (false, None) => Some(Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?))),
                     (true, Some(estimate)) => {
                         let following = Following::restored(&parameters, run, *estimate);
-                        Scene::Following(Box::new(following.map_err(refusal)?))
+                        Some(Scene::Following(Box::new(following.map_err(refusal)?)))
                     }
                     (false, Some(_)) => return Err(not_a_state("they hold an estimate, but estimator.enabled is false")),
                     (true, None) => return Err(not_a_state("estimator.enabled is true, but the estimate is missing")),
@@ -146,7 +138,8 @@ impl Snapshot {
         if clock.is_none() && stage != Stage::Instantiated {
             return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
         }
-        Ok(Self { kind, guid: *guid, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
+        let (is_tuned, parameters) = (tuned.is_some(), tuned.unwrap_or(parameters));
+        Ok(Self { kind, guid: *guid, stage, clock, parameters, is_tuned, signal, measured, scene, warned })
     }
 }
 
@@ -215,11 +208,11 @@ fn restored(mut base: Parameters, values: &[(u32, Value)], may_differ: fn(&Varia
 }
 
 /// Input signal with finite values within the bounds.
-fn restored_signal((value, derivatives): (Inputs, [Inputs; ORDERS])) -> Result<Signal, CallError> {
+fn checked(signal: Signal) -> Result<Signal, CallError> {
     for (variable, input) in bindings::inputs() {
-        check_value(variable, bindings::input(&value, input).value())?;
+        check_value(variable, bindings::input(&signal.value, input).value())?;
     }
-    let signal = Signal::new(value, derivatives);
+    let signal = Signal::new(signal.value, signal.derivatives());
     check_reach(&signal, 1.0)?;
     Ok(signal)
 }

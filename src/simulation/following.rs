@@ -118,11 +118,6 @@ impl Following {
         self.simulation.parameters()
     }
 
-    /// Inputs of the master that the last step held; before the first step those of the start.
-    pub fn inputs(&self) -> &Inputs {
-        &self.estimate.inputs
-    }
-
     /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.belief().force))
@@ -249,11 +244,4 @@ impl Following {
 fn constants_of(parameters: &Parameters) -> Result<Constants, SceneError> {
     let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
     Ok(Constants::new(&geometry, &parameters.estimator, parameters.prior()))
-}
-
-impl Estimate {
-    /// The inputs of the master.
-    pub fn inputs(&self) -> &Inputs {
-        &self.inputs
-    }
 }

@@ -1,10 +1,12 @@
 //! Inputs that change within an advance, as quadratic polynomials of time.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::StepFailure;
 use crate::effects::Inputs;
 
 /// Inputs as polynomials u + u′ s + u″ s²/2 of the time s since the beginning of an advance, s.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Signal {
     /// Value u at the beginning, in the units of [`Inputs`].
     pub value: Inputs,
