@@ -21,7 +21,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
-use fallback::{Recovered, Root, Step, from_equilibrium, recover_by_stages};
+use fallback::{Recovered, Root, Step, from_equilibrium};
 use newton::{Bounds, IterationBudget, StopRule, staggered_newton};
 
 /// Settings of the method.
@@ -186,8 +186,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
     fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
-        let (a, _) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
-        system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
+        self.state(system, settings.equilibrium).a.max_norm() < BALANCED
     }
 
     /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
@@ -227,13 +226,12 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         begun: u64,
     ) -> Result<(), StepError> {
         let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
-        let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
-        let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
+        let State { a, lambda, .. } = self.state(step.system, e);
         let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
         if max_work > 0 {
             budget.left = max_work.saturating_sub(budget.spent());
         }
-        match recover_by_stages(step, settings, (&a, &lambda), &mut budget)? {
+        match step.recover(settings, (&a, &lambda), &mut budget)? {
             Recovered::Root(root) => self.accept_full_root(step, &root),
             Recovered::Scaled { d, acting, v } => {
                 self.history = History::NONE;

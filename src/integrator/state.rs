@@ -189,8 +189,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with q̈ and λ from equilibrium, as one shared copy of the code for rare operations.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
         let pose = system.pose(&q);
-        let (a, lambda, power) = equilibrium_with_power(system, (&q, &pose, &v), regularization);
-        Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(&pose) }
+        Self::in_balance(system, [q, v], &pose, &system.factor_mass(&pose, regularization))
     }
 
     /// Whether q, q̇, q̈ and their sum are finite.

@@ -69,29 +69,23 @@ const DIFFERENCE_STEP: f64 = 1e-4;
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::A`].
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let [mut q, mut v] = self.start;
-        macro_rules! add {
-            ($stage:literal) => {
-                if const { T::A[ROW][$stage] != 0.0 } {
-                    let [u_q, u_v] = &self.u[$stage];
-                    q += const { T::A[ROW][$stage] } * *u_q;
-                    v += const { T::A[ROW][$stage] } * *u_v;
-                }
-            };
-        }
-        for_each!(add: 0 1 2 3 4 5 6 7);
-        [q, v]
+        self.row_sum(self.start, |stage| T::A[ROW][stage])
     }
 
     /// Contribution Σ coefficient · u of earlier stages to the right-hand side, over a row of [`Tableau::C`].
     fn earlier_stages<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
+        self.row_sum([Vector::ZERO; 2], |stage| T::C[ROW][stage])
+    }
+
+    /// Sum from + Σ coefficient · u over the stages; the compiler omits zero coefficients.
+    #[inline(always)]
+    fn row_sum(&self, [mut q, mut v]: [Vector<N>; 2], coefficient: impl Fn(usize) -> f64) -> [Vector<N>; 2] {
         macro_rules! add {
             ($stage:literal) => {
-                if const { T::C[ROW][$stage] != 0.0 } {
+                if coefficient($stage) != 0.0 {
                     let [u_q, u_v] = &self.u[$stage];
-                    q += const { T::C[ROW][$stage] } * *u_q;
-                    v += const { T::C[ROW][$stage] } * *u_v;
+                    q += coefficient($stage) * *u_q;
+                    v += coefficient($stage) * *u_v;
                 }
             };
         }

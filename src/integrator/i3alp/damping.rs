@@ -12,8 +12,8 @@
 //! where the unpredicted change of q̈ is stiff. `docs/method.md`, section 5.6.
 
 use super::Settings;
-use super::stiff_forces::rate_error;
-use crate::integrator::{Implicit, State, StepEnd, Stuck, TangentPoint};
+use super::stiff_forces::{filtered, rate_error, unpredicted};
+use crate::integrator::{Implicit, State, StepEnd, Stuck};
 use crate::vector::Vector;
 
 /// Exponent of 1 − P.
@@ -33,15 +33,12 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     (pose, mass): (&S::Pose, &S::Mass),
     end: StepEnd<N, M>,
 ) -> StepEnd<N, M> {
-    let unpredicted = end.a - from.a - h * from.jerk;
+    let unpredicted = unpredicted(from, &end, h);
     if system.stuck() != Stuck::Nothing || rate_error(system, h, &unpredicted, &end.v) <= EXAMINED_ERROR * settings.error_tolerance
     {
         return end;
     }
-    let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
-    let filter = |x: &Vector<N>| {
-        system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
-    };
+    let filter = |x: &Vector<N>| filtered(system, settings, h, (pose, &end), x);
     // Oscillations of non-stiff components are within the error.
     if filter(&unpredicted).is_none_or(|filtered| system.error_norm(&filtered) > STIFF_RATIO * system.error_norm(&unpredicted)) {
         return end;

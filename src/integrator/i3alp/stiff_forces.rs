@@ -25,15 +25,12 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     h: f64,
     (pose, to, separated): (&S::Pose, &StepEnd<N, M>, f64),
 ) -> f64 {
-    let unpredicted = to.a - from.a - h * from.jerk;
+    let unpredicted = unpredicted(from, to, h);
     let mut rates = rate_error(system, h, &unpredicted, &to.v);
     if rates > settings.error_tolerance {
-        // Decaying components that oscillate are filtered by the step's own matrix (Hairer and Wanner II, section IV.8).
-        let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
-        let inertia = system.mass_times(pose, &unpredicted);
-        rates = system
-            .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
-            .map_or(rates, |(unpredicted, _)| rate_error(system, h, &unpredicted, &to.v));
+        // Decaying components that oscillate are filtered (Hairer and Wanner II, section IV.8).
+        let filtered = filtered(system, settings, h, (pose, to), &unpredicted);
+        rates = filtered.map_or(rates, |filtered| rate_error(system, h, &filtered, &to.v));
     }
     let external_work = |work: Work| work.input - work.dissipated;
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
@@ -45,6 +42,24 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());
     let allowed = settings.error_tolerance * settings.energy_scale * balance_factor(settings, off, balance);
     rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise))
+}
+
+/// Change of q̈ over a step that the jerk did not predict.
+pub(super) fn unpredicted<const N: usize, const M: usize>(from: &State<N, M>, to: &StepEnd<N, M>, h: f64) -> Vector<N> {
+    to.a - from.a - h * from.jerk
+}
+
+/// Product (M + h/2 C + h²/4 K)⁻¹ M x with the tangents at the end of a step, which reduces fast components of x; `None` where the matrix
+/// is not positive definite.
+pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    settings: &Settings,
+    h: f64,
+    (pose, end): (&S::Pose, &StepEnd<N, M>),
+    x: &Vector<N>,
+) -> Option<Vector<N>> {
+    let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
+    system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
 }
 
 /// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does h/2 (P₀ +

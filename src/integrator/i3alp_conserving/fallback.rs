@@ -134,184 +134,181 @@ where
         let [d, v] = cut.end(&motion);
         Some(Root { x: *x, d, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }
-}
 
-/// Finds a root by stages 1 to 6, or the end of the last stage.
-pub(super) fn recover_by_stages<const N: usize, const M: usize, const K: usize, S>(
-    step: &Step<'_, S, N, M>,
-    settings: &Settings,
-    rest: (&Vector<N>, &Vector<M>),
-    budget: &mut IterationBudget<'_>,
-) -> Result<Recovered<S::Secant, N, K>, StepError>
-where
-    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
-{
-    match root(step, settings, rest, budget) {
-        Some(root) => Ok(Recovered::Root(root)),
-        None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
-        None => keep_energy_only(step, settings, rest.0, budget),
-    }
-}
-
-fn root<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
-    step: &Step<'_, S, N, M>,
-    settings: &Settings,
-    rest: (&Vector<N>, &Vector<M>),
-    budget: &mut IterationBudget<'_>,
-) -> Option<Root<S::Secant, N, K>> {
-    let with = |part: f64| part * settings.regularization;
-    let start = from_equilibrium(step.system, &step.v, rest, step.h);
-    let by_full_newton =
-        |part: f64, budget: &mut IterationBudget<'_>| step.root((step.h, 1.0), &mut { start }, (with(part), TO_ROOT), budget);
-    if let Some(root) = by_full_newton(1.0, budget) {
-        return Some(root);
-    }
-    if settings.max_work == 0 {
-        return None;
-    }
-    budget.counters.rescued += 1;
-    (!step.system.is_conservative())
-        .then(|| harden_friction(step, start, with(1.0), budget))
-        .flatten()
-        .or_else(|| continue_in_step_length(step, with(1.0), rest, 8, budget))
-        .or_else(|| SMALLER_REGULARIZATIONS.into_iter().find_map(|part| by_full_newton(part, budget)))
-        .or_else(|| {
-            FINER_CONTINUATIONS
-                .into_iter()
-                .find_map(|(stages, part)| continue_in_step_length(step, with(part), rest, stages, budget))
-        })
-        .or_else(|| {
-            SHORTER_STEP_COUNTS
-                .into_iter()
-                .find_map(|parts| by_shorter_steps(step, with(SMALLER_REGULARIZATIONS[0]), rest, parts, budget))
-        })
-}
-
-/// Stage 6: first guess from `parts` shorter steps, which may lead to another root than a homotopy that ends in a fold.
-fn by_shorter_steps<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
-    step: &Step<'_, S, N, M>,
-    regularization: f64,
-    rest: (&Vector<N>, &Vector<M>),
-    parts: u32,
-    budget: &mut IterationBudget<'_>,
-) -> Option<Root<S::Secant, N, K>> {
-    let h = step.h / f64::from(parts);
-    let mut x = from_equilibrium(step.system, &step.v, rest, h);
-    let (mut q, mut v, mut mean) = (step.q, step.v, Vector::ZERO);
-    for _ in 0..parts {
-        let end = Step::new(step.system, [&q, &v], h).root((h, 1.0), &mut x, (regularization, TO_ROOT), budget)?;
-        (q, v) = (q + end.d, end.v);
-        mean += x / f64::from(parts);
-    }
-    let mut x = S::lengthened(&mean, f64::from(parts));
-    step.root((step.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
-}
-
-/// Stage 2: softened friction has a root that is easy to find; from there the law is hardened in steps.
-fn harden_friction<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
-    step: &Step<'_, S, N, M>,
-    mut x: Vector<K>,
-    regularization: f64,
-    budget: &mut IterationBudget<'_>,
-) -> Option<Root<S::Secant, N, K>> {
-    let [least, most] = HARDENING_FACTORS;
-    let (_, to_intermediate_root) = TO_INTERMEDIATE_ROOT;
-    let mut root = |softening: f64, x: &mut Vector<K>, stop_rule| {
-        step.root((step.h, softening), x, (regularization, (SOFTENED_ITERATIONS, stop_rule)), budget)
-    };
-    root(LARGEST_SOFTENING, &mut x, to_intermediate_root)?;
-    let (mut softening, mut ratio) = (LARGEST_SOFTENING, most);
-    while ratio > least {
-        let next = (softening / ratio).max(1.0);
-        let stop_rule = if next > 1.0 { to_intermediate_root } else { StopRule::Solved };
-        let mut there = x;
-        match root(next, &mut there, stop_rule) {
-            Some(root) if next == 1.0 => return Some(root),
-            Some(_) => (softening, x) = (next, there),
-            None => ratio = ratio.sqrt(),
+    /// Root by the first of the stages 1 to 6 that finds one.
+    fn by_stages(
+        &self,
+        settings: &Settings,
+        rest: (&Vector<N>, &Vector<M>),
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Root<S::Secant, N, K>> {
+        let with = |part: f64| part * settings.regularization;
+        let start = from_equilibrium(self.system, &self.v, rest, self.h);
+        let by_full_newton =
+            |part: f64, budget: &mut IterationBudget<'_>| self.root((self.h, 1.0), &mut { start }, (with(part), TO_ROOT), budget);
+        if let Some(root) = by_full_newton(1.0, budget) {
+            return Some(root);
         }
+        if settings.max_work == 0 {
+            return None;
+        }
+        budget.counters.rescued += 1;
+        (!self.system.is_conservative())
+            .then(|| self.harden_friction(start, with(1.0), budget))
+            .flatten()
+            .or_else(|| self.continue_in_step_length(with(1.0), rest, 8, budget))
+            .or_else(|| SMALLER_REGULARIZATIONS.into_iter().find_map(|part| by_full_newton(part, budget)))
+            .or_else(|| {
+                FINER_CONTINUATIONS
+                    .into_iter()
+                    .find_map(|(stages, part)| self.continue_in_step_length(with(part), rest, stages, budget))
+            })
+            .or_else(|| {
+                SHORTER_STEP_COUNTS
+                    .into_iter()
+                    .find_map(|parts| self.by_shorter_steps(with(SMALLER_REGULARIZATIONS[0]), rest, parts, budget))
+            })
     }
-    None
-}
 
-/// Stages 3 and 5: the root is continued from a step of h/stages to one of h.
-fn continue_in_step_length<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
-    step: &Step<'_, S, N, M>,
-    regularization: f64,
-    rest: (&Vector<N>, &Vector<M>),
-    stages: u32,
-    budget: &mut IterationBudget<'_>,
-) -> Option<Root<S::Secant, N, K>> {
-    let (mut before, mut x, mut end) = (Vector::ZERO, Vector::ZERO, None);
-    for stage in 1..=stages {
-        let h = step.h * f64::from(stage) / f64::from(stages);
-        let next = match stage {
-            1 => from_equilibrium(step.system, &step.v, rest, h),
-            2 => S::lengthened(&x, 2.0),
-            _ => 2.0 * x - before,
+    /// Stage 6: first guess from `parts` shorter steps, which may lead to another root than a homotopy that ends in a fold.
+    fn by_shorter_steps(
+        &self,
+        regularization: f64,
+        rest: (&Vector<N>, &Vector<M>),
+        parts: u32,
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Root<S::Secant, N, K>> {
+        let h = self.h / f64::from(parts);
+        let mut x = from_equilibrium(self.system, &self.v, rest, h);
+        let (mut q, mut v, mut mean) = (self.q, self.v, Vector::ZERO);
+        for _ in 0..parts {
+            let end = Step::new(self.system, [&q, &v], h).root((h, 1.0), &mut x, (regularization, TO_ROOT), budget)?;
+            (q, v) = (q + end.d, end.v);
+            mean += x / f64::from(parts);
+        }
+        let mut x = S::lengthened(&mean, f64::from(parts));
+        self.root((self.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
+    }
+
+    /// Stage 2: softened friction has a root that is easy to find; from there the law is hardened in steps.
+    fn harden_friction(
+        &self,
+        mut x: Vector<K>,
+        regularization: f64,
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Root<S::Secant, N, K>> {
+        let [least, most] = HARDENING_FACTORS;
+        let (_, to_intermediate_root) = TO_INTERMEDIATE_ROOT;
+        let mut root = |softening: f64, x: &mut Vector<K>, stop_rule| {
+            self.root((self.h, softening), x, (regularization, (SOFTENED_ITERATIONS, stop_rule)), budget)
         };
-        (before, x) = (x, next);
-        let stop_rule = if stage < stages { TO_INTERMEDIATE_ROOT } else { TO_ROOT };
-        end = Some(step.root((h, 1.0), &mut x, (regularization, stop_rule), budget)?);
+        root(LARGEST_SOFTENING, &mut x, to_intermediate_root)?;
+        let (mut softening, mut ratio) = (LARGEST_SOFTENING, most);
+        while ratio > least {
+            let next = (softening / ratio).max(1.0);
+            let stop_rule = if next > 1.0 { to_intermediate_root } else { StopRule::Solved };
+            let mut there = x;
+            match root(next, &mut there, stop_rule) {
+                Some(root) if next == 1.0 => return Some(root),
+                Some(_) => (softening, x) = (next, there),
+                None => ratio = ratio.sqrt(),
+            }
+        }
+        None
     }
-    end
+
+    /// Stages 3 and 5: the root is continued from a step of h/stages to one of h.
+    fn continue_in_step_length(
+        &self,
+        regularization: f64,
+        rest: (&Vector<N>, &Vector<M>),
+        stages: u32,
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Root<S::Secant, N, K>> {
+        let (mut before, mut x, mut end) = (Vector::ZERO, Vector::ZERO, None);
+        for stage in 1..=stages {
+            let h = self.h * f64::from(stage) / f64::from(stages);
+            let next = match stage {
+                1 => from_equilibrium(self.system, &self.v, rest, h),
+                2 => S::lengthened(&x, 2.0),
+                _ => 2.0 * x - before,
+            };
+            (before, x) = (x, next);
+            let stop_rule = if stage < stages { TO_INTERMEDIATE_ROOT } else { TO_ROOT };
+            end = Some(self.root((h, 1.0), &mut x, (regularization, stop_rule), budget)?);
+        }
+        end
+    }
 }
 
-/// Last stage: increment by rates or equilibrium, shortened if needed, projected onto the position constraints; its mean velocity,
-/// projected and scaled so that the kinetic energy changes by the work of the forces.
-fn keep_energy_only<const N: usize, const M: usize, const K: usize, S>(
-    step: &Step<'_, S, N, M>,
-    settings: &Settings,
-    acceleration: &Vector<N>,
-    budget: &mut IterationBudget<'_>,
-) -> Result<Recovered<S::Secant, N, K>, StepError>
+impl<S, const N: usize, const M: usize, const K: usize> Step<'_, S, N, M>
 where
     S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
 {
-    // Dampers and drives at the beginning do not represent the step, so the rates are tried first.
-    let by_rates = (!step.system.is_conservative() && step.v.max_norm() > 0.0).then(|| step.h * step.v);
-    let starts = [by_rates, Some(increment(&step.v, acceleration, step.h))];
-    let projected = starts.into_iter().flatten().find_map(|increment| {
-        (0..MOST_SHORTENINGS).find_map(|times| project_end(step, settings, SHORTENING.powi(times) * increment, budget))
-    });
-    budget.counters.fallbacks += u64::from(projected.is_some());
-    projected.ok_or(StepError::FallbackFailed)
-}
-
-/// Projects this increment, m and rad, and scales its velocity to the energy.
-fn project_end<const N: usize, const M: usize, const K: usize, S>(
-    step: &Step<'_, S, N, M>,
-    settings: &Settings,
-    increment: Vector<N>,
-    budget: &mut IterationBudget<'_>,
-) -> Option<Recovered<S::Secant, N, K>>
-where
-    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
-{
-    let &Step { system, q, v: v0, h, .. } = step;
-    let mut end = q + increment;
-    let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
-    let (iterations, pose) = projection.position(system, &mut end).ok()?;
-    budget.counters.iterations += u64::from(iterations);
-    let d = end - q;
-    let mass = system.factor_mass(&pose, VERTEX_REGULARIZATION * settings.equilibrium);
-    let mut v = d / h;
-    let is_closed =
-        |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= RATE_VIOLATION * v.max_norm() * system.length_scale();
-    // Close to a vertex one correction leaves a residual, while later steps assume none.
-    for _ in 0..MOST_PROJECTIONS {
-        v += velocity_correction(system, &pose, &mass, &v);
-        if is_closed(&v) {
-            break;
+    /// Finds a root by stages 1 to 6, or the end of the last stage.
+    pub(super) fn recover(
+        &self,
+        settings: &Settings,
+        rest: (&Vector<N>, &Vector<M>),
+        budget: &mut IterationBudget<'_>,
+    ) -> Result<Recovered<S::Secant, N, K>, StepError> {
+        match self.by_stages(settings, rest, budget) {
+            Some(root) => Ok(Recovered::Root(root)),
+            None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
+            None => self.keep_energy_only(settings, rest.0, budget),
         }
     }
-    let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
-    let secant = step.secant(&d);
-    let external_work = system.mean_forces(&step.increment(&secant, [&d, &v])).dot(&d);
-    let (wanted, got) = (kinetic(&v0) + external_work, kinetic(&v));
-    if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
-        return None;
+
+    /// Last stage: increment by rates or equilibrium, shortened if needed, projected onto the position constraints; its mean velocity,
+    /// projected and scaled so that the kinetic energy changes by the work of the forces.
+    fn keep_energy_only(
+        &self,
+        settings: &Settings,
+        acceleration: &Vector<N>,
+        budget: &mut IterationBudget<'_>,
+    ) -> Result<Recovered<S::Secant, N, K>, StepError> {
+        // Dampers and drives at the beginning do not represent the step, so the rates are tried first.
+        let by_rates = (!self.system.is_conservative() && self.v.max_norm() > 0.0).then(|| self.h * self.v);
+        let starts = [by_rates, Some(increment(&self.v, acceleration, self.h))];
+        let projected = starts.into_iter().flatten().find_map(|increment| {
+            (0..MOST_SHORTENINGS).find_map(|times| self.project_end(settings, SHORTENING.powi(times) * increment, budget))
+        });
+        budget.counters.fallbacks += u64::from(projected.is_some());
+        projected.ok_or(StepError::FallbackFailed)
     }
-    let scaled = (wanted / got).sqrt() * v;
-    scaled.is_finite().then_some(Recovered::Scaled { d, acting: v, v: scaled })
+
+    /// Projects this increment, m and rad, and scales its velocity to the energy.
+    fn project_end(
+        &self,
+        settings: &Settings,
+        increment: Vector<N>,
+        budget: &mut IterationBudget<'_>,
+    ) -> Option<Recovered<S::Secant, N, K>> {
+        let &Step { system, q, v: v0, h, .. } = self;
+        let mut end = q + increment;
+        let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
+        let (iterations, pose) = projection.position(system, &mut end).ok()?;
+        budget.counters.iterations += u64::from(iterations);
+        let d = end - q;
+        let mass = system.factor_mass(&pose, VERTEX_REGULARIZATION * settings.equilibrium);
+        let mut v = d / h;
+        let is_closed =
+            |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= RATE_VIOLATION * v.max_norm() * system.length_scale();
+        // Close to a vertex one correction leaves a residual, while later steps assume none.
+        for _ in 0..MOST_PROJECTIONS {
+            v += velocity_correction(system, &pose, &mass, &v);
+            if is_closed(&v) {
+                break;
+            }
+        }
+        let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
+        let secant = self.secant(&d);
+        let external_work = system.mean_forces(&self.increment(&secant, [&d, &v])).dot(&d);
+        let (wanted, got) = (kinetic(&v0) + external_work, kinetic(&v));
+        if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
+            return None;
+        }
+        let scaled = (wanted / got).sqrt() * v;
+        scaled.is_finite().then_some(Recovered::Scaled { d, acting: v, v: scaled })
+    }
 }
