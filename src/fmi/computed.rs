@@ -36,6 +36,8 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
     // Estimates change with samples and time only.
     let estimated = |value: &dyn Fn(&Estimated<'_>) -> f64| of.constant(of.estimated().map_or(0.0, |of| value(&of)));
     let torques = |of: &Estimated<'_>| of.following.motor_torques();
+    let learned = |i: usize| estimated(&|of| of.following.learned()[0][i]);
+    let learned_sigma = |i: usize| estimated(&|of| of.following.learned()[1][i]);
     Some(match computed {
         V::TipX => of.point(Point::Tip, order_of(0)?)[0],
         V::TipY => of.point(Point::Tip, order_of(0)?)[1],
@@ -80,18 +82,18 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::EstimatedOmegaSigma(i) => estimated(&|of| of.following.sigmas()[1][PROXIMAL_LINKS[i]]),
         V::EstimatedTipCov(i) => estimated(&|of| of.following.tip_covariance()[i]),
         V::EstimatedForecastRadius95 => estimated(&|of| of.following.tip_radius()),
-        V::EstimatedMass(i) => estimated(&|of| of.following.learned()[0][MASSES.start + i]),
-        V::EstimatedMassSigma(i) => estimated(&|of| of.following.learned()[1][MASSES.start + i]),
-        V::EstimatedPayload => estimated(&|of| of.following.learned()[0][PAYLOAD]),
-        V::EstimatedPayloadSigma => estimated(&|of| of.following.learned()[1][PAYLOAD]),
-        V::EstimatedViscous(i) => estimated(&|of| of.following.learned()[0][VISCOUS.start + i]),
-        V::EstimatedViscousSigma(i) => estimated(&|of| of.following.learned()[1][VISCOUS.start + i]),
-        V::EstimatedFriction => estimated(&|of| of.following.learned()[0][DRY]),
-        V::EstimatedFrictionSigma => estimated(&|of| of.following.learned()[1][DRY]),
-        V::EstimatedLength(i) => estimated(&|of| of.following.learned()[0][LENGTHS.start + i]),
-        V::EstimatedLengthSigma(i) => estimated(&|of| of.following.learned()[1][LENGTHS.start + i]),
-        V::EstimatedOffset(i) => estimated(&|of| of.following.learned()[0][OFFSETS.start + i]),
-        V::EstimatedOffsetSigma(i) => estimated(&|of| of.following.learned()[1][OFFSETS.start + i]),
+        V::EstimatedMass(i) => learned(MASSES.start + i),
+        V::EstimatedMassSigma(i) => learned_sigma(MASSES.start + i),
+        V::EstimatedPayload => learned(PAYLOAD),
+        V::EstimatedPayloadSigma => learned_sigma(PAYLOAD),
+        V::EstimatedViscous(i) => learned(VISCOUS.start + i),
+        V::EstimatedViscousSigma(i) => learned_sigma(VISCOUS.start + i),
+        V::EstimatedFriction => learned(DRY),
+        V::EstimatedFrictionSigma => learned_sigma(DRY),
+        V::EstimatedLength(i) => learned(LENGTHS.start + i),
+        V::EstimatedLengthSigma(i) => learned_sigma(LENGTHS.start + i),
+        V::EstimatedOffset(i) => learned(OFFSETS.start + i),
+        V::EstimatedOffsetSigma(i) => learned_sigma(OFFSETS.start + i),
         V::EstimatedInnovation(i) => estimated(&|of| of.following.estimator().innovation()[i]),
         V::EstimatedSingularProbability => estimated(&|of| of.singularity_probability()),
     })

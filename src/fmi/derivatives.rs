@@ -8,7 +8,7 @@
 use num_dual::Dual64;
 
 use super::computed::real;
-use super::values::{check_computed, check_finite, check_settable, find, lookup};
+use super::values::{check_computed, check_finite, find, lookup};
 use super::{CallError, Instance, bindings};
 use crate::observers::Observed;
 use crate::simulation::{Direction, ORDERS, Signal};
@@ -27,7 +27,6 @@ impl Instance {
                     variable.name
                 )));
             };
-            check_settable(variable, self.now.stage)?;
             if !(1..=ORDERS as i32).contains(&order) {
                 return Err(CallError::error(format!(
                     "order of a derivative of {} is {order}, must be 1 to {ORDERS}; its value is set by fmi2SetReal.",

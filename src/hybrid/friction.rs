@@ -140,7 +140,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             let force = parts.fold(Vector::ZERO, |sum, (constraint, torque)| sum + torque * constraint.row);
             return StickingConstraint::All { force };
         }
-        let constraints = self.friction_constraints((q, pose, v), sticks);
+        let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
         let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
         let shares = shares(self.stick_slip(), &constraints);
         let force = shares.fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
@@ -162,7 +162,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let mass = self.factor_mass(&pose, self.regularization());
         let (a, _) = mass.solve(&self.forces(q, &pose, v).0, &-self.phi_q_dot_times(&pose, v));
         let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
-        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), sticks)) {
+        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), StickSlip::sticks)) {
             holding[constraint.at.place] = part * share;
         }
         holding
@@ -172,11 +172,11 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn friction_guards(&self, places: impl Iterator<Item = FrictionPlace>, [q, v]: [&Vector<N>; 2]) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
-        let first = (0..FRICTION_PLACES).find(|place| watched && sticks(self.stick_slip().at(*place)));
+        let first = (0..FRICTION_PLACES).find(|place| watched && self.stick_slip().at(*place).sticks());
         let guard = |at: FrictionPlace| FrictionGuard {
             at,
             reaction: holding[at.place],
-            carried: first.is_some_and(|first| first < at.place) && sticks(self.stick_slip().at(at.place)),
+            carried: first.is_some_and(|first| first < at.place) && self.stick_slip().at(at.place).sticks(),
         };
         places.map(guard).collect()
     }
@@ -188,7 +188,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         if !stick_slip.any_sticks() {
             return Ok((a, lambda));
         }
-        if stick_slip.at_rest() || matches!(stick_slip.at(TIP_FRICTION), StickSlip::Sticks(_)) {
+        if stick_slip.at_rest() || stick_slip.at(TIP_FRICTION).sticks() {
             return Err(SceneError(
                 "the tip sticks or friction locks the machine: derivatives are available only where joints alone stick and the \
                  machine can move."
@@ -240,11 +240,6 @@ const CARRIED_RATE: f64 = 50.0;
 /// Takes places in every state.
 fn all(_: StickSlip) -> bool {
     true
-}
-
-/// Whether a place sticks.
-fn sticks(state: StickSlip) -> bool {
-    matches!(state, StickSlip::Sticks(_))
 }
 
 /// The places of these constraints, which all hold one motion, with their torque per unit of the first: all use an equal fraction of their
@@ -412,7 +407,7 @@ impl FrictionProblem {
             StickSlip::Sticks(_) | StickSlip::Inactive | StickSlip::Still => 0.0,
         });
         let left = self.accelerations(&torques);
-        let mut held = (0..self.len()).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_)));
+        let mut held = (0..self.len()).filter(|i| candidate[*i].sticks());
         match (held.next(), held.next()) {
             (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
             (Some(i), Some(j)) => {
@@ -440,8 +435,7 @@ impl FrictionProblem {
                 ][code % 3];
                 code /= 3;
             }
-            let sticking: ArrayVec<usize, FRICTION_PLACES> =
-                (0..n).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_))).collect();
+            let sticking: ArrayVec<usize, FRICTION_PLACES> = (0..n).filter(|i| candidate[*i].sticks()).collect();
             // Two places that constrain the same motion leave the other motion free.
             if !holds.contains(&sticking.len()) || matches!(sticking[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
@@ -466,7 +460,7 @@ impl FrictionProblem {
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
         let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
         let left = self.accelerations(&self.torques(&candidate));
-        if let Some(sticking_place) = candidate.iter().position(|state| matches!(state, StickSlip::Sticks(_))) {
+        if let Some(sticking_place) = candidate.iter().position(|state| state.sticks()) {
             // The round-off of strong places accelerates a weak one.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
             let with =

@@ -5,7 +5,7 @@ use arrayvec::ArrayVec;
 
 use super::Extremes;
 use super::friction::FrictionGuards;
-use super::mode::{INDICATORS, Mode, Phase, SPRINGS, StickSlip};
+use super::mode::{INDICATORS, Mode, Phase, SPRINGS};
 use super::unilateral::UnilateralGuard;
 use crate::integrator::Residuals;
 
@@ -46,7 +46,7 @@ impl<'a> GuardValues<'a> {
         let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
         self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
             let residual = guard.guard_residual(&mode.stick_slip, tolerance);
-            let sticks = !mode.stick_slip.at_rest() && matches!(mode.stick_slip.at(guard.at.place), StickSlip::Sticks(_));
+            let sticks = !mode.stick_slip.at_rest() && mode.stick_slip.at(guard.at.place).sticks();
             Residuals {
                 largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
                 breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },

@@ -109,6 +109,13 @@ pub enum StickSlip {
     Still,
 }
 
+impl StickSlip {
+    /// Whether the place sticks.
+    pub fn sticks(self) -> bool {
+        matches!(self, Self::Sticks(_))
+    }
+}
+
 /// Stick-slip states of all friction places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct StickSlips {
@@ -163,7 +170,7 @@ impl StickSlips {
 
     /// Whether any friction place sticks.
     pub fn any_sticks(&self) -> bool {
-        self.places.iter().any(|state| matches!(state, StickSlip::Sticks(_)))
+        self.places.iter().any(|state| state.sticks())
     }
 
     /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored
