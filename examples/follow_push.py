@@ -17,7 +17,7 @@ MACHINE = {"base.distance": 0.1, "gravity.enabled": False, "servo.enabled": True
 MACHINE |= {"servo.kp[1]": 20.0, "servo.kp[2]": 20.0, "servo.kd[1]": 0.5, "servo.kd[2]": 0.5}
 PAYLOAD = {"payload.enabled": True, "payload.mass": 0.02}
 ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator.quantum[2]": COUNT, "estimator.sigma0.theta": 0.01}
-ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
+ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
 """The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
 PUSH, FROM, TO = 0.5, 0.75, 0.85
 GEOMETRY = Machine(0.1, (0.21, 0.21, 0.21, 0.21))

@@ -17,7 +17,7 @@ MACHINE |= {"servo.kp[1]": 1.0, "servo.kp[2]": 1.0, "servo.kd[1]": 0.01, "servo.
 INTERVAL, AHEAD, SAMPLE = 0.1, 0.5, 1e-3
 COUNT = 2 * pi / 2**16
 ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator.quantum[2]": COUNT}
-ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
+ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
 """The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
 
 

@@ -68,7 +68,7 @@ impl Estimator {
                     let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
                     by_models() - tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
                 }
-                None => frame.tip_by_geometry(&constants.parameters),
+                None => frame.tip_by_geometry(constants.parameters.persistent_errors(false)),
             };
             about + by_geometry
         });
@@ -131,11 +131,11 @@ fn tip_of_models(
     learning: Option<&Learning>,
 ) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
+    let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(constants.parameters.persistent_errors(learning.is_some())));
     if let Some(learning) = learning {
-        let moments = learning.second_moments(&belief.bank, &frame.tip(), &frame.tip_by_learned());
-        return std::array::from_fn(|j| (belief.bank.members[j].weight, moments[j]));
+        let moments = learning.second_moments(&belief.bank, &tip, &frame.tip_by_learned());
+        return std::array::from_fn(|j| (belief.bank.members[j].weight, moments[j] + by_geometry));
     }
-    let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(&constants.parameters));
     belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
         let off: Pair = tip * error.fixed_rows::<2>(0);
         (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + by_geometry)

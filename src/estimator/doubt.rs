@@ -193,9 +193,10 @@ impl Branches {
             return Verdict::None;
         }
         self.evidence = evidence;
+        let [right, wrong] = DOUBT_ENDS;
         match () {
-            () if evidence >= DOUBT_ENDS => Verdict::Right,
-            () if evidence <= -DOUBT_ENDS => Verdict::Wrong,
+            () if evidence >= right => Verdict::Right,
+            () if evidence <= -wrong => Verdict::Wrong,
             () => Verdict::None,
         }
     }

@@ -417,10 +417,10 @@ impl Encoder {
         Some(self.confined_to_interval(sample)).filter(|reading| reading.dead_zone == 0.0)
     }
 
-    /// The sample without its persistent error, which is constant: accelerations do not show it.
-    pub(super) fn without_persistent_error(&self, sample: &Sample) -> Sample {
-        let mut other = Sample { persistent: 0.0, ..*sample };
-        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, 0.0);
+    /// The sample with a persistent error of another variance, rad².
+    pub(super) fn with_persistent_error(&self, sample: &Sample, persistent: f64) -> Sample {
+        let mut other = Sample { persistent, ..*sample };
+        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, persistent);
         other
     }
 
@@ -443,6 +443,11 @@ impl Encoder {
     fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
         let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
         turns.min(self.most_correlated_samples()).max(1.0)
+    }
+
+    /// Whether the axis rests within a quantisation interval, whose error is then no noise: the sample teaches nothing.
+    pub(super) fn rests(&self, sample: &Sample) -> bool {
+        self.repeated && sample.rate.abs() * CORRELATION_TIME < sample.quantum
     }
 
     /// Whether the quantisation error is white: dithered by noise, or of the first sample.

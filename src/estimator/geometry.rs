@@ -2,7 +2,6 @@
 
 use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix};
 
-use super::Parameters;
 use super::constants::{MOTOR_REGULARIZATION, NEAR_VERTEX};
 use super::error_state::{LEARNED, LENGTHS, Learned, OFFSETS};
 use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
@@ -11,25 +10,24 @@ use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
 pub(super) const LENGTH_COUNT: usize = 5;
 
 impl Frame {
-    /// Variances of the motor angles that the encoders show, rad²: the loop closes by J⁺ for lengths that are off, and mounting angles add.
-    pub(super) fn motors_by_geometry(&self, parameters: &Parameters) -> [f64; 2] {
-        let &Parameters { sigma0_length: length, sigma0_offset: offset, .. } = parameters;
+    /// Variances of the motor angles that the encoders show, rad², by persistent errors of lengths, m, and encoders, rad: the loop closes by J⁺ for
+    /// lengths that are off, and encoders add.
+    pub(super) fn motors_by_geometry(&self, [length, encoder]: [f64; 2]) -> [f64; 2] {
         if length == 0.0 {
-            return [offset * offset; 2];
+            return [encoder * encoder; 2];
         }
         let turned = self.turned_by_lengths();
-        MEASURED.map(|link| offset * offset + length * length * turned.row(link).norm_squared())
+        MEASURED.map(|link| encoder * encoder + length * length * turned.row(link).norm_squared())
     }
 
-    /// Covariance of the tip, m², by lengths and mounting angles, while encoders hold the motors as far as possible.
-    pub(super) fn tip_by_geometry(&self, parameters: &Parameters) -> Matrix2<f64> {
-        let &Parameters { sigma0_length: length, sigma0_offset: offset, .. } = parameters;
-        if length == 0.0 && offset == 0.0 {
+    /// Covariance of the tip, m², by persistent errors of lengths, m, and encoders, rad, while encoders hold the motors as far as possible.
+    pub(super) fn tip_by_geometry(&self, [length, encoder]: [f64; 2]) -> Matrix2<f64> {
+        if length == 0.0 && encoder == 0.0 {
             return Matrix2::zeros();
         }
         let (turned, by_motors) = (self.turned_by_lengths(), self.tip() * self.holding());
         let moved = self.tip_by_lengths(&turned) - by_motors * motors_of(&turned);
-        moved * moved.transpose() * (length * length) + by_motors * by_motors.transpose() * (offset * offset)
+        moved * moved.transpose() * (length * length) + by_motors * by_motors.transpose() * (encoder * encoder)
     }
 
     /// Tangent coordinates by the angles of the motors, as far as motors determine them.

@@ -19,9 +19,7 @@ use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
-use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, OFFSETS, reduce, turned,
-};
+use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, LOADS, Learned, MASSES, MOVING, Matrix, reduce, turned};
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
@@ -253,20 +251,20 @@ impl Learning {
     }
 
     /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate.
-    /// Lengths and mounting angles may be considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
-    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], considered: bool) {
+    /// Parameters from a number on are considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
+    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], considered: usize) {
         let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
         for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
                 continue;
             }
             let gain = column / *variance;
-            let before = considered.then(|| model.geometry());
+            let before = (considered < LEARNED).then_some(*model);
             model.error += gain * *residual;
             model.cross.ger(-1.0, own, &gain, 1.0);
             reduce(&mut model.covariance, column, *variance);
             if let Some(before) = before {
-                model.set_geometry(&before);
+                model.keep_from(considered, &before);
             }
         }
     }
@@ -318,16 +316,12 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
-    /// Mean error and covariance of lengths and mounting angles.
-    fn geometry(&self) -> (SVector<f64, GEOMETRY>, SMatrix<f64, GEOMETRY, GEOMETRY>) {
-        let Self { error, covariance, .. } = self;
-        (error.fixed_rows::<GEOMETRY>(LOADS).into(), covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS).into())
-    }
-
-    /// Sets mean error and covariance of lengths and mounting angles.
-    fn set_geometry(&mut self, (error, covariance): &(SVector<f64, GEOMETRY>, SMatrix<f64, GEOMETRY, GEOMETRY>)) {
-        self.error.fixed_rows_mut::<GEOMETRY>(LOADS).copy_from(error);
-        self.covariance.fixed_view_mut::<GEOMETRY, GEOMETRY>(LOADS, LOADS).copy_from(covariance);
+    /// Keeps mean errors and covariance of the parameters from a number on as they were.
+    fn keep_from(&mut self, first: usize, before: &Self) {
+        let count = LEARNED - first;
+        self.error.rows_mut(first, count).copy_from(&before.error.rows(first, count));
+        let (at, size) = ((first, first), (count, count));
+        self.covariance.view_mut(at, size).copy_from(&before.covariance.view(at, size));
     }
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
@@ -379,14 +373,13 @@ fn combine<const R: usize>(
     }
 }
 
-/// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle that no machine has.
+/// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.
 fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
     let about_0 = |most: f64| [-most, most];
     match parameter {
         _ if MASSES.contains(&parameter) => about_0(LARGEST_FACTORS[0]),
         DRY => about_0(LARGEST_FACTORS[1]),
-        _ if LENGTHS.contains(&parameter) => about_0(LARGEST_MISFIT * constants.nominal[parameter - LENGTHS.start]),
-        _ if OFFSETS.contains(&parameter) => about_0(LARGEST_MISFIT),
+        _ if parameter >= LOADS => about_0(LARGEST_MISFIT * constants.prior.as_ref().map_or(0.0, |prior| prior.sigma[parameter])),
         _ => [0.0, f64::MAX],
     }
 }

@@ -52,13 +52,13 @@ pub use belief::Belief;
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCE,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCES,
     LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Reading, Sample};
-use error_state::{LEARNED, Learned, MOVING, OFFSETS};
+use error_state::{LEARNED, LOADS, Learned, MOVING, OFFSETS};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -244,10 +244,10 @@ impl Estimator {
     fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Learned; 2]>) -> [(f64, f64); 2] {
         match self.learning.as_ref().zip(rows) {
             Some((learning, rows)) => {
-                let values = learning.values();
-                [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]), values[OFFSETS.start + i]))
+                let (values, further) = (learning.values(), constants.parameters.sigma0_eccentricity.powi(2));
+                [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]) + further, values[OFFSETS.start + i]))
             }
-            None => frame.motors_by_geometry(&constants.parameters).map(|variance| (variance, 0.0)),
+            None => frame.motors_by_geometry(constants.parameters.persistent_errors(false)).map(|variance| (variance, 0.0)),
         }
     }
 
@@ -268,10 +268,11 @@ impl Estimator {
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
+        let further = constants.parameters.sigma0_eccentricity.powi(2);
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             // Lengths and mounting angles that are learned are no noise.
-            let used = if learns_geometry { self.encoders[i].without_persistent_error(sample) } else { *sample };
+            let used = if learns_geometry { self.encoders[i].with_persistent_error(sample, further) } else { *sample };
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
@@ -281,8 +282,13 @@ impl Estimator {
             let conditions = self.gate_conditions((i, sample), frame, &models);
             if let Some(told) = self.encoders[i].admit(&expected, &used, conditions) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    // The witnesses of a doubted start take lengths and mounting angles as they are.
-                    learning.update(&told, columns, self.doubt.is_undecided());
+                    let considered = match () {
+                        () if self.encoders[i].rests(sample) => 0,
+                        // The witnesses of a doubted start take lengths and mounting angles as they are.
+                        () if self.doubt.is_undecided() => LOADS,
+                        () => LEARNED,
+                    };
+                    learning.update(&told, columns, considered);
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
@@ -293,7 +299,8 @@ impl Estimator {
                 self.unaided[1 - i].update(&self.encoders[i], sample);
                 if self.doubt.is_open() {
                     let encoder = &self.encoders[i];
-                    update.seen[i] = encoder.unconfined(&encoder.without_persistent_error(sample));
+                    // Accelerations do not show what is constant.
+                    update.seen[i] = encoder.unconfined(&encoder.with_persistent_error(sample, further));
                     if let Some(reading) = &update.seen[i] {
                         self.doubt.receive((i, sample.rate), &sample.innovation_of(reading));
                     }
@@ -478,7 +485,11 @@ impl Estimator {
         let (further, lasting) = if coasts {
             ((force.norm_squared() * CARRIED_WALK + unrevealed * unrevealed * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
         } else {
-            (0.0, parameters.switch_time * if self.learning.is_some() { LEARNING_PERSISTENCE } else { 1.0 })
+            let longer = match self.learning {
+                Some(_) => LEARNING_PERSISTENCES[usize::from(scene.has_sharp_forces())],
+                None => 1.0,
+            };
+            (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
         // A branch behind a singularity that is not known teaches nothing.

@@ -36,6 +36,8 @@ pub struct Parameters {
     pub sigma0_length: f64,
     /// Standard deviation of the constant mounting angle of each encoder, rad.
     pub sigma0_offset: f64,
+    /// Standard deviation of further errors of each encoder that persist and are not constant, rad.
+    pub sigma0_eccentricity: f64,
     /// Whether masses, friction, lengths and mounting angles are learned.
     pub learn_enabled: bool,
     /// Relative standard deviation of the mass of each link at the start; 0: known.
@@ -57,6 +59,20 @@ pub struct Parameters {
 }
 
 impl Parameters {
+    /// Takes lengths and encoders as exact.
+    pub fn take_geometry_as_exact(&mut self) {
+        (self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity) = (0.0, 0.0, 0.0);
+    }
+
+    /// Standard deviations of each length, m, and of the persistent error of each encoder, rad, which count as noise; of what is not learned where
+    /// lengths and mounting angles are.
+    pub(super) fn persistent_errors(&self, are_learned: bool) -> [f64; 2] {
+        match are_learned {
+            true => [0.0, self.sigma0_eccentricity],
+            false => [self.sigma0_length, libm::hypot(self.sigma0_offset, self.sigma0_eccentricity)],
+        }
+    }
+
     /// Refuses invalid parameters; `step_size` is the macro step, s.
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
         for (name, value, unit) in [
@@ -67,6 +83,7 @@ impl Parameters {
             ("estimator.maxDelay", self.max_delay, "s"),
             ("estimator.sigma0.length", self.sigma0_length, "m"),
             ("estimator.sigma0.offset", self.sigma0_offset, "rad"),
+            ("estimator.sigma0.eccentricity", self.sigma0_eccentricity, "rad"),
             ("estimator.learn.mass", self.learn_mass, "(ratio)"),
             ("estimator.learn.payload", self.learn_payload, "kg"),
             ("estimator.learn.viscous", self.learn_viscous, "N.m.s/rad"),

@@ -279,7 +279,7 @@ mod tests {
     fn absent_effects_are_not_learned() {
         let (mut parameters, ..) = scene();
         assert!(parameters.prior().expect("it learns").sigma.iter().all(|sigma| *sigma > 0.0));
-        (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+        parameters.estimator.take_geometry_as_exact();
         parameters.effects.payload.enabled = false;
         parameters.effects.viscous.enabled = false;
         parameters.effects.friction.enabled = false;

@@ -129,4 +129,8 @@ impl Scene for FollowedScene<'_> {
     fn has_stiff_forces(&self) -> bool {
         self.model.features.stiff
     }
+
+    fn has_sharp_forces(&self) -> bool {
+        self.model.features.sharp || self.model.may_make_contact
+    }
 }

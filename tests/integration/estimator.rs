@@ -182,7 +182,7 @@ fn followed(method: Method) -> Parameters {
     estimator.sigma = [1e-3; 2];
     estimator.sigma0_theta = 0.02;
     estimator.sigma0_omega = 0.2;
-    (estimator.sigma0_length, estimator.sigma0_offset) = (0.0, 0.0);
+    estimator.take_geometry_as_exact();
     parameters
 }
 

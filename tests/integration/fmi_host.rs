@@ -9,7 +9,8 @@ use fivebar::ffi::*;
 use fivebar::variables::{GUID, Variable};
 
 /// Start values of an estimator whose machine has exact lengths and encoders.
-pub(super) const EXACT: [(&str, f64); 2] = [("estimator.sigma0.length", 0.0), ("estimator.sigma0.offset", 0.0)];
+pub(super) const EXACT: [(&str, f64); 3] =
+    [("estimator.sigma0.length", 0.0), ("estimator.sigma0.offset", 0.0), ("estimator.sigma0.eccentricity", 0.0)];
 
 /// A line that the logger received.
 #[derive(Clone, Debug, PartialEq)]

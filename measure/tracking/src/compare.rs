@@ -342,5 +342,6 @@ fn variables(model: &Parameters, encoder: &Encoder) -> Vec<(&'static str, f64)> 
         ("estimator.quantum[2]", encoder.quantum),
         ("estimator.sigma0.length", model.estimator.sigma0_length),
         ("estimator.sigma0.offset", model.estimator.sigma0_offset),
+        ("estimator.sigma0.eccentricity", model.estimator.sigma0_eccentricity),
     ]
 }

@@ -1,7 +1,7 @@
 //! Masses and friction that are learned while a machine is followed, against the true ones; alarms that mean nothing, and forecasts.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::error_state::{Learned, MASSES, VISCOUS};
+use fivebar::estimator::error_state::{DRY, Learned, MASSES, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
@@ -25,6 +25,19 @@ const FALSE_ALARMS: [f64; 2] = [5.0 / 500.0, 2.0 / 500.0];
 /// Largest coefficient of viscous friction, N·m·s/rad.
 const VISCOUS_UP_TO: f64 = 2e-5;
 
+/// Standard deviation of the logarithm of the factor of dry friction.
+const DRY_SIGMA: f64 = 0.3;
+
+/// Friction that a machine has and its twin does not know.
+#[derive(Clone, Copy, PartialEq)]
+enum Friction {
+    None,
+    /// Viscous, in each joint of its own.
+    Viscous,
+    /// Dry, off by one factor.
+    Dry,
+}
+
 /// Known torques: sines of 0.03 N·m on both motors, of 3 to 9 rad/s.
 fn torques(time: f64, plan: &Plan) -> Inputs {
     let rate = |i: usize| 3.0 + 6.0 * plan.phase[i + 2] / std::f64::consts::TAU;
@@ -32,19 +45,27 @@ fn torques(time: f64, plan: &Plan) -> Inputs {
 }
 
 /// Falls whose machines have masses 5 % off and, where asked for, friction.
-fn scenario(random: &mut Random, (driven, viscous): (bool, bool), learns: bool) -> Scenario {
+fn scenario(random: &mut Random, (driven, friction): (bool, Friction), learns: bool) -> Scenario {
     let mut scenario = fall(random, true);
     if driven {
         scenario.course = torques;
     }
     let Scenario { model, truth, .. } = &mut scenario;
-    (model.estimator.sigma0_length, model.estimator.sigma0_offset) = (0.0, 0.0);
-    if viscous {
-        for of in [&mut *model, &mut *truth] {
-            of.effects.viscous.enabled = true;
-            of.effects.viscous.b = [VISCOUS_UP_TO / 2.0; 5];
+    match friction {
+        Friction::None => (),
+        Friction::Viscous => {
+            for of in [&mut *model, &mut *truth] {
+                of.effects.viscous.enabled = true;
+                of.effects.viscous.b = [VISCOUS_UP_TO / 2.0; 5];
+            }
+            truth.effects.viscous.b = std::array::from_fn(|_| random.between(0.0, VISCOUS_UP_TO));
         }
-        truth.effects.viscous.b = std::array::from_fn(|_| random.between(0.0, VISCOUS_UP_TO));
+        Friction::Dry => {
+            model.effects.friction.enabled = true;
+            truth.effects.friction.enabled = true;
+            let (of, factor) = (&mut truth.effects.friction, (DRY_SIGMA * random.normal()).exp());
+            of.coulomb.iter_mut().chain(&mut of.breakaway).for_each(|torque| *torque *= factor);
+        }
     }
     model.estimator.learn_enabled = learns;
     scenario
@@ -52,7 +73,7 @@ fn scenario(random: &mut Random, (driven, viscous): (bool, bool), learns: bool) 
 
 /// A fall under known sines, learned or not, pushed after a second by 0.5 N.
 pub(crate) fn pushed(random: &mut Random, learns: bool) -> Scenario {
-    let mut scenario = scenario(random, (true, false), learns);
+    let mut scenario = scenario(random, (true, Friction::None), learns);
     (scenario.plan.push, scenario.plan.from) = (push(random).plan.push, 1.0);
     scenario
 }
@@ -66,6 +87,7 @@ fn of_machine(model: &Parameters, truth: &Parameters) -> Learned {
     for (i, b) in VISCOUS.zip(truth.effects.viscous.b) {
         values[i] = b;
     }
+    values[DRY] = (truth.effects.friction.coulomb[0] / model.effects.friction.coulomb[0]).ln();
     values
 }
 
@@ -76,6 +98,8 @@ struct Outcome {
     masses: [[f64; 2]; 4],
     /// Error of each coefficient of viscous friction, N·m·s/rad, and its standard deviation.
     viscous: [[f64; 2]; 5],
+    /// Error of the logarithm of the factor of dry friction, and its standard deviation.
+    dry: [f64; 2],
     /// Normalised error squared of the masses, per mass.
     nees: f64,
     /// Mean error of the logarithms of the masses, and the mean of their standard deviations.
@@ -131,6 +155,7 @@ fn outcome(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Optio
             let i = VISCOUS.start + joint;
             [values[i] - truth[i], sigma[i]]
         });
+        outcome.dry = [values[DRY] - truth[DRY], sigma[DRY]];
         let (nees, of) = twin.estimator().learned_nees(&truth, MASSES)?;
         outcome.nees = nees / of as f64;
         outcome.common = (0..4).map(|i| values[i] - truth[i]).sum::<f64>() / 4.0;
@@ -141,7 +166,7 @@ fn outcome(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Optio
 /// An hour at rest, held by servos against gravity, with a sample every 5 ms: the largest change of what is learned after the first minute, and the
 /// largest error at the end, each in standard deviations.
 fn at_rest(encoder: &Encoder, random: &mut Random) -> Option<[f64; 2]> {
-    let mut scenario = scenario(random, (false, true), true);
+    let mut scenario = scenario(random, (false, Friction::Viscous), true);
     for of in [&mut scenario.model, &mut scenario.truth] {
         servos(of, 1.0, 0.01);
         (of.start.omega, of.settings.step_size) = ([0.0; 2], REST[1]);
@@ -191,10 +216,11 @@ fn rms(of: impl Iterator<Item = f64>) -> f64 {
 pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("Masses and friction learned in falls, masses 5 % off: after 2 s, and forecasts 0.3 s ahead");
     let scenes = [
-        ("known sines", (true, false), true),
-        ("known sines, viscous friction unknown", (true, true), true),
-        ("free", (false, false), true),
-        ("known sines, not learned", (true, false), false),
+        ("known sines", (true, Friction::None), true),
+        ("known sines, viscous friction unknown", (true, Friction::Viscous), true),
+        ("known sines, dry friction unknown", (true, Friction::Dry), true),
+        ("free", (false, Friction::None), true),
+        ("known sines, not learned", (true, Friction::None), false),
     ];
     for (name, kind, learns) in scenes {
         for (encoder, most) in [(FINE, [0.05, 0.3]), (COARSE, [0.15, 1.5])] {
@@ -216,20 +242,18 @@ pub fn table(runs: u64, first: u64) -> Table {
                 let nees = outcomes.iter().map(|o| o.nees).sum::<f64>() / outcomes.len() as f64;
                 table.push(Figure::between(label("NEES of the masses, 1 each"), nees, [0.5, 3.0], String::new()));
                 table.push(Figure::between(label("masses within their bands, %"), covered(masses()), [88.0, 100.0], String::new()));
-                if kind.1 {
-                    let viscous = || outcomes.iter().flat_map(|o| o.viscous);
-                    let (error, sigma) = (rms(viscous().map(|[error, _]| error)), rms(viscous().map(|[_, sigma]| sigma)));
-                    table.push(Figure::told(
-                        label("error of a coefficient of friction, N.m.s/rad"),
-                        error,
-                        format!("σ {sigma:.2e}"),
-                    ));
-                    table.push(Figure::between(
-                        label("friction within its bands, %"),
-                        covered(viscous()),
-                        [88.0, 100.0],
-                        String::new(),
-                    ));
+                let friction: Option<(&str, Vec<[f64; 2]>)> = match kind.1 {
+                    Friction::None => None,
+                    Friction::Viscous => {
+                        Some(("a coefficient of friction, N.m.s/rad", outcomes.iter().flat_map(|o| o.viscous).collect()))
+                    }
+                    Friction::Dry => Some(("the factor of friction", outcomes.iter().map(|o| o.dry).collect())),
+                };
+                if let Some((what, of)) = friction {
+                    let [error, sigma] = [0, 1].map(|k| rms(of.iter().map(|of| of[k])));
+                    table.push(Figure::told(label(&format!("error of {what}")), error, format!("σ {sigma:.2e}")));
+                    let inside = covered(of.into_iter());
+                    table.push(Figure::between(label("friction within its bands, %"), inside, [88.0, 100.0], String::new()));
                 }
             } else if learns {
                 let common = 100.0 * rms(outcomes.iter().map(|o| o.common));

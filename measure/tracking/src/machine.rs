@@ -160,7 +160,7 @@ impl Scenario {
 /// The unit's start values for a machine whose lengths and encoders are exact, and told so.
 pub fn exact() -> Parameters {
     let mut parameters = default_parameters();
-    (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+    parameters.estimator.take_geometry_as_exact();
     parameters
 }
 

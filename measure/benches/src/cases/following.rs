@@ -47,7 +47,7 @@ fn twin(mut parameters: Parameters, inputs: &Inputs, geometry: bool) -> Result<F
     parameters.estimator.sigma0_theta = 1e-3;
     parameters.estimator.sigma0_omega = 1e-2;
     if !geometry {
-        (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+        parameters.estimator.take_geometry_as_exact();
     }
     Ok(Following::new(&parameters, inputs)?)
 }

@@ -133,7 +133,7 @@ fn follow(trial: &Trial, setting: Setting) -> Result<Followed, String> {
     parameters.start = Start { theta: motors(start.theta), omega: motors(start.omega), assembly };
     parameters.estimator.enabled = true;
     parameters.estimator.quantum = [QUANTUM; 2];
-    (parameters.estimator.sigma0_length, parameters.estimator.sigma0_offset) = (0.0, 0.0);
+    parameters.estimator.take_geometry_as_exact();
     let mut twin = Following::new(&parameters, &NO_LOAD).map_err(|refusal| format!("refused, {refusal}"))?;
     let size = relative_size(&parameters.geometry);
     let steps = (SAMPLE / parameters.settings.step_size).round().max(1.0);

@@ -18,7 +18,11 @@ MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.erro
 it less than i3alp, and leaves a two-hundredth of the error."""
 
 
-EXACT: Final[dict[str, float | int | bool]] = {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0}
+EXACT: Final[dict[str, float | int | bool]] = {
+    "estimator.sigma0.length": 0.0,
+    "estimator.sigma0.offset": 0.0,
+    "estimator.sigma0.eccentricity": 0.0,
+}
 """Start values of a twin that takes lengths and encoders as exact."""
 
 
