@@ -299,8 +299,8 @@ impl Estimator {
                 self.unaided[1 - i].update(&self.encoders[i], sample);
                 if self.doubt.is_open() {
                     let encoder = &self.encoders[i];
-                    // Accelerations do not show what is constant.
-                    update.seen[i] = encoder.unconfined(&encoder.with_persistent_error(sample, further));
+                    // Accelerations do not show what hardly changes.
+                    update.seen[i] = encoder.unconfined(&encoder.with_persistent_error(sample, 0.0));
                     if let Some(reading) = &update.seen[i] {
                         self.doubt.receive((i, sample.rate), &sample.innovation_of(reading));
                     }
