@@ -10,7 +10,9 @@ use super::constants::{
     Intensities, LARGEST_ANGLE_VARIANCES, LARGEST_RATE_VARIANCE, LEAST_LIKELIHOOD, LIKELY_MODELS, MODELS, NEGLIGIBLE_PROBABILITY,
     TAKEN_AS_KNOWN,
 };
-use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force, reduce, transformed, turned, turned_covariance};
+use super::error_state::{
+    ERRORS, Error, FORCE, Matrix, is_covariance, isolate_force, reduce, transformed, turned, turned_covariance,
+};
 use super::propagation::ProcessNoise;
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, Pair, wrapped};
@@ -214,12 +216,8 @@ impl Bank {
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9
-            && self.members.iter().all(|Member { weight, error, covariance: p }| {
-                let is_bounded = |i: usize, k: usize| p[(i, k)] * p[(i, k)] <= 1.01 * p[(i, i)] * p[(k, k)];
-                *weight >= 0.0
-                    && error.iter().all(|x| x.is_finite())
-                    && *p == p.transpose()
-                    && (0..ERRORS).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_bounded(i, k)))
+            && self.members.iter().all(|Member { weight, error, covariance }| {
+                *weight >= 0.0 && error.iter().all(|x| x.is_finite()) && is_covariance(covariance)
             })
     }
 

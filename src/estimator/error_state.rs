@@ -70,6 +70,16 @@ pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column
     }
 }
 
+/// Whether a stored matrix is possible as a covariance: symmetric to the bit, no variance below 0, no correlation beyond 1 but by round-off.
+pub(super) fn is_covariance<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {
+    *p == p.transpose() && (0..N).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_correlation(p[(i, k)], p[(i, i)], p[(k, k)])))
+}
+
+/// Whether a stored covariance is possible beside two variances.
+pub(super) fn is_correlation(covariance: f64, one: f64, other: f64) -> bool {
+    covariance * covariance <= 1.01 * one * other
+}
+
 /// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
 pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
     covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);

@@ -19,7 +19,9 @@ use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
-use super::error_state::{DRY, ERRORS, Error, FORCE, LEARNED, LOADS, Learned, MASSES, MOVING, Matrix, reduce, turned};
+use super::error_state::{
+    DRY, ERRORS, Error, FORCE, LEARNED, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce, turned,
+};
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
@@ -348,14 +350,9 @@ impl Moments {
     /// Whether stored moments are possible beside the covariance of motion and force.
     fn is_sound(&self, own: &Matrix) -> bool {
         let Self { error, cross, covariance: p } = self;
-        let is_bounded = |element: f64, a: f64, b: f64| element * element <= 1.01 * a * b;
         error.iter().all(|x| x.is_finite())
-            && *p == p.transpose()
-            && (0..LEARNED).all(|k| {
-                p[(k, k)] >= 0.0
-                    && (0..k).all(|i| is_bounded(p[(i, k)], p[(i, i)], p[(k, k)]))
-                    && (0..ERRORS).all(|i| is_bounded(cross[(i, k)], own[(i, i)], p[(k, k)]))
-            })
+            && is_covariance(p)
+            && (0..LEARNED).all(|k| (0..ERRORS).all(|i| is_correlation(cross[(i, k)], own[(i, i)], p[(k, k)])))
     }
 }
 

@@ -190,7 +190,7 @@ impl Constants {
 }
 
 /// Sets the lengths of links and base, m, by number and present length.
-pub fn set_lengths(geometry: &mut Geometry, length: impl Fn(usize, f64) -> f64) {
+pub fn set_lengths(geometry: &mut Geometry, mut length: impl FnMut(usize, f64) -> f64) {
     let lengths = geometry.links.iter_mut().map(|link| &mut link.length).chain([&mut geometry.base_distance]);
     lengths.enumerate().for_each(|(i, of)| *of = length(i, *of));
 }

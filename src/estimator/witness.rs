@@ -16,7 +16,7 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 use super::bank::Innovation;
 use super::constants::{LARGEST_NIS, RATES_PERSIST, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
-    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, reduce, transformed, turned, turned_covariance,
+    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, reduce, transformed, turned, turned_covariance,
 };
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
@@ -87,11 +87,7 @@ impl Witness {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let p = &self.covariance;
-        self.is_finite()
-            && *p == p.transpose()
-            && (0..ERRORS).all(|i| p[(i, i)] >= 0.0)
-            && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
+        self.is_finite() && is_covariance(&self.covariance) && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
     }
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
