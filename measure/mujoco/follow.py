@@ -48,6 +48,8 @@ ESTIMATE = ("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[2]", "e
 STATUS = "estimated.status"
 
 LEARNED = {f"link[{i}].mass": f"estimated.mass[{i}]" for i in range(1, 5)} | {f"viscous.b[{i}]": f"estimated.viscous[{i}]" for i in range(1, 6)}
+LEARNED |= {f"link[{i}].length": f"estimated.length[{i}]" for i in range(1, 5)} | {"base.distance": "estimated.length[5]"}
+LEARNED |= {f"encoder.offset[{i}]": f"estimated.offset[{i}]" for i in (1, 2)}
 """Parameters that a unit learns if it is told to, and the variables that say what it has learned."""
 
 QUANTILE = 1.96
@@ -55,7 +57,7 @@ QUANTILE = 1.96
 
 
 class Unit:
-    """The unit as a user sets it for this machine; with `learn` it learns masses and viscous friction.
+    """The unit as a user sets it for this machine; with `learn` it learns masses, viscous friction, lengths and mounting angles.
 
     A unit learns from samples without delay. One that learns runs behind the machine by the delay of the bus, and takes a sample as of its own time.
     """

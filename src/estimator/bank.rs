@@ -75,8 +75,13 @@ impl PredictedSample {
 
     /// Normalised innovation squared of the mixture.
     pub fn nis(&self) -> f64 {
+        self.nis_with_less(0.0)
+    }
+
+    /// Normalised innovation squared of the mixture, with the noise less by `excess`, rad².
+    pub(super) fn nis_with_less(&self, excess: f64) -> f64 {
         let (mean, variance) = self.mixture_moments();
-        mean * mean / variance
+        mean * mean / (variance - excess)
     }
 
     /// Normalised innovation squared of the loudest model, with the noise less by `excess`, rad².

@@ -69,8 +69,10 @@ pub(super) const LARGEST_NIS: f64 = 1e12;
 /// Largest logarithms of the factors that are learned: of a mass and of dry friction. Beyond 2 and 10 no machine is the one that was described.
 pub(super) const LARGEST_FACTORS: [f64; 2] = [std::f64::consts::LN_2, std::f64::consts::LN_10];
 /// Largest error of a length or a mounting angle that is learned, in standard deviations of its prior. Where encoders are taken as exact that are not,
-/// lengths of MuJoCo's machine slide by 8 mm of 0.2 mm in 20 minutes without it (`cargo xtask mujoco`).
+/// lengths of MuJoCo's machine slide by 10 mm of 0.2 mm in 20 minutes without it (`cargo xtask mujoco`).
 pub(super) const LARGEST_MISFIT: f64 = 4.0;
+/// Largest error of a length that is learned, relative to it: a machine that has been learned can be simulated.
+pub(super) const LARGEST_STRAIN: f64 = 0.05;
 
 // ---- Propagation.
 

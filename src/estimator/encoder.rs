@@ -107,6 +107,18 @@ impl Sample {
     }
 }
 
+impl Sample {
+    /// Whether the axis rests: quantisation and persistent errors are those of all its samples then, no noise, and teach nothing.
+    pub(super) fn rests(&self) -> bool {
+        self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent.sqrt())
+    }
+}
+
+/// Variance of a sample whose quantisation and persistent errors are its own, rad².
+fn single_variance(sigma: f64, quantum: f64, persistent: f64) -> f64 {
+    (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent + quantum * quantum / 12.0
+}
+
 /// Conditions under which the gate judges a sample.
 #[derive(Clone, Copy)]
 pub(super) struct GateConditions {
@@ -365,12 +377,13 @@ impl Encoder {
         self.passes_gate(expected, sample, conditions).then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gating: whether a sample is used. Whether a force explains the sample is judged by the noise of a single one: a quantisation error that
-    /// many share is no larger.
+    /// Gating: whether a sample is used. A sample is judged by its own persistent error, and whether a force explains it by its own quantisation error:
+    /// errors that many share are no larger.
     fn passes_gate(&mut self, expected: &PredictedSample, sample: &Sample, conditions: GateConditions) -> bool {
         let GateConditions { overdue, patient, witnessed } = conditions;
         let &Sample { sigma, quantum, persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
-        let least = expected.nis_of_loudest_model(noise - self.single_variance(sigma, quantum, persistent));
+        let least = expected.nis_of_loudest_model(noise - single_variance(sigma, quantum, persistent));
+        let shared = persistent * (self.most_correlated_samples() - 1.0);
         let exceeds = |gate: f64| patient && (least.is_nan() || least > gate);
         let unexplained = exceeds(GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
@@ -378,7 +391,7 @@ impl Encoder {
             _ if overdue => Fault::Stuck,
             _ if self.is_away() => Fault::Rejected,
             // NaN exceeds the gate.
-            _ if expected.nis() <= GATE => Fault::None,
+            _ if expected.nis_with_less(shared) <= GATE => Fault::None,
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
@@ -434,20 +447,10 @@ impl Encoder {
         (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
     }
 
-    /// Variance of a sample with a quantisation error of its own, rad².
-    fn single_variance(&self, sigma: f64, quantum: f64, persistent: f64) -> f64 {
-        self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0
-    }
-
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
     fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
         let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
         turns.min(self.most_correlated_samples()).max(1.0)
-    }
-
-    /// Whether the axis rests within a quantisation interval, whose error is then no noise: the sample teaches nothing.
-    pub(super) fn rests(&self, sample: &Sample) -> bool {
-        self.repeated && sample.rate.abs() * CORRELATION_TIME < sample.quantum
     }
 
     /// Whether the quantisation error is white: dithered by noise, or of the first sample.

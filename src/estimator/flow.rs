@@ -45,7 +45,7 @@ pub trait Scene {
     /// Whether some load changes steeply.
     fn has_stiff_forces(&self) -> bool;
 
-    /// Whether some load may change within a step: dry friction, a contact, a servo that saturates at once.
+    /// Whether some load may change within a step: dry friction, an end stop, a contact, a servo that saturates at once.
     fn has_sharp_forces(&self) -> bool;
 }
 

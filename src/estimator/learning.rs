@@ -18,9 +18,10 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
-use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
+use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce, turned,
+    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce,
+    turned,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
@@ -376,7 +377,11 @@ fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
     match parameter {
         _ if MASSES.contains(&parameter) => about_0(LARGEST_FACTORS[0]),
         DRY => about_0(LARGEST_FACTORS[1]),
-        _ if parameter >= LOADS => about_0(LARGEST_MISFIT * constants.prior.as_ref().map_or(0.0, |prior| prior.sigma[parameter])),
+        _ if parameter >= LOADS => {
+            let misfit = LARGEST_MISFIT * constants.prior.as_ref().map_or(0.0, |prior| prior.sigma[parameter]);
+            let length = constants.nominal.get(parameter - LENGTHS.start);
+            about_0(length.map_or(misfit, |length| misfit.min(LARGEST_STRAIN * length)))
+        }
         _ => [0.0, f64::MAX],
     }
 }

@@ -283,7 +283,7 @@ impl Estimator {
             if let Some(told) = self.encoders[i].admit(&expected, &used, conditions) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
                     let considered = match () {
-                        () if self.encoders[i].rests(sample) => 0,
+                        () if used.rests() => 0,
                         // The witnesses of a doubted start take lengths and mounting angles as they are.
                         () if self.doubt.is_undecided() => LOADS,
                         () => LEARNED,

@@ -9,7 +9,9 @@ use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::{Following, Method, Signal};
 
-use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, no_inputs, start_off, tip};
+use crate::machine::{
+    COARSE, Encoder, FINE, Plan, Random, Scenario, by_start_values, desk, five_percent, motion, no_inputs, start_off, tip,
+};
 use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
 use crate::scores::half_width;
@@ -235,7 +237,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const MEDIUM: Encoder = bits("14 bit", 14);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 42] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 44] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -259,6 +261,8 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), COARSE, 5e-3),
         ("off by 0.1 rad, fall", falling, Failure::Jump(0.1), FINE, 1e-3),
         ("off by 0.01 rad, swing", swing, Failure::Jump(0.01), FINE, 1e-3),
+        ("off by 0.1 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.1), FINE, 1e-3),
+        ("off by 0.2 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.2), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
         ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),

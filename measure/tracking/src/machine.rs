@@ -164,6 +164,14 @@ pub fn exact() -> Parameters {
     parameters
 }
 
+/// A scenario whose twin takes geometry for as uncertain as the unit's start values say.
+pub fn by_start_values(mut scenario: Scenario) -> Scenario {
+    let (own, start) = (&mut scenario.model.estimator, default_parameters().estimator);
+    (own.sigma0_length, own.sigma0_offset, own.sigma0_eccentricity) =
+        (start.sigma0_length, start.sigma0_offset, start.sigma0_eccentricity);
+    scenario
+}
+
 /// The table-top machine with which prototypes were measured.
 pub fn desk() -> Parameters {
     let mut parameters = exact();

@@ -32,6 +32,16 @@ impl Figure {
         Self { name, value, allowed: None, remark }
     }
 
+    /// Whether the figure is one of those of a row of runs.
+    pub fn is_of(&self, runs: &str) -> bool {
+        self.name.starts_with(runs)
+    }
+
+    /// The figure without its target.
+    pub fn not_judged(self) -> Self {
+        Self { allowed: None, ..self }
+    }
+
     /// Whether the figure meets its target.
     pub fn is_reached(&self) -> bool {
         self.allowed.is_none_or(|[least, most]| (least..=most).contains(&self.value))

@@ -26,7 +26,7 @@ def fmu() -> Decorator:
 
 def learn() -> Decorator:
     """Whether a twin learns."""
-    return click.option("--learn", is_flag=True, help="Learn masses, payload and friction while following.")
+    return click.option("--learn", is_flag=True, help="Learn masses, payload, friction, lengths and mounting angles while following.")
 
 
 def exact() -> Decorator:
