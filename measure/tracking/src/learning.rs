@@ -296,7 +296,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             }
             table.push(Figure::told(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
             if name == FOREIGN {
-                // What a scene does not have is learned as something else: the docs say how far, and nothing is demanded.
+                // Friction that a scene does not have is learned as something else: the docs say how far, and nothing is demanded.
                 table.figures = table.figures.into_iter().map(|of| if of.is_of(name) { of.not_judged() } else { of }).collect();
             }
         }
