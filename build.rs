@@ -1,4 +1,4 @@
-//! Turns modelDescription/modelDescription.xml into the tables of src/variables and the bindings of src/fmi.
+//! Turns modelDescription/modelDescription.xml into the tables of src/variables and the bindings of src/simulation.
 //!
 //! Every variable becomes a variant of an enum per role (`Parameter`, `Input`, ...), families such as `link[1..4].length` one variant
 //! with a 0-based index. The name of a variable that is set by a master says which field of the library holds it ([`field`]); what is
@@ -15,7 +15,7 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     let description = ModelDescription::read().unwrap_or_else(|error| panic!("modelDescription/modelDescription.xml: {error}"));
     generate("variables.rs", &description, &[constants, types, families, table, states]);
-    generate("bindings.rs", &description, &[accessors, choices]);
+    generate("bindings.rs", &description, &[accessors, bounds, choices]);
 }
 
 /// A part of a generated file.
@@ -145,9 +145,15 @@ fn families(description: &ModelDescription, code: &mut String) -> Written {
     rust_enum(code, "A variable of any type and role", "VariableId", variants)
 }
 
-fn table(description: &ModelDescription, code: &mut String) -> Written {
+/// Every variable once, by ascending reference: the rows of the table.
+fn table_order(description: &ModelDescription) -> Vec<&Variable> {
     let mut variables: Vec<&Variable> = description.variables.iter().filter(|variable| !variable.is_alias()).collect();
     variables.sort_by_key(|variable| variable.reference);
+    variables
+}
+
+fn table(description: &ModelDescription, code: &mut String) -> Written {
+    let variables = table_order(description);
     // Units and enumerations are stored as indices: pointers would have to be relocated when the library is loaded.
     let units: BTreeSet<&str> = variables.iter().filter_map(|variable| variable.unit.as_deref()).collect();
     let units: Vec<&str> = units.into_iter().collect();
@@ -254,7 +260,7 @@ fn accessors(description: &ModelDescription, code: &mut String) -> Written {
     ] {
         writeln!(
             code,
-            "/// Field that holds a variable.\npub(super) fn {function}(of: {reference}{of}, variable: {group}) -> {reference}{held} {{"
+            "/// Field that holds a variable.\npub(crate) fn {function}(of: {reference}{of}, variable: {group}) -> {reference}{held} {{"
         )?;
         writeln!(code, "    match variable {{")?;
         for name in &groups[group] {
@@ -263,6 +269,33 @@ fn accessors(description: &ModelDescription, code: &mut String) -> Written {
         writeln!(code, "    }}\n}}\n")?;
     }
     Ok(())
+}
+
+/// A function that checks the numbers among the parameters by their variables. Those under a switch, as `friction.coulomb[1]` under
+/// `friction.enabled`, count where it is on.
+fn bounds(description: &ModelDescription, code: &mut String) -> Written {
+    let if_on = |variable: &Variable| {
+        let switch = variable.name.family.split_once('.').map(|(first, _)| format!("{first}.enabled"));
+        let switch = description.variables.iter().find(|other| Some(&other.name.full) == switch.as_ref());
+        switch.map_or(String::new(), |switch| format!("if of.{} ", field("Parameter", &switch.name)))
+    };
+    writeln!(
+        code,
+        "/// Refuses a number in use that its variable does not allow.\npub(super) fn check_bounds(of: &Parameters) -> Result<(), SceneError> {{"
+    )?;
+    let rows = table_order(description).into_iter().enumerate();
+    let is_number = |variable: &Variable| matches!(variable.kind, Kind::Real { .. } | Kind::Integer { .. });
+    let numbers: Vec<_> = rows.filter(|(_, variable)| variable.causality == Causality::Parameter && is_number(variable)).collect();
+    for group in numbers.chunk_by(|(_, one), (_, other)| if_on(one) == if_on(other)) {
+        writeln!(code, "    {}{{", if_on(group[0].1))?;
+        for (row, variable) in group {
+            let index = variable.name.index.map(|index| format!("[{index}]")).unwrap_or_default();
+            let field = field("Parameter", &variable.name).replace("[i]", &index);
+            writeln!(code, "        check(&VARIABLES[{row}], &of.{field})?;")?;
+        }
+        writeln!(code, "    }}")?;
+    }
+    writeln!(code, "    Ok(())\n}}\n")
 }
 
 /// The enums of the library whose variants are the items of an enumeration.

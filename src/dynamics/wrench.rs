@@ -233,8 +233,8 @@ mod tests {
     use crate::dynamics::Conditions;
     use crate::dynamics::angles::{angles_of, legs};
     use crate::effects::{FiniteMotion, Inputs, JOINTS, Mode, Motion, TypicalInertia, across_joints};
-    use crate::fmi::bindings::default_parameters;
     use crate::mechanism::Mechanism;
+    use crate::simulation::bindings::default_parameters;
 
     const INPUTS: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2], servo_theta: [0.0; 2], servo_omega: [0.0; 2] };
 
@@ -257,7 +257,7 @@ mod tests {
         for (i, link) in geometry.links.iter_mut().enumerate() {
             (link.length, link.com) = (0.9 + 0.3 * i as f64, 0.4 - 0.1 * i as f64);
         }
-        Mechanism::new(&geometry).expect("a machine")
+        Mechanism::new(&geometry)
     }
 
     fn conditions() -> Conditions<'static> {

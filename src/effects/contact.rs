@@ -23,7 +23,7 @@ use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, S
 use crate::hybrid::{
     CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, SPRINGS, TIP_FRICTION, UnilateralGuard, UnilateralSpring,
 };
-use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{LINKS, Mechanism, SceneError};
 
 /// The `contact.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -76,17 +76,9 @@ fn add(sum: &mut Matrix, matrix: Matrix) {
 }
 
 impl Contact {
-    /// Makes the plane ready; refuses a normal of length 0, and values out of range.
+    /// Makes the plane ready; refuses a normal of length 0.
     pub(super) fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
-        finite("contact.nx", nx, "(ratio)")?;
-        finite("contact.ny", ny, "(ratio)")?;
-        finite("contact.offset", offset, "m")?;
-        not_negative("contact.k", k, "N/m")?;
-        not_negative("contact.d", d, "N.s/m")?;
-        positive("contact.width", width, "m")?;
-        not_negative("contact.mu", mu, "(ratio)")?;
-        positive("contact.slipVelocity", slip_velocity, "m/s")?;
         let length = libm::hypot(nx, ny);
         if length == 0.0 {
             return Err(SceneError("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));

@@ -26,7 +26,7 @@ use super::force_law::{ForceLaw, PowerFlow};
 use super::wrench::{FrictionElement, FrictionElements, JOINT_ARMS, JOINTS, JointMotion, Motion, Wrench};
 use crate::hybrid::{FrictionPlace, Law};
 use crate::mechanism::exponential::gaussian_and_tanh;
-use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError};
 
 /// The `friction.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,13 +66,11 @@ pub struct Friction {
 }
 
 impl Friction {
-    /// Makes the friction ready; refuses torques that are negative, or below the Coulomb torque at breakaway.
+    /// Makes the friction ready; refuses a torque below the Coulomb torque at breakaway.
     pub(crate) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
-            not_negative(format_args!("friction.coulomb[{}]", joint + 1), coulomb, "N.m")?;
-            not_negative(format_args!("friction.breakaway[{}]", joint + 1), breakaway, "N.m")?;
             if breakaway < coulomb {
                 return Err(SceneError(format!(
                     "friction.breakaway[{0}] = {breakaway:?} N.m is not allowed: it must be at least friction.coulomb[{0}] = {coulomb:?} N.m.",
@@ -85,7 +83,6 @@ impl Friction {
             }
         }
         let velocity = parameters.breakaway_velocity;
-        positive("friction.breakawayVelocity", velocity, "rad/s")?;
         Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0, law: parameters.law })
     }
 

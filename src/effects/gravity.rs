@@ -6,7 +6,7 @@
 
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, add_legs};
 use crate::mechanism::legs::both;
-use crate::mechanism::{Coordinates, Mechanism, SceneError, finite};
+use crate::mechanism::{Coordinates, Mechanism};
 
 /// The `gravity.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,22 +23,13 @@ pub struct Parameters {
 
 impl Parameters {
     /// Adds the weights of the links, N.
-    pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), SceneError> {
+    pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) {
         let Self { g, tilt, direction, .. } = *self;
-        for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
-            finite(format_args!("gravity.{name}"), value, unit)?;
-        }
-        if g < 0.0 {
-            return Err(SceneError(format!(
-                "gravity.g = {g} m/s2 is not allowed: it must be 0 or positive; gravity.direction reverses it."
-            )));
-        }
         let (sin, cos) = libm::sincos(direction);
         let in_plane = g * libm::sin(tilt);
         for (x, y, mass) in [(P_X, P_Y, mechanism.mass_p), (D_X, D_Y, mechanism.mass_d)] {
             add_legs(weight, x, mass * both(in_plane * cos));
             add_legs(weight, y, mass * both(in_plane * sin));
         }
-        Ok(())
     }
 }

@@ -69,17 +69,17 @@ macro_rules! effects {
             }
 
             /// The geometry with the masses, kg, and inertias, kg·m², of the effects that are enabled.
-            pub fn with_added_masses(&self, geometry: &Geometry) -> Result<Geometry, SceneError> {
+            pub fn with_added_masses(&self, geometry: &Geometry) -> Geometry {
                 let mut with_added_masses = *geometry;
-                $(if self.$mass.enabled { self.$mass.add_masses(&mut with_added_masses)?; })+
-                Ok(with_added_masses)
+                $(if self.$mass.enabled { self.$mass.add_masses(&mut with_added_masses); })+
+                with_added_masses
             }
 
             /// The constant generalised force of the effects that are enabled, N and N·m.
-            pub fn weight(&self, mechanism: &Mechanism) -> Result<Coordinates, SceneError> {
+            pub fn weight(&self, mechanism: &Mechanism) -> Coordinates {
                 let mut weight = Coordinates::ZERO;
-                $(if self.$weight.enabled { self.$weight.add_weight(mechanism, &mut weight)?; })+
-                Ok(weight)
+                $(if self.$weight.enabled { self.$weight.add_weight(mechanism, &mut weight); })+
+                weight
             }
 
             /// The enabled effects whose force depends on the motion, in the order of their evaluation.

@@ -7,7 +7,7 @@
 //! The mass may change during a run: added mass joins as [`Join`] says, removed mass leaves with the velocity of the tip.
 //! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is the force of link 3 on link 2 with its payload.
 
-use crate::mechanism::{Geometry, SceneError, not_negative};
+use crate::mechanism::Geometry;
 
 /// The `payload.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,14 +35,12 @@ pub(crate) const CARRIER: usize = 1;
 
 impl Parameters {
     /// Adds the payload to the left distal link.
-    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), SceneError> {
-        not_negative("payload.mass", self.mass, "kg")?;
+    pub fn add_masses(&self, geometry: &mut Geometry) {
         let link = &mut geometry.links[CARRIER];
         let total = link.mass + self.mass;
         let distance = link.length - link.com;
         link.com += self.mass / total * distance;
         link.inertia += link.mass * self.mass / total * distance * distance;
         link.mass = total;
-        Ok(())
     }
 }

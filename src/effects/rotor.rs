@@ -5,7 +5,7 @@
 //! and no force arises; the kinetic energy includes the rotor. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
 //! Limits: no gear friction, play or elasticity; the rotor's axis is fixed to the ground, so no gyroscopic coupling.
 
-use crate::mechanism::{Geometry, SceneError, finite, not_negative};
+use crate::mechanism::Geometry;
 
 /// The `rotor.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,13 +23,10 @@ const DRIVEN: [usize; 2] = [0, 3];
 
 impl Parameters {
     /// Adds the rotors to the proximal links.
-    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), SceneError> {
+    pub fn add_masses(&self, geometry: &mut Geometry) {
         for (i, link) in DRIVEN.into_iter().enumerate() {
             let (inertia, ratio) = (self.inertia[i], self.gear_ratio[i]);
-            not_negative(format_args!("rotor.inertia[{}]", i + 1), inertia, "kg.m2")?;
-            finite(format_args!("rotor.gearRatio[{}]", i + 1), ratio, "(ratio)")?;
             geometry.links[link].inertia += ratio * ratio * inertia;
         }
-        Ok(())
     }
 }

@@ -13,7 +13,7 @@ use super::Inputs;
 use super::force_law::{ForceLaw, PowerFlow};
 use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES};
 use crate::mechanism::exponential::tanh;
-use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError};
 
 /// Largest angle to saturation, limit/kp, rad, of a servo with a sharp nonlinearity. A servo that saturates at a larger angle is nearly
 /// linear over a step; where it is stiff as well, a search for the nonlinearity would find round-off.
@@ -41,14 +41,9 @@ pub struct Servo {
 }
 
 impl Servo {
-    /// Makes the servos ready; refuses negative gains and limits that are not positive.
+    /// Makes the servos ready.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { kp, kd, limit, .. } = *parameters;
-        for i in 0..2 {
-            not_negative(format_args!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
-            not_negative(format_args!("servo.kd[{}]", i + 1), kd[i], "N.m.s/rad")?;
-            positive(format_args!("servo.limit[{}]", i + 1), limit[i], "N.m")?;
-        }
         Ok(Self { kp, kd, limit })
     }
 

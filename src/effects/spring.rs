@@ -5,7 +5,7 @@
 
 use super::force_law::ForceLaw;
 use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES, Motion};
-use crate::mechanism::{Mechanism, SceneError, finite, not_negative};
+use crate::mechanism::{Mechanism, SceneError};
 
 /// The `spring.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -26,13 +26,9 @@ pub struct Spring {
 }
 
 impl Spring {
-    /// Makes the springs ready; refuses negative stiffness and angles that are not finite.
+    /// Makes the springs ready.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { k, theta0, .. } = *parameters;
-        for i in 0..2 {
-            not_negative(format_args!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
-            finite(format_args!("spring.theta0[{}]", i + 1), theta0[i], "rad")?;
-        }
         Ok(Self { k, theta0 })
     }
 }

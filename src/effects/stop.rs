@@ -11,7 +11,7 @@ use super::finite_motion::FiniteMotion;
 use super::force_law::ForceLaw;
 use super::wrench::{JOINT_ARMS, MOTOR_ANGLES, Motion, Slopes, Wrench};
 use crate::hybrid::{MeanReaction, SPRINGS, STOPS, UnilateralGuard, UnilateralSpring};
-use crate::mechanism::{Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError};
 
 /// The `stop.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,12 +42,10 @@ pub struct Stop {
 const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
 
 impl Stop {
-    /// Makes the stops ready; refuses limits that leave no free angle, and values out of range.
+    /// Makes the stops ready; refuses limits that leave no free angle.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
         for i in 0..2 {
-            finite(format_args!("stop.lower[{}]", i + 1), lower[i], "rad")?;
-            finite(format_args!("stop.upper[{}]", i + 1), upper[i], "rad")?;
             if lower[i] >= upper[i] {
                 return Err(SceneError(format!(
                     "stop.lower[{0}] = {1} rad is not allowed: it must be below stop.upper[{0}] = {2} rad.",
@@ -57,9 +55,6 @@ impl Stop {
                 )));
             }
         }
-        not_negative("stop.k", k, "N.m/rad")?;
-        not_negative("stop.d", d, "N.m.s/rad")?;
-        positive("stop.width", width, "rad")?;
         Ok(Self { lower, upper, spring: UnilateralSpring { stiffness: k, damping: d, width } })
     }
 

@@ -6,7 +6,7 @@
 
 use super::force_law::{ForceLaw, PowerFlow};
 use super::wrench::{JOINTS, JointMotion};
-use crate::mechanism::{Mechanism, SceneError, not_negative};
+use crate::mechanism::{Mechanism, SceneError};
 
 /// The `viscous.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,11 +24,8 @@ pub struct Viscous {
 }
 
 impl Viscous {
-    /// Makes the friction ready; refuses negative coefficients.
+    /// Makes the friction ready.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
-        for (i, b) in parameters.b.into_iter().enumerate() {
-            not_negative(format_args!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
-        }
         Ok(Self { b: parameters.b })
     }
 }

@@ -5,7 +5,7 @@ use super::error_state::{LENGTHS, Learned};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::Linkage;
-use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
+use crate::mechanism::{Geometry, SceneError};
 
 /// Method of the covariance in a forecast without samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,33 +73,8 @@ impl Parameters {
         }
     }
 
-    /// Refuses invalid parameters; `step_size` is the macro step, s.
+    /// Refuses delays that the history does not reach, or that learning does not take; `step_size` is the macro step, s.
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
-        for (name, value, unit) in [
-            ("estimator.sigma[1]", self.sigma[0], "rad"),
-            ("estimator.sigma[2]", self.sigma[1], "rad"),
-            ("estimator.quantum[1]", self.quantum[0], "rad"),
-            ("estimator.quantum[2]", self.quantum[1], "rad"),
-            ("estimator.maxDelay", self.max_delay, "s"),
-            ("estimator.sigma0.length", self.sigma0_length, "m"),
-            ("estimator.sigma0.offset", self.sigma0_offset, "rad"),
-            ("estimator.sigma0.eccentricity", self.sigma0_eccentricity, "rad"),
-            ("estimator.learn.mass", self.learn_mass, "(ratio)"),
-            ("estimator.learn.payload", self.learn_payload, "kg"),
-            ("estimator.learn.viscous", self.learn_viscous, "N.m.s/rad"),
-            ("estimator.learn.friction", self.learn_friction, "(ratio)"),
-            ("estimator.torqueScale", self.torque_scale, "N.m"),
-        ] {
-            not_negative(name, value, unit)?;
-        }
-        for (name, value, unit) in [
-            ("estimator.sigma0.theta", self.sigma0_theta, "rad"),
-            ("estimator.sigma0.omega", self.sigma0_omega, "rad/s"),
-            ("estimator.switchTime", self.switch_time, "s"),
-        ] {
-            positive(name, value, unit)?;
-        }
-        finite("estimator.horizon", self.horizon, "s")?;
         if self.learn_enabled && self.max_delay > 0.0 {
             return Err(SceneError(format!(
                 "estimator.maxDelay = {:?} s is not allowed with estimator.learn.enabled = true, which learns from samples without delay: it must \

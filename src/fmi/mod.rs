@@ -5,7 +5,6 @@
 //! | `lifecycle.rs` | which call is allowed in which state |
 //! | `clock.rs` | communication points and the step grid |
 //! | `messages.rs` | the log queue and its categories |
-//! | `bindings.rs` | variables ↔ parameters and inputs |
 //! | `computed.rs` | variables ← observers, computed when read |
 //! | `values.rs` | the checks that come before a value is read or written |
 //! | `derivatives.rs` | derivatives of inputs and outputs |
@@ -18,7 +17,6 @@
 //! | `following.rs` | warnings of a communication step of a machine that is followed |
 //! | `status.rs` | the status functions of co-simulation |
 
-pub mod bindings;
 pub mod clock;
 mod computed;
 mod derivatives;
@@ -41,7 +39,7 @@ pub use messages::{Message, Status};
 pub use own::{Guid, Unit};
 pub use snapshot::Snapshot;
 
-pub use crate::simulation::STATES;
+pub use crate::simulation::{STATES, bindings};
 
 /// A call that was refused or discarded; the instance is unchanged.
 #[derive(Clone, Debug, PartialEq)]

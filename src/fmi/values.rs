@@ -48,33 +48,13 @@ pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), Ca
 }
 
 /// A variable's own bounds; relations between variables are checked when the scene is made ready.
+#[inline(always)]
 pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallError> {
     // Samples may have any value: the estimator judges them and continues without a rejected one.
     if matches!(variable.id, VariableId::Sample(_)) {
         return Ok(());
     }
-    let number = match value {
-        Value::Real(x) => x,
-        Value::Integer(n) => f64::from(n),
-        Value::Boolean(_) => return Ok(()),
-    };
-    // Text is made for a refusal only: setting an input allocates nothing.
-    let unit = || variable.unit().filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
-    let refuse = |allowed: String| {
-        Err(CallError::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
-    };
-    if !number.is_finite() {
-        return refuse("finite".to_owned());
-    }
-    if !variable.items().is_empty() && variable.items().iter().all(|item| Value::Integer(item.value) != value) {
-        let items: Vec<String> = variable.items().iter().map(|item| format!("{} ({})", item.value, item.name)).collect();
-        return refuse(format!("one of {}", items.join(", ")));
-    }
-    match (variable.min, variable.max) {
-        (Some(min), _) if number < min => refuse(format!("at least {}{}", shortest(min), unit())),
-        (_, Some(max)) if number > max => refuse(format!("at most {}{}", shortest(max), unit())),
-        _ => Ok(()),
-    }
+    variable.check(value).map_err(CallError::error)
 }
 
 /// Refuses a number that is not finite, in a sentence that begins with what it is.
@@ -91,10 +71,4 @@ pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Resul
         "{} = {value} is not available: it must be finite; an input or a parameter is too large or too small for double precision.",
         name()
     )))
-}
-
-/// A bound in its shortest form: 0, 100, 1e-9.
-fn shortest(bound: f64) -> String {
-    let (plain, scientific) = (format!("{bound}"), format!("{bound:e}"));
-    if scientific.len() < plain.len() { scientific } else { plain }
 }

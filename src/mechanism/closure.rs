@@ -8,7 +8,6 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Vector2};
 
 use super::coordinates::set_angles;
-use super::model::finite;
 use super::placement::by_legs;
 use super::{Coordinates, Geometry, Mechanism, SceneError};
 
@@ -121,10 +120,6 @@ fn rounded(value: f64) -> f64 {
 /// configuration space) the passive rates are a root of the tangent cone's quadratic, the one that moves the tip to the side of
 /// the assembly mode.
 pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), SceneError> {
-    for i in 0..2 {
-        finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
-        finite(format_args!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
-    }
     let span = ElbowSpan::new(geometry, "init.theta", start.theta)?;
     let theta = angles(geometry, &span, start);
     let omega = rates(geometry, &span, theta, start)?;
@@ -253,7 +248,7 @@ pub fn varied(
     // A rotation by δθ changes the velocity n̂ ω by −û ω δθ.
     let inward = std::array::from_fn(|i| -omega[i] * turned[i]);
     let quickened = closed_displacements(geometry, theta, proximal_omega, inward);
-    let pose = Mechanism::arranged(geometry).pose_at(by_legs(theta));
+    let pose = Mechanism::new(geometry).pose_at(by_legs(theta));
     let q = pose.velocities(by_legs(turned));
     let carried = pose.varied(&q).velocities(by_legs(omega));
     let mut v = pose.velocities(by_legs(quickened)) + carried;
@@ -274,7 +269,7 @@ fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [
 
 /// Coordinates q and velocities q̇ of all links from their angles and rates, each leg built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
-    let (mechanism, angles) = (Mechanism::arranged(geometry), by_legs(theta));
+    let (mechanism, angles) = (Mechanism::new(geometry), by_legs(theta));
     let pose = mechanism.pose_at(angles);
     (mechanism.coordinates(&pose, angles), pose.velocities(by_legs(omega)))
 }

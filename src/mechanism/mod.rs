@@ -33,5 +33,4 @@ pub use closure_branch::{BRANCH_ARM, ClosureBranch, ClosureTerms};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
-pub(crate) use model::{finite, not_negative, positive};
 pub use singular_values::SingularValue;

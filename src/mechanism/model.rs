@@ -1,4 +1,4 @@
-//! Constants of the mechanism: geometry and masses as a user gives them, checked, and arranged by legs.
+//! Constants of the mechanism: geometry and masses as a user gives them, and arranged by legs.
 
 use std::fmt;
 
@@ -43,42 +43,7 @@ impl fmt::Display for SceneError {
 
 impl std::error::Error for SceneError {}
 
-/// Refuses a value that is not finite and positive. Only a refusal makes text, so that a step with a changed parameter allocates nothing.
-pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
-}
-
-/// Refuses a value that is not finite or is negative. Only a refusal makes text.
-pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
-}
-
-/// Refuses NaN and infinities. Only a refusal makes text.
-pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
-}
-
-/// The error of a refused value: `allowed`, or, for a value that is not finite, "finite".
-#[inline(never)]
-fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
-    let allowed = if value.is_finite() { allowed } else { "finite" };
-    SceneError(format!("{name} = {value} {unit} is not allowed: it must be {allowed}."))
-}
-
 impl Geometry {
-    /// Checks every length, mass and inertia by name.
-    pub fn check(&self) -> Result<(), SceneError> {
-        not_negative("base.distance", self.base_distance, "m")?;
-        for (i, link) in self.links.iter().enumerate() {
-            let i = i + 1;
-            positive(format_args!("link[{i}].length"), link.length, "m")?;
-            positive(format_args!("link[{i}].mass"), link.mass, "kg")?;
-            positive(format_args!("link[{i}].inertia"), link.inertia, "kg.m2")?;
-            finite(format_args!("link[{i}].com"), link.com, "m")?;
-        }
-        Ok(())
-    }
-
     /// Largest possible coordinate magnitude, m, to which round-off in Φ is proportional.
     pub fn length_scale(&self) -> f64 {
         let [left_proximal, left_distal, right_distal, right_proximal] = self.links;
@@ -120,14 +85,8 @@ pub struct Mechanism {
 }
 
 impl Mechanism {
-    /// Checks the geometry and arranges it by legs.
-    pub fn new(geometry: &Geometry) -> Result<Self, SceneError> {
-        geometry.check()?;
-        Ok(Self::arranged(geometry))
-    }
-
     /// A geometry arranged by legs.
-    pub(crate) fn arranged(geometry: &Geometry) -> Self {
+    pub fn new(geometry: &Geometry) -> Self {
         let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
         let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
         let distal = |of: fn(Link) -> f64| Legs::new([of(left_distal), of(right_distal)]);

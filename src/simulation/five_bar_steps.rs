@@ -178,11 +178,11 @@ mod tests {
     use super::*;
     use crate::dynamics::INNER;
     use crate::effects::Inputs;
-    use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::integrator::{System, velocity_correction};
     use crate::mechanism::closure;
     use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
     use crate::mechanism::placement::joint_forces;
+    use crate::simulation::bindings::{default_inputs, default_parameters};
     use crate::simulation::{Model, Simulation};
 
     /// A mechanism without symmetries, a pose, and increments that turn its links by up to 0.4 rad.

@@ -3,6 +3,7 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::bindings::check_bounds;
 use super::learned::Others;
 use super::linearised::{FollowedScene, with_unknown_force};
 use super::run::MacroSteps;
@@ -34,6 +35,11 @@ pub struct Estimate {
 impl Following {
     /// Simulation at its start, before the first sample.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        if !parameters.estimator.enabled {
+            return Err(SceneError(
+                "estimator.enabled = false is not allowed where a machine is followed: it must be true.".into(),
+            ));
+        }
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {
             return Err(SceneError(format!(
@@ -42,20 +48,20 @@ impl Following {
             )));
         }
         let simulation = Simulation::new(parameters, inputs)?;
-        let constants = constants_of(parameters)?;
+        let constants = constants_of(parameters);
         let estimator = Estimator::new(&constants);
         Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
-        let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
-        let mut simulation = Simulation::restored(learned.as_ref().unwrap_or(parameters), run)?;
-        simulation.parameters = parameters.clone();
-        let mut constants = constants_of(parameters)?;
+        let mut model = Model::new(parameters)?;
+        let mut constants = constants_of(parameters);
         if let Some(learned) = estimate.estimator.learned() {
+            model = Model::within_bounds(&parameters.with_learned(&learned))?;
             constants.learn(&learned);
         }
+        let simulation = Simulation::continued(parameters, model, run)?;
         estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
@@ -72,7 +78,7 @@ impl Following {
         if let Some(motion) = corrected.or_else(|| (estimator.learned() != before).then_some(at)) {
             let inputs = with_unknown_force(inputs, &estimator.belief().force);
             // A machine that has been learned within its bounds can be simulated.
-            let learned = estimator.learned().and_then(|learned| Model::new(&parameters.with_learned(&learned)).ok());
+            let learned = estimator.learned().and_then(|learned| Model::within_bounds(&parameters.with_learned(&learned)).ok());
             run.resume_from([model, learned.as_ref().unwrap_or(model)], &motion, &inputs);
             if let Some(learned) = learned {
                 // The method stays.
@@ -96,8 +102,7 @@ impl Following {
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
         let asked = learned.as_ref().or_else(|| estimate.estimator.asks_for_parameters().then_some(parameters));
-        // The weights have been checked by the model.
-        let others = asked.and_then(|parameters| Others::new(parameters).ok());
+        let others = asked.map(Others::new);
         let scene = FollowedScene { model, inputs, turns: &turns, learned: others.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
@@ -127,15 +132,17 @@ impl Following {
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters().clone() };
+        check_bounds(&tuned)?;
         self.estimate.estimator.begin_anew_where_tuned(&self.constants, tuned.prior().as_ref());
         let learned = |parameters: &Parameters| match self.estimate.estimator.learned() {
             Some(learned) => parameters.with_learned(&learned),
             None => parameters.clone(),
         };
         self.simulation.parameters = learned(&self.simulation.parameters);
-        self.simulation.tune(&learned(&tuned).effects)?;
+        self.simulation
+            .tune_within_bounds(Parameters { effects: learned(&tuned).effects, ..self.simulation.parameters.clone() })?;
         // A payload that joins changes the masses.
-        self.constants = constants_of(&tuned)?;
+        self.constants = constants_of(&tuned);
         if let Some(learned) = self.estimate.estimator.learned() {
             self.constants.learn(&learned);
         }
@@ -241,7 +248,7 @@ impl Following {
 }
 
 /// Constants of the estimator of a scene, whatever it has learned.
-fn constants_of(parameters: &Parameters) -> Result<Constants, SceneError> {
-    let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
-    Ok(Constants::new(&geometry, &parameters.estimator, parameters.prior()))
+fn constants_of(parameters: &Parameters) -> Constants {
+    let geometry = parameters.effects.with_added_masses(&parameters.geometry);
+    Constants::new(&geometry, &parameters.estimator, parameters.prior())
 }

@@ -80,11 +80,11 @@ pub struct Others<'a> {
 
 impl<'a> Others<'a> {
     /// Machines beside that of a scene.
-    pub(super) fn new(parameters: &'a Parameters) -> Result<Self, SceneError> {
+    pub(super) fn new(parameters: &'a Parameters) -> Self {
         let may_rub = parameters.effects.friction.enabled || !parameters.estimator.learn_enabled;
         let friction =
-            may_rub.then(|| Friction::new(&parameters.effects.friction, &Mechanism::arranged(&parameters.geometry)).ok()).flatten();
-        Ok(Self { parameters, bodies: Self::bodies(parameters)?, friction })
+            may_rub.then(|| Friction::new(&parameters.effects.friction, &Mechanism::new(&parameters.geometry)).ok()).flatten();
+        Self { parameters, bodies: Self::bodies(parameters), friction }
     }
 
     /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close
@@ -96,26 +96,26 @@ impl<'a> Others<'a> {
             (0..4).map(move |i| {
                 other.geometry = self.parameters.geometry;
                 other.geometry.links[i].length += LONGER;
-                Model::new(&other)
+                Model::within_bounds(&other)
             })
         })
     }
 
     /// Proximal links, distal links, and a payload of 1 kg.
-    fn bodies(parameters: &Parameters) -> Result<[(Inertia, Weight); 3], SceneError> {
-        let of = |link: fn(usize, &Link) -> Link| -> Result<(Inertia, Weight), SceneError> {
+    fn bodies(parameters: &Parameters) -> [(Inertia, Weight); 3] {
+        let of = |link: fn(usize, &Link) -> Link| {
             let mut alone = parameters.geometry;
             for (i, own) in alone.links.iter_mut().enumerate() {
                 *own = link(i, own);
             }
-            let mechanism = Mechanism::arranged(&alone);
-            Ok((Inertia::new(&mechanism), Weight::new(&mechanism, &parameters.effects.weight(&mechanism)?)))
+            let mechanism = Mechanism::new(&alone);
+            (Inertia::new(&mechanism), Weight::new(&mechanism, &parameters.effects.weight(&mechanism)))
         };
-        Ok([
-            of(|i, link| if MEASURED.contains(&i) { *link } else { Link { mass: 0.0, inertia: 0.0, ..*link } })?,
-            of(|i, link| if MEASURED.contains(&i) { Link { mass: 0.0, inertia: 0.0, ..*link } } else { *link })?,
-            of(|i, link| Link { mass: if i == CARRIER { 1.0 } else { 0.0 }, inertia: 0.0, com: link.length, ..*link })?,
-        ])
+        [
+            of(|i, link| if MEASURED.contains(&i) { *link } else { Link { mass: 0.0, inertia: 0.0, ..*link } }),
+            of(|i, link| if MEASURED.contains(&i) { Link { mass: 0.0, inertia: 0.0, ..*link } } else { *link }),
+            of(|i, link| Link { mass: if i == CARRIER { 1.0 } else { 0.0 }, inertia: 0.0, com: link.length, ..*link }),
+        ]
     }
 }
 
@@ -185,8 +185,8 @@ mod tests {
     use crate::estimator::Linkage;
     use crate::estimator::error_state::MOVING;
     use crate::estimator::flow::{flow, motion};
-    use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::simulation::Model;
+    use crate::simulation::bindings::{default_inputs, default_parameters};
 
     /// A scene with every effect that is learned, all links unequal and in a loaded motion.
     fn scene() -> (Parameters, Inputs, LinkState) {
@@ -219,7 +219,7 @@ mod tests {
             let parameters = parameters.with_learned(learned);
             (Model::new(&parameters).expect("a scene"), Linkage::new(&parameters.geometry))
         };
-        let (others, (model, linkage), none) = (Others::new(&parameters).expect("machines"), made(&known), Links::zeros());
+        let (others, (model, linkage), none) = (Others::new(&parameters), made(&known), Links::zeros());
         let here = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: Some(&others) };
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
         let loads = Scene::by_loads(&here, &at, &none, &alpha);

@@ -5,6 +5,7 @@
 
 pub mod angles;
 mod bifurcation;
+pub mod bindings;
 mod correction;
 mod dense_run;
 mod events;
@@ -31,6 +32,7 @@ use crate::mechanism::{self, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
+use bindings::check_bounds;
 pub use following::{Estimate, Following};
 pub use learned::Others;
 pub use linearised::FollowedScene;
@@ -106,11 +108,15 @@ impl Simulation {
     }
 
     /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
-    pub fn restored(parameters: &Parameters, mut run: Run) -> Result<Self, SceneError> {
+    pub fn restored(parameters: &Parameters, run: Run) -> Result<Self, SceneError> {
         if run.is_model_exchange() {
             refuse_sticking(parameters)?;
         }
-        let model = Model::new(parameters)?;
+        Self::continued(parameters, Model::new(parameters)?, run)
+    }
+
+    /// A stored run of a model, with the parameters in force; refused as by [`Simulation::restored`].
+    fn continued(parameters: &Parameters, model: Model, mut run: Run) -> Result<Self, SceneError> {
         run.configure(&model).map_err(|what| SceneError(what.into()))?;
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
@@ -189,11 +195,17 @@ impl Simulation {
     /// Gives the active effects new parameters from now on; the resulting change of potential energy counts as input work. The set of
     /// active effects stays. A payload of another mass joins according to its parameters. A refusal changes nothing.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
-        let mut model = self.model.clone();
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
+        check_bounds(&tuned)?;
+        self.tune_within_bounds(tuned)
+    }
+
+    /// Puts parameters in force that differ in those of effects, and whose numbers have been checked.
+    fn tune_within_bounds(&mut self, tuned: Parameters) -> Result<(), SceneError> {
+        let mut model = self.model.clone();
         if model.tune(&self.parameters.effects, &tuned)? {
             self.run
-                .tune(&self.model, &model, parameters.payload.join)
+                .tune(&self.model, &model, tuned.effects.payload.join)
                 .map_err(|cause| SceneError(format!("the current step could not be repeated up to the present time: {cause}.")))?;
             self.model = model;
         }

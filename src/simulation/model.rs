@@ -2,6 +2,7 @@
 
 use arrayvec::ArrayVec;
 
+use super::bindings::check_bounds;
 use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
@@ -65,18 +66,23 @@ pub struct Model {
 impl Model {
     /// Checks the parameters and fixes everything that stays constant.
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
+        check_bounds(parameters)?;
+        Self::within_bounds(parameters)
+    }
+
+    /// Model of parameters whose numbers have been checked one by one, or learned about such numbers; refuses those that do not fit
+    /// together.
+    pub(super) fn within_bounds(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
-        settings.check()?;
-        parameters.geometry.check()?;
-        let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
-        let mechanism = Mechanism::new(&geometry)?;
+        let geometry = parameters.effects.with_added_masses(&parameters.geometry);
+        let mechanism = Mechanism::new(&geometry);
         let effects = parameters.effects.active(&mechanism)?;
         settings.check_laws(&parameters.effects)?;
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles =
             if geometry.base_distance == 0.0 { COAXIAL_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
-        let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism)?);
+        let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism));
         let mut model = Self {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: true,
@@ -122,20 +128,21 @@ impl Model {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::Structured
     }
 
-    /// Gives the active effects new parameters; the set of effects stays. Returns whether anything has changed; a refusal changes nothing.
-    pub fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
+    /// Gives the active effects new parameters, whose numbers have been checked one by one; the set of effects stays. Returns whether
+    /// anything has changed; a refusal changes nothing.
+    pub(super) fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
         let parameters = &tuned.effects;
-        let geometry = parameters.with_added_masses(&tuned.geometry)?;
+        let geometry = parameters.with_added_masses(&tuned.geometry);
         if geometry != self.mechanism.geometry {
             let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
             if !is_dense && LinearSolve::choose(&geometry) == LinearSolve::Dense {
                 return Err(inertia_ratio_refusal(in_force, tuned));
             }
-            *self = Self::new(tuned)?;
+            *self = Self::within_bounds(tuned)?;
             return Ok(true);
         }
         let effects = parameters.active(&self.mechanism)?;
-        let weight = parameters.weight(&self.mechanism)?;
+        let weight = parameters.weight(&self.mechanism);
         let changed = weight != self.weight || effects != self.effects;
         (self.weight, self.weight_torques) = (weight, Weight::new(&self.mechanism, &weight));
         self.effects = effects;
@@ -184,7 +191,7 @@ fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> 
     for _ in 0..BISECTIONS {
         probe.payload.mass = taken + (refused - taken) / 2.0;
         let geometry = probe.with_added_masses(&tuned.geometry);
-        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry) != LinearSolve::Dense);
+        let takes = LinearSolve::choose(&geometry) != LinearSolve::Dense;
         *(if takes { &mut taken } else { &mut refused }) = probe.payload.mass;
     }
     let side = if wanted > taken { "at most" } else { "at least" };

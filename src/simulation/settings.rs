@@ -79,21 +79,4 @@ impl Settings {
              solver.method i3alp with solver.adaptive = true, dop853 or automatic."
         )))
     }
-
-    /// Refuses settings that no method takes.
-    pub(super) fn check(&self) -> Result<(), SceneError> {
-        for (name, value, unit) in [
-            ("stepSize", self.step_size, "s"),
-            ("errorTolerance", self.error_tolerance, "rad"),
-            ("tolerance", self.tolerance, "(relative)"),
-            ("penalty", self.penalty, "N/m"),
-            ("penaltyScale", self.penalty_scale, "(relative)"),
-        ] {
-            crate::mechanism::positive(format_args!("solver.{name}"), value, unit)?;
-        }
-        if self.max_iterations == 0 {
-            return Err(SceneError("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));
-        }
-        Ok(())
-    }
 }

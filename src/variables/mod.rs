@@ -135,10 +135,44 @@ impl Variable {
         CONTINUOUS_STATES.iter().position(|(_, state)| VariableId::RealComputed(*state) == self.id)
     }
 
+    /// Refuses a value that the variable's type or bounds do not allow, in one sentence. Only a refusal makes text: a value that is allowed
+    /// allocates nothing.
+    #[inline(always)]
+    pub fn check(&self, value: Value) -> Result<(), String> {
+        let number = match value {
+            Value::Real(x) => x,
+            Value::Integer(n) => f64::from(n),
+            Value::Boolean(_) => return Ok(()),
+        };
+        let is_within = self.min.is_none_or(|min| number >= min) && self.max.is_none_or(|max| number <= max);
+        let is_item = self.items().is_empty() || self.items().iter().any(|item| Value::Integer(item.value) == value);
+        if number.is_finite() && is_within && is_item { Ok(()) } else { Err(self.refusal(value, number)) }
+    }
+
+    /// The sentence about a value that is not allowed.
+    #[cold]
+    fn refusal(&self, value: Value, number: f64) -> String {
+        let unit = self.unit().filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
+        let items: Vec<String> = self.items().iter().map(|item| format!("{} ({})", item.value, item.name)).collect();
+        let allowed = match (self.min, self.max) {
+            _ if !number.is_finite() => "finite".to_owned(),
+            _ if !items.is_empty() => format!("one of {}", items.join(", ")),
+            (Some(min), _) if number < min => format!("at least {}{unit}", shortest(min)),
+            (_, max) => format!("at most {}{unit}", shortest(max.unwrap_or(f64::MAX))),
+        };
+        format!("{} = {value}{unit} is not allowed: it must be {allowed}.", self.name)
+    }
+
     /// Name of the variable's type in the XML.
     pub fn type_name(&self) -> String {
         if self.items().is_empty() { self.fmi_type.to_string() } else { "Enumeration".to_owned() }
     }
+}
+
+/// A bound in its shortest form: 0, 100, 1e-9.
+fn shortest(bound: f64) -> String {
+    let (plain, scientific) = (format!("{bound}"), format!("{bound:e}"));
+    if scientific.len() < plain.len() { scientific } else { plain }
 }
 
 #[cfg(test)]

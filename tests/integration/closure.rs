@@ -125,12 +125,12 @@ fn starts_that_cannot_be_closed_are_refused_with_a_sentence() {
 #[test]
 fn values_without_a_meaning_are_refused_by_name() {
     for (text, name) in [
-        (refusal(|p| p.geometry.links[1].mass = -1.0), "link[2].mass = -1 kg"),
-        (refusal(|p| p.geometry.links[3].inertia = 0.0), "link[4].inertia = 0 kg.m2"),
-        (refusal(|p| p.geometry.links[0].length = 0.0), "link[1].length = 0 m"),
+        (refusal(|p| p.geometry.links[1].mass = -1.0), "link[2].mass = -1.0 kg"),
+        (refusal(|p| p.geometry.links[3].inertia = 0.0), "link[4].inertia = 0.0 kg.m2"),
+        (refusal(|p| p.geometry.links[0].length = 0.0), "link[1].length = 0.0 m"),
         (refusal(|p| p.geometry.links[2].com = f64::NAN), "link[3].com = NaN m"),
         (refusal(|p| p.geometry.base_distance = -0.1), "base.distance = -0.1 m"),
-        (refusal(|p| p.settings.step_size = 0.0), "solver.stepSize = 0 s"),
+        (refusal(|p| p.settings.step_size = 0.0), "solver.stepSize = 0.0 s"),
         (refusal(|p| p.settings.error_tolerance = f64::INFINITY), "solver.errorTolerance = inf rad"),
         (refusal(|p| p.start.theta[1] = f64::NAN), "init.theta[2] = NaN rad"),
         (refusal(|p| p.effects.gravity.g = f64::NAN), "gravity.g = NaN m/s2"),

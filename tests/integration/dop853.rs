@@ -303,16 +303,6 @@ fn many_turns_lose_no_digits() {
     assert!(norms.position < 1e-14 && simulation.state().turns[0] >= 12, "{norms:?}");
 }
 
-/// A tolerance that cannot be met is a status, soon, and changes nothing.
-#[test]
-fn an_impossible_tolerance_is_a_status() {
-    let mut simulation = fall(1e-40);
-    let before = simulation.state();
-    let failure = simulation.advance(&default_inputs(), 1e-3, 10).expect_err("no step is that exact");
-    assert!(failure.to_string().contains("sub-step"), "{failure}");
-    assert_eq!(simulation.state(), before);
-}
-
 /// A rhombus with both motors on one axis that whips through its straight postures, where the closure of the tip loses rank and three
 /// branches of it meet.
 fn rhombus() -> Parameters {

@@ -149,7 +149,7 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     let state = simulation.state();
     tuned.viscous.b = [-1.0, 0.0, 0.0, 0.0, 0.0];
     let refusal = simulation.tune(&tuned).expect_err("negative").to_string();
-    assert_eq!(refusal, "viscous.b[1] = -1 N.m.s/rad is not allowed: it must be 0 or positive.");
+    assert_eq!(refusal, "viscous.b[1] = -1.0 N.m.s/rad is not allowed: it must be at least 0 N.m.s/rad.");
     assert_eq!(simulation.state(), state);
 }
 

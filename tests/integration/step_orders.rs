@@ -124,6 +124,16 @@ fn settings(error_tolerance: f64, first_step: f64) -> Settings {
     }
 }
 
+/// A tolerance that cannot be met, below round-off, is an error, soon.
+#[test]
+fn an_impossible_tolerance_is_an_error() {
+    let ([q, v], settings) = (ellipse(0.7), settings(1e-40, 0.1));
+    let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
+    let to_the_end = Horizon { output: 1.0, limit: f64::INFINITY };
+    let failure = running.advance(&KEPLER, &settings, 1.0, to_the_end, None).expect_err("no step is that exact");
+    assert!(failure.to_string().contains("sub-step"), "{failure}");
+}
+
 /// One step of h leaves an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would
 /// show.
 #[test]

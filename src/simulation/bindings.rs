@@ -1,17 +1,18 @@
-//! Variables ↔ fields of parameters, inputs, samples and counters.
+//! Variables ↔ fields of parameters, inputs, samples and counters; bounds of the parameters.
 //!
 //! `build.rs` makes a function per struct that goes from a variable to its field, by the variable's name: a variable without a field
-//! does not compile. Other computed variables are bound in `computed.rs`.
+//! does not compile. Other computed variables are bound in `src/fmi/computed.rs`.
 
+use super::{Inputs, Method, Parameters};
 use crate::estimator::Measured;
 use crate::integrator::Counters;
-use crate::simulation::{Inputs, Method, Parameters};
+use crate::mechanism::SceneError;
 use crate::variables::{self, Input, IntegerComputed, Parameter, Sample, VARIABLES, Value, Variable, VariableId};
 
 include!(concat!(env!("OUT_DIR"), "/bindings.rs"));
 
 /// A field that holds the value of a variable.
-pub(super) trait Field {
+pub(crate) trait Field {
     /// Value as calls pass it.
     fn value(&self) -> Value;
     /// Takes a value; false where it is not of the field's type, or no item of its enumeration.
@@ -55,7 +56,7 @@ impl Field for u32 {
 }
 
 /// The name of a method as in the XML.
-pub(super) fn method_name(method: Method) -> &'static str {
+pub(crate) fn method_name(method: Method) -> &'static str {
     let mut items = variables::Method::ITEMS.iter();
     items.find(|item| Value::Integer(item.value) == method.value()).map_or("", |item| item.name)
 }
@@ -69,8 +70,13 @@ pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variab
     }
 }
 
+/// Refuses the value of a parameter that its variable does not allow.
+fn check(variable: &Variable, field: &impl Field) -> Result<(), SceneError> {
+    variable.check(field.value()).map_err(SceneError)
+}
+
 /// Every parameter.
-pub(super) fn parameters() -> impl Iterator<Item = (&'static Variable, Parameter)> {
+pub(crate) fn parameters() -> impl Iterator<Item = (&'static Variable, Parameter)> {
     VARIABLES.iter().filter_map(|variable| match variable.id {
         VariableId::Parameter(id) => Some((variable, id)),
         _ => None,
@@ -78,7 +84,7 @@ pub(super) fn parameters() -> impl Iterator<Item = (&'static Variable, Parameter
 }
 
 /// Every input.
-pub(super) fn inputs() -> impl Iterator<Item = (&'static Variable, Input)> {
+pub(crate) fn inputs() -> impl Iterator<Item = (&'static Variable, Input)> {
     VARIABLES.iter().filter_map(|variable| match variable.id {
         VariableId::Input(id) => Some((variable, id)),
         _ => None,
@@ -145,6 +151,33 @@ mod tests {
             for other in VARIABLES {
                 let expected = if other == variable { Some(value) } else { read(&before.0, &before.1, other) };
                 assert_eq!(read(&parameters, &inputs, other), expected, "{} <- {}", other.name, variable.name);
+            }
+        }
+    }
+
+    #[test]
+    fn a_number_that_its_variable_does_not_allow_is_refused_in_the_sentence_of_the_variable() {
+        let mut all_on = default_parameters();
+        let switches = parameters().filter(|(variable, _)| variable.name.ends_with(".enabled"));
+        switches.for_each(|(_, id)| assert!(parameter_mut(&mut all_on, id).set(Value::Boolean(true))));
+        assert_eq!(check_bounds(&all_on), Ok(()));
+        let numbers = parameters().filter(|(variable, _)| variable.items().is_empty() && variable.fmi_type() != FmiType::Boolean);
+        for (variable, id) in numbers {
+            let is_real = variable.fmi_type() == FmiType::Real;
+            let below = variable.min.map(|min| if is_real { Value::Real(min.next_down()) } else { Value::Integer(min as i32 - 1) });
+            let above = variable.max.map(|max| if is_real { Value::Real(max.next_up()) } else { Value::Integer(max as i32 + 1) });
+            let not_a_number = is_real.then_some(Value::Real(f64::NAN));
+            for value in [below, above, not_a_number].into_iter().flatten() {
+                let mut changed = all_on.clone();
+                // A count below 0 cannot be held.
+                if parameter_mut(&mut changed, id).set(value) {
+                    assert_eq!(check_bounds(&changed).map_err(|refusal| refusal.0), variable.check(value), "{}", variable.name);
+                    assert!(
+                        variable.check(value).is_err_and(|text| text.starts_with(variable.name)),
+                        "{} = {value}",
+                        variable.name
+                    );
+                }
             }
         }
     }
