@@ -32,19 +32,12 @@ pub struct Parameters {
     pub limit: [f64; 2],
 }
 
-/// The servos, made ready from their parameters.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Servo {
-    kp: [f64; 2],
-    kd: [f64; 2],
-    limit: [f64; 2],
-}
+/// The law needs its parameters alone.
+pub use Parameters as Servo;
 
 impl Servo {
-    /// Makes the servos ready.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
-        let Parameters { kp, kd, limit, .. } = *parameters;
-        Ok(Self { kp, kd, limit })
+        Ok(parameters.clone())
     }
 
     /// Relative torques T/limit of the left and right servo.

@@ -17,16 +17,12 @@ pub struct Parameters {
     pub b: [f64; JOINTS],
 }
 
-/// Viscous friction, made ready from its parameters.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Viscous {
-    b: [f64; JOINTS],
-}
+/// The law needs its parameters alone.
+pub use Parameters as Viscous;
 
 impl Viscous {
-    /// Makes the friction ready.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
-        Ok(Self { b: parameters.b })
+        Ok(parameters.clone())
     }
 }
 

@@ -12,8 +12,8 @@
 use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector};
 
-use super::Extremes;
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
+use super::{Extremes, derivative_bound};
 use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, StickingConstraint, System, held_at_zero};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
@@ -295,26 +295,20 @@ impl FrictionGuard {
 
     /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
     /// derivative of the rate, or on the distance of the rate from its chord.
-    pub fn stays(
-        &self,
-        to: &Self,
-        stick_slip: &StickSlips,
-        duration: f64,
-        Extremes { rates, accelerations, jerks, .. }: &Extremes,
-        tolerance: f64,
-    ) -> bool {
+    pub fn stays(&self, to: &Self, stick_slip: &StickSlips, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let FrictionPlace { place, rate, arms, .. } = self.at;
+        // The sliding rate of a joint is a difference of link rates; the arms of the tip turn with the links.
+        let bound = |order: usize, fixed: &Vector<LINKS>| match place {
+            TIP_FRICTION => derivative_bound(&arms, order, extremes),
+            _ => (0..LINKS).map(|link| arms[link] * fixed[link]).sum(),
+        };
         let StickSlip::Slips(direction) = stick_slip.at(place) else { return true };
         let [from, to] = [rate, to.at.rate].map(|rate| direction.sign() * rate);
-        let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| arms[link] * of(link)).sum::<f64>();
-        // The sliding rate of a joint is a difference of link rates; the arms of the tip turn with the links.
-        let turning = if place == TIP_FRICTION { 1.0 } else { 0.0 };
-        let most = along(&|link| accelerations[link] + turning * rates[link] * rates[link]);
+        let most = bound(2, &extremes.accelerations);
         if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
             return true;
         }
-        let curvature =
-            along(&|link| jerks[link] + turning * rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
+        let curvature = bound(3, &extremes.jerks);
         from.min(to) - curvature * duration * duration / 8.0 >= -stick_velocity(tolerance)
     }
 }

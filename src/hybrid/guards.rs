@@ -7,22 +7,23 @@ use super::Extremes;
 use super::friction::FrictionGuards;
 use super::mode::{INDICATORS, Mode, Phase, SPRINGS};
 use super::unilateral::UnilateralGuard;
-use crate::integrator::Residuals;
+use crate::integrator::{Guards, Residuals};
 
-/// Guard values of a scene at a state.
+/// Guard values of a scene at a state, in a mode.
 pub struct GuardValues<'a> {
+    mode: Mode,
     springs: ArrayVec<UnilateralGuard<'a>, SPRINGS>,
     friction_guards: FrictionGuards,
 }
 
 impl<'a> GuardValues<'a> {
     /// Guard values of springs and friction at a state.
-    pub fn new(springs: impl Iterator<Item = UnilateralGuard<'a>>, friction_guards: FrictionGuards) -> Self {
-        Self { springs: springs.collect(), friction_guards }
+    pub fn new(mode: Mode, springs: impl Iterator<Item = UnilateralGuard<'a>>, friction_guards: FrictionGuards) -> Self {
+        Self { mode, springs: springs.collect(), friction_guards }
     }
 
-    /// The mode with the springs in the phases of the present state.
-    pub fn mode(&self, mut mode: Mode) -> Mode {
+    /// A mode with the springs in the phases of the present state.
+    pub fn with_present_phases(&self, mut mode: Mode) -> Mode {
         for guard in &self.springs {
             mode.springs[guard.place] = Some(guard.spring.phase(guard.depth, guard.rate));
         }
@@ -38,40 +39,13 @@ impl<'a> GuardValues<'a> {
         indicators
     }
 
-    /// Distances of a state past the guards, in units of the event tolerance at an angular tolerance, rad. Nothing breaks away where
-    /// everything sticks.
-    pub fn residuals(&self, mode: &Mode, tolerance: f64) -> Residuals {
-        let phase_guards =
-            self.springs.iter().filter_map(|guard| guard.deciding(mode, tolerance)).map(|phase_guard| phase_guard.guard_residual);
-        let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
-        self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
-            let residual = guard.guard_residual(&mode.stick_slip, tolerance);
-            let sticks = !mode.stick_slip.at_rest() && mode.stick_slip.at(guard.at.place).sticks();
-            Residuals {
-                largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
-                breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },
-            }
-        })
-    }
-
-    /// Elastic energy still stored in springs that have separated, J; its decrease is dissipated.
-    pub fn separation_energy(&self, mode: &Mode) -> f64 {
-        let free = self.springs.iter().filter(|guard| guard.depth > 0.0 && guard.phase(mode) == Phase::Free);
-        free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
-    }
-
-    /// Estimated time that springs on their ramps remain there, s.
-    pub fn dwell_time(&self, mode: &Mode) -> f64 {
-        let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(mode), guard.depth, guard.rate));
-        lasting.fold(f64::INFINITY, f64::min)
-    }
-
     /// The mode after the transitions of all springs whose guards the state has passed, or, where none is passed, of the nearest one.
-    pub fn next_mode(&self, mode: Mode, tolerance: f64) -> Mode {
-        let nearest = self.residuals(&mode, tolerance).largest.min(0.0);
-        let mut next_mode = mode;
+    pub fn next_mode(&self, tolerance: f64) -> Mode {
+        let nearest = self.residuals(tolerance).largest.min(0.0);
+        let mut next_mode = self.mode;
         for guard in &self.springs {
-            if let Some(phase_guard) = guard.deciding(&mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)
+            if let Some(phase_guard) =
+                guard.deciding(&self.mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)
             {
                 next_mode.springs[guard.place] = Some(phase_guard.next_phase);
             }
@@ -81,11 +55,44 @@ impl<'a> GuardValues<'a> {
 
     /// Whether springs provably stay in their phases and slip keeps its direction between two states `duration` seconds apart, to the
     /// event tolerance at an angular tolerance, rad. Sticking loads have no such bound.
-    pub fn stay_in_phase(ends: [&Self; 2], mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+    pub fn stay_in_phase(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let [from, to] = ends;
+        let mode = &from.mode;
         let mut friction_guards = from.friction_guards.iter().zip(&to.friction_guards);
         let mut springs = from.springs.iter().zip(&to.springs);
         friction_guards.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
             && springs.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
+    }
+}
+
+impl Guards for GuardValues<'_> {
+    /// Nothing breaks away where everything sticks. The tolerance is an angle, rad.
+    fn residuals(&self, tolerance: f64) -> Residuals {
+        let stick_slip = &self.mode.stick_slip;
+        let phase_guards = self
+            .springs
+            .iter()
+            .filter_map(|guard| guard.deciding(&self.mode, tolerance))
+            .map(|phase_guard| phase_guard.guard_residual);
+        let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
+        self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
+            let residual = guard.guard_residual(stick_slip, tolerance);
+            let sticks = !stick_slip.at_rest() && stick_slip.at(guard.at.place).sticks();
+            Residuals {
+                largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
+                breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },
+            }
+        })
+    }
+
+    fn separation_energy(&self) -> f64 {
+        let free = self.springs.iter().filter(|guard| guard.depth > 0.0 && guard.phase(&self.mode) == Phase::Free);
+        free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
+    }
+
+    /// Time that springs on their ramps remain there.
+    fn dwell_time(&self) -> f64 {
+        let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(&self.mode), guard.depth, guard.rate));
+        lasting.fold(f64::INFINITY, f64::min)
     }
 }

@@ -20,3 +20,18 @@ use crate::mechanism::LINKS;
 
 /// Bounds on the derivatives of the link angles over a step.
 pub type Extremes = integrator::Extremes<LINKS>;
+
+/// Bound on a derivative of order 1 to 4 of a length whose lever arms, its largest derivatives by the link angles, turn with the links.
+fn derivative_bound(arms: &[f64; LINKS], order: usize, Extremes { rates, accelerations, jerks, snaps }: &Extremes) -> f64 {
+    // Derivatives of û(θ), a unit vector at the angle of a link.
+    let of_direction = |link: usize| {
+        let (w, a) = (rates[link], accelerations[link]);
+        match order {
+            1 => w,
+            2 => a + w * w,
+            3 => jerks[link] + w * (3.0 * a + w * w),
+            _ => snaps[link] + 4.0 * w * jerks[link] + 3.0 * a * a + w * w * (6.0 * a + w * w),
+        }
+    };
+    (0..LINKS).map(|link| arms[link] * of_direction(link)).sum()
+}

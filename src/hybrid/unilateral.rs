@@ -13,8 +13,8 @@
 //! higher derivatives, a function lies below two parabolas, below the parabola over its chord, and within a remainder of the cubic Hermite
 //! polynomial.
 
-use super::Extremes;
 use super::mode::{Mode, Phase};
+use super::{Extremes, derivative_bound};
 use crate::integrator::ERROR_RATE;
 use crate::mechanism::LINKS;
 
@@ -267,7 +267,7 @@ impl UnilateralGuard<'_> {
         self.spring.potential(self.phase(mode), self.depth)
     }
 
-    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`super::GuardValues::separation_energy`]).
+    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`Guards::separation_energy`](crate::integrator::Guards::separation_energy)).
     pub fn dissipation(&self, mode: &Mode) -> f64 {
         self.spring.dissipation(self.phase(mode), self.depth, self.rate)
     }
@@ -288,37 +288,15 @@ impl UnilateralGuard<'_> {
         (tolerance * scale).min(RAMP_PART * self.spring.width).max(ANGLE_ROUND_OFF * scale)
     }
 
-    /// Bounds on the first two derivatives of the penetration, m/s and m/s², or rad/s and rad/s².
-    fn derivatives(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
-        let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
-        [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
-    }
-
-    /// Bounds on the derivatives of order 2, 3 and 4 of the penetration, m or rad over the power of s.
-    fn higher(&self, extremes: &Extremes) -> [f64; 3] {
-        let Extremes { rates, accelerations, jerks, snaps } = extremes;
-        let mut derivatives = [self.derivatives(extremes)[1], 0.0, 0.0];
-        for (link, arm) in self.arms.iter().enumerate() {
-            let (rate, acceleration) = (rates[link], accelerations[link]);
-            let square = rate * rate;
-            derivatives[1] += arm * (jerks[link] + rate * (3.0 * acceleration + square));
-            derivatives[2] += arm
-                * (snaps[link]
-                    + 4.0 * rate * jerks[link]
-                    + 3.0 * acceleration * acceleration
-                    + square * (6.0 * acceleration + square));
-        }
-        derivatives
-    }
-
     /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
     pub(super) fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let (phase, event_tolerance) = (self.phase(mode), self.event_tolerance(tolerance));
         let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
+        let bound = |order: usize| derivative_bound(self.arms, order, extremes);
         // The cheaper bound decides most cases, in which the spring is far from its guards.
         let by_derivatives =
-            || self.spring.residual_bound_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= event_tolerance;
-        let by_cubic = || self.spring.residual_bound_by_cubic(phase, ends, duration, self.higher(extremes)) <= event_tolerance;
+            || self.spring.residual_bound_by_derivatives(phase, ends, duration, [1, 2].map(bound)) <= event_tolerance;
+        let by_cubic = || self.spring.residual_bound_by_cubic(phase, ends, duration, [2, 3, 4].map(bound)) <= event_tolerance;
         by_derivatives() || by_cubic()
     }
 

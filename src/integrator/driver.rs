@@ -11,7 +11,7 @@
 //! A step past a communication point, and one made again up to it, belong to the methods with dense output (`dense.rs`).
 
 use super::locator::{EventTrials, Probe};
-use super::{Approach, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
+use super::{Approach, Guards, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
 
 /// Trials of one step.
 pub(super) struct Trials {
@@ -99,7 +99,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
                 return Ok(End::Passed);
             }
         };
-        let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * in_mode.dwell_time(&from.guard_values));
+        let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
         trials.h = method.plan(&*in_mode, near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {

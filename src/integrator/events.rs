@@ -37,12 +37,34 @@ pub struct Residuals {
     pub breakaway: f64,
 }
 
+/// Guard values of a system at a state, in the system's mode. By default there is no guard.
+pub trait Guards {
+    /// Distances of the state past the guards, in units of the event tolerance that belongs to `tolerance`.
+    fn residuals(&self, _tolerance: f64) -> Residuals {
+        Residuals { largest: f64::NEG_INFINITY, breakaway: f64::NEG_INFINITY }
+    }
+
+    /// Elastic energy still stored in springs that have separated, J; it is dissipated as they relax, in addition to the integral of
+    /// the power.
+    fn separation_energy(&self) -> f64 {
+        0.0
+    }
+
+    /// Estimated time until the mode ends, s, where its formulas hold over a short path only.
+    fn dwell_time(&self) -> f64 {
+        f64::INFINITY
+    }
+}
+
+/// No guards.
+impl Guards for () {}
+
 /// A hybrid system. By default it has one mode and no events.
 pub trait Events<const N: usize>: Clone {
     /// Mode: the smooth formula in use for every force.
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
     /// Guard values at a state.
-    type GuardValues;
+    type GuardValues: Guards;
 
     /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
@@ -60,11 +82,6 @@ pub trait Events<const N: usize>: Clone {
         Cow::Borrowed(self)
     }
 
-    /// Distances of a state past the guards of the mode, in units of the event tolerance that belongs to `tolerance`.
-    fn residuals(&self, _at: &Self::GuardValues, _tolerance: f64) -> Residuals {
-        Residuals { largest: f64::NEG_INFINITY, breakaway: f64::NEG_INFINITY }
-    }
-
     /// Mode after the transition at a state that has reached a guard.
     fn next_mode(&self, q: &Vector<N>, v: &Vector<N>, _tolerance: f64) -> Self::Mode {
         self.mode_of(q, v)
@@ -73,17 +90,6 @@ pub trait Events<const N: usize>: Clone {
     /// Whether any contact or stop pushes in this mode.
     fn has_active_contact(&self) -> bool {
         false
-    }
-
-    /// Elastic energy still stored in springs that have separated, J; it is dissipated as they relax, in addition to the integral of
-    /// the power.
-    fn separation_energy(&self, _at: &Self::GuardValues) -> f64 {
-        0.0
-    }
-
-    /// Estimated time until the mode ends, s, where its formulas hold over a short path only.
-    fn dwell_time(&self, _at: &Self::GuardValues) -> f64 {
-        f64::INFINITY
     }
 
     /// Whether a motion between two states, `duration` seconds apart and within `extremes`, certainly passes no guard by more than
@@ -95,7 +101,7 @@ pub trait Events<const N: usize>: Clone {
 
 /// Energy that separated springs dissipate between guard values and a later state q, q̇, J.
 pub(super) fn separation_loss<const N: usize, S: Events<N>>(system: &S, from: &S::GuardValues, [q, v]: [&Vector<N>; 2]) -> f64 {
-    let before = system.separation_energy(from);
-    let after = || system.separation_energy(&system.guard_values(q, v));
+    let before = from.separation_energy();
+    let after = || system.guard_values(q, v).separation_energy();
     if before > 0.0 { (before - after()).max(0.0) } else { 0.0 }
 }

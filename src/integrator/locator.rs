@@ -5,7 +5,7 @@
 use std::cell::Cell;
 
 use super::dense_output::Interpolant;
-use super::{Events, Extremes, Residuals};
+use super::{Events, Extremes, Guards, Residuals};
 use crate::vector::Vector;
 
 /// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
@@ -134,7 +134,7 @@ impl EventWindow {
     /// Position of the state q, q̇ and q̈ near the end of a step of `length` seconds.
     pub(super) fn of<const N: usize>(system: &impl Events<N>, tolerance: f64, [q, v, a]: [&Vector<N>; 3], length: f64) -> Self {
         let guard_residual_at =
-            |later: f64| system.residuals(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), tolerance).largest;
+            |later: f64| system.guard_values(&(*q + later * *v), &(*v + later * *a)).residuals(tolerance).largest;
         let guard_residual = guard_residual_at(0.0);
         if (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH {
             return Self::Within;
@@ -207,7 +207,7 @@ pub(super) struct Probe<T> {
     residuals: Residuals,
 }
 
-impl<T> Probe<T> {
+impl<T: Guards> Probe<T> {
     /// Evaluates a place, given as a part of the step, where the state is q and q̇.
     pub(super) fn new<const N: usize, S: Events<N, GuardValues = T>>(
         system: &S,
@@ -215,7 +215,7 @@ impl<T> Probe<T> {
         tolerance: f64,
     ) -> Self {
         let guard_values = system.guard_values(q, v);
-        let residuals = system.residuals(&guard_values, tolerance);
+        let residuals = guard_values.residuals(tolerance);
         Self { part, guard_values, residuals }
     }
 

@@ -27,7 +27,7 @@ pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{CutStep, Discrete, StepIncrement};
 pub use equilibrium::{equilibrium, held_at_zero};
 pub use error::StepError;
-pub use events::{ERROR_RATE, Events, Extremes, Residuals};
+pub use events::{ERROR_RATE, Events, Extremes, Guards, Residuals};
 pub use locator::CROSSING_RESIDUAL;
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};

@@ -62,9 +62,8 @@ impl Observed<'_, f64> {
         // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let at = self.motion();
-        let of_springs =
-            GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(&at)), FrictionGuards::new())
-                .indicators();
+        let springs = self.model.effects.iter().flat_map(|effect| effect.guard_values(&at));
+        let of_springs = GuardValues::new(at.joints.mode, springs, FrictionGuards::new()).indicators();
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&of_configuration);
         indicators[6..].copy_from_slice(&of_springs);

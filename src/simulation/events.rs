@@ -10,7 +10,7 @@ use crate::hybrid::{
     self, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
     StickSlips, stick_velocity,
 };
-use crate::integrator::{Events, Extremes, Residuals, System};
+use crate::integrator::{Events, Extremes, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
 use crate::vector::Vector;
@@ -18,7 +18,7 @@ use crate::vector::Vector;
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// Guard values at a motion, given those of friction.
     fn guards(&self, at: &Motion, friction_guards: FrictionGuards) -> GuardValues<'a> {
-        GuardValues::new(self.model.effects.iter().flat_map(|effect| effect.guard_values(at)), friction_guards)
+        GuardValues::new(self.mode, self.model.effects.iter().flat_map(|effect| effect.guard_values(at)), friction_guards)
     }
 
     /// Friction places that are active at a motion, with their wrenches.
@@ -132,7 +132,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     fn mode_of(&self, q: &Angles, v: &Angles) -> Mode {
         let mut mode = self.select_branch(Mode::OF_STATE, q, v);
         if self.features().events {
-            mode = self.five_bar().guards(&self.motion(&self.pose(q), q, v), FrictionGuards::new()).mode(mode);
+            mode = self.five_bar().guards(&self.motion(&self.pose(q), q, v), FrictionGuards::new()).with_present_phases(mode);
         }
         if self.features().may_stick { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
@@ -155,12 +155,8 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         if has_modes { Cow::Owned(self.in_mode(mode)) } else { Cow::Borrowed(self) }
     }
 
-    fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {
-        at.residuals(&self.five_bar().mode, tolerance)
-    }
-
     fn next_mode(&self, q: &Angles, v: &Angles, tolerance: f64) -> Mode {
-        let mode = self.guard_values(q, v).next_mode(self.five_bar().mode, tolerance);
+        let mode = self.guard_values(q, v).next_mode(tolerance);
         if self.features().may_stick { mode.with_stick_slip(self.in_mode(mode).resolved(q, v)) } else { mode }
     }
 
@@ -168,16 +164,8 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         self.five_bar().mode.has_active_contact()
     }
 
-    fn separation_energy(&self, at: &GuardValues<'a>) -> f64 {
-        at.separation_energy(&self.five_bar().mode)
-    }
-
-    fn dwell_time(&self, at: &GuardValues<'a>) -> f64 {
-        at.dwell_time(&self.five_bar().mode)
-    }
-
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, &self.five_bar().mode, duration, &of_links(extremes, LINK_INDICES), tolerance)
+        GuardValues::stay_in_phase(ends, duration, &of_links(extremes, LINK_INDICES), tolerance)
     }
 }
 
@@ -195,7 +183,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         if !self.features().events {
             return Mode::OF_STATE;
         }
-        let mode = self.guards(&self.motion(q, &self.pose(q), v), FrictionGuards::new()).mode(Mode::OF_STATE);
+        let mode = self.guards(&self.motion(q, &self.pose(q), v), FrictionGuards::new()).with_present_phases(Mode::OF_STATE);
         self.with_resolved_friction(mode, q, v)
     }
 
@@ -203,24 +191,12 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         Cow::Owned(FiveBar::on(self, mode))
     }
 
-    fn residuals(&self, at: &GuardValues<'a>, tolerance: f64) -> Residuals {
-        at.residuals(&self.mode, tolerance)
-    }
-
     fn next_mode(&self, q: &Coordinates, v: &Coordinates, tolerance: f64) -> Mode {
-        self.with_resolved_friction(self.guard_values(q, v).next_mode(self.mode, tolerance), q, v)
-    }
-
-    fn separation_energy(&self, at: &GuardValues<'a>) -> f64 {
-        at.separation_energy(&self.mode)
-    }
-
-    fn dwell_time(&self, at: &GuardValues<'a>) -> f64 {
-        at.dwell_time(&self.mode)
+        self.with_resolved_friction(self.guard_values(q, v).next_mode(tolerance), q, v)
     }
 
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, &self.mode, duration, &of_links(extremes, THETA), tolerance)
+        GuardValues::stay_in_phase(ends, duration, &of_links(extremes, THETA), tolerance)
     }
 }
 

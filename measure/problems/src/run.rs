@@ -63,7 +63,7 @@ const MAX_WORK: u32 = 400_000;
 /// The first step that DOP853 tries, s; a longer one is soon found.
 const FIRST_STEP: f64 = 1e-5;
 
-impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, const M: usize> Problem<S, N, M> {
+impl<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
@@ -150,7 +150,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, con
 }
 
 /// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
-fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>>(
+fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &dense::Settings,
     running: &mut DenseStep<N, M, S::Mode>,

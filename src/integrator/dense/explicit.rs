@@ -10,7 +10,6 @@ use std::marker::PhantomData;
 
 use super::Scheme;
 use super::trial::{ErrorWeights, Origin, StageDerivative, Trial, for_each, rate_between};
-use crate::integrator::controller::StepSizeController;
 use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
 pub(super) use dop853::Dop853;
@@ -42,11 +41,6 @@ pub(super) trait Tableau: Sized {
     /// Coefficients of a second estimate of the order of the finer one, for forces with sharp nonlinearities: contributions from both
     /// sides of a bend may cancel in one estimate, but hardly in both.
     const SECOND: Option<Weights>;
-    /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so where inputs are expected to
-    /// change there.
-    const EVALUATES_END: bool = true;
-    /// Step-size controller of the method.
-    const CONTROLLER: StepSizeController;
 
     /// Higher coefficients of the interpolant between the ends of a step.
     fn dense<const N: usize, const M: usize, S: System<N, M>>(
@@ -191,8 +185,6 @@ fn row_sum(slopes: &[f64x2; MAX_STAGES], coefficient: impl Fn(usize) -> f64) -> 
 impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     const SCHEME: Scheme = T::SCHEME;
     type Linearization = ();
-    const CONTROLLER: StepSizeController = T::CONTROLLER;
-    const EVALUATES_END: bool = T::EVALUATES_END;
 
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
         let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };
@@ -222,7 +214,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let Stages { slopes, q, .. } = &self.stages;
         let [before, stage] = [&slopes[T::STAGES - 2], &slopes[T::STAGES - 1]];
-        rate_between(if T::EVALUATES_END {
+        rate_between(if const { T::SCHEME.evaluates_end() } {
             [end.q - *q - self.last[1], end.v - stage.q, end.a - stage.v]
         } else {
             [self.last[1] - self.last[0], stage.q - before.q, stage.v - before.v]

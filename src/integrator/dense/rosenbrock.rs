@@ -18,7 +18,6 @@ use std::marker::PhantomData;
 
 use super::trial::{self, ErrorWeights, Origin, StageDerivative, Trial, for_each};
 use super::{Scheme, Settings};
-use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::{Interpolant, Quintic};
 use crate::integrator::{AccelerationTangents, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction};
 use crate::matrix::{Inverse, combination};
@@ -159,14 +158,6 @@ impl<const N: usize> StiffProjection<'_, N> {
 impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     const SCHEME: Scheme = T::SCHEME;
     type Linearization = Linearization<N>;
-    /// Controller of the authors' codes, with memory of the error before.
-    const CONTROLLER: StepSizeController = StepSizeController {
-        exponent: 1.0 / T::ORDER - 0.75 * 0.04,
-        memory: 0.04,
-        accepted: [0.2, 5.0],
-        rejected: [0.1, 0.85],
-        failed: 0.2,
-    };
 
     fn new<const M: usize, S: System<N, M>>(
         system: &S,

@@ -9,6 +9,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::rosenbrock::Linearization;
 use super::{DenseStep, Settings};
 use crate::integrator::System;
+use crate::integrator::controller::StepSizeController;
 
 /// Scheme of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
@@ -21,6 +22,26 @@ pub enum Scheme {
     Rodas4,
     /// Rodas5P: linearly implicit, of order 5.
     Rodas5p,
+}
+
+impl Scheme {
+    /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so after Tsit5, since inputs are expected
+    /// to change there.
+    pub(super) const fn evaluates_end(self) -> bool {
+        !matches!(self, Self::Tsit5)
+    }
+
+    /// Step-size controller: for the implicit schemes that of their authors' codes. Memory and a growth limit of 3 leave DOP853 a quarter of the
+    /// rejections of the classical controller.
+    pub(super) const fn controller(self) -> StepSizeController {
+        let (order, memory, accepted, rejected, failed) = match self {
+            Self::Dop853 => (8.0, 0.02, [0.3, 3.0], [0.3, 0.85], 0.3),
+            Self::Tsit5 => (5.0, 0.04, [0.3, 5.0], [0.2, 0.85], 0.3),
+            Self::Rodas4 => (4.0, 0.04, [0.2, 5.0], [0.1, 0.85], 0.2),
+            Self::Rodas5p => (5.0, 0.04, [0.2, 5.0], [0.1, 0.85], 0.2),
+        };
+        StepSizeController { exponent: 1.0 / order - 0.75 * memory, memory, accepted, rejected, failed }
+    }
 }
 
 /// Schemes that a run may use.

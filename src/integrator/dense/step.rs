@@ -6,7 +6,7 @@ use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, checked_work};
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
-use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, ln, next_step};
+use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::driver::{self, Method, Outcome, Trials};
 use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
@@ -42,13 +42,12 @@ enum Basis<const N: usize> {
 }
 
 impl<const N: usize> Basis<N> {
-    /// Step-size controller of the scheme.
-    fn controller(&self) -> &'static StepSizeController {
+    fn scheme(&self) -> Scheme {
         match self {
-            Self::Dop853 => &<Explicit<Dop853, N> as Trial<N>>::CONTROLLER,
-            Self::Tsit5 => &<Explicit<Tsit5, N> as Trial<N>>::CONTROLLER,
-            Self::Rodas4(_) => &<Rosenbrock<Rodas4, N> as Trial<N>>::CONTROLLER,
-            Self::Rodas5p(_) => &<Rosenbrock<Rodas5p, N> as Trial<N>>::CONTROLLER,
+            Self::Dop853 => Scheme::Dop853,
+            Self::Tsit5 => Scheme::Tsit5,
+            Self::Rodas4(_) => Scheme::Rodas4,
+            Self::Rodas5p(_) => Scheme::Rodas5p,
         }
     }
 }
@@ -143,7 +142,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         }
         let is_implicit = matches!(self.basis, Basis::Rodas4(_) | Basis::Rodas5p(_));
         let before = rejected.filter(|[_, worst]| is_implicit && worst.is_finite() && error > 1.0);
-        Ok(h * self.basis.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
+        Ok(h * self.basis.scheme().controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
     }
 }
 
@@ -265,9 +264,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
-    /// Whether forces at the end of the step are not evaluated yet: after Tsit5 the inputs are expected to change there.
+    /// Whether forces at the end of the step are not evaluated yet.
     fn end_is_unevaluated(&self) -> bool {
-        self.scheme == Scheme::Tsit5 && self.length > 0.0 && !self.is_linear
+        !self.scheme.evaluates_end() && self.length > 0.0 && !self.is_linear
     }
 
     /// State at the end of the step with q̈, λ and power of `system`, which is in the mode of the step.
@@ -305,12 +304,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // A rejected step is as long as its error allows, not cut short.
         let wanted = if rejected { h } else { wanted };
         let cut_short = is_cut_short(h, wanted);
-        let next = if cut_short && T::CONTROLLER.longest_after(h) <= wanted {
+        let controller = const { T::SCHEME.controller() };
+        let next = if cut_short && controller.longest_after(h) <= wanted {
             // Many held inputs end a step so early that its error carries no information.
             wanted
         } else {
             let log_error = ln(error);
-            let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
+            let growth = controller.growth(log_error, self.memory.log_error);
             if !cut_short {
                 self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
             }

@@ -3,7 +3,6 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Scheme, Settings};
-use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
 use crate::integrator::state::StepEnd;
@@ -27,11 +26,6 @@ pub(super) trait Trial<const N: usize>: Sized {
     const SCHEME: Scheme;
     /// Data shared by all trials from one state.
     type Linearization;
-    /// Step-size controller of the scheme.
-    const CONTROLLER: StepSizeController;
-    /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so where inputs are expected to
-    /// change there.
-    const EVALUATES_END: bool = true;
 
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
@@ -100,7 +94,7 @@ pub(super) trait Trial<const N: usize>: Sized {
         if let Some((energy, h)) = &energy_target {
             v = system.energy_scale(energy, &q, &v, *h).ok()? * v;
         }
-        let end_state = match Self::EVALUATES_END {
+        let end_state = match const { Self::SCHEME.evaluates_end() } {
             true => StepEnd::in_balance(system, [q, v], &pose, &mass),
             false => StepEnd::without_balance(system, [q, v], &pose),
         };

@@ -5,7 +5,6 @@
 //! digits of the authors' code `dop853.f`, rounded to double precision. The test below checks the order conditions.
 
 use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
-use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense::trial::{Origin, StageDerivative};
 use crate::integrator::{State, System, Work};
 
@@ -48,14 +47,6 @@ impl Tableau for Dop853 {
     const COARSE: Weights = full(ERROR_3);
     const DAMPING: f64 = 0.01;
     const SECOND: Option<Weights> = Some(full(SECOND_ERROR));
-    /// Memory and a growth limit of 3 leave a quarter of the rejections of the classical controller.
-    const CONTROLLER: StepSizeController = StepSizeController {
-        exponent: 1.0 / 8.0 - 0.75 * 0.02,
-        memory: 0.02,
-        accepted: [0.3, 3.0],
-        rejected: [0.3, 0.85],
-        failed: 0.3,
-    };
 
     /// Coefficients of the dense output, from three further stages.
     fn dense<const N: usize, const M: usize, S: System<N, M>>(

@@ -5,7 +5,6 @@
 //! stage, which would be discarded where inputs change; the estimate here uses the six stages.
 
 use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
-use crate::integrator::controller::StepSizeController;
 use crate::integrator::dense::trial::StageDerivative;
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::{State, System};
@@ -81,14 +80,6 @@ impl Tableau for Tsit5 {
     const COARSE: Weights = full(COARSE);
     const DAMPING: f64 = 1.0;
     const SECOND: Option<Weights> = None;
-    const EVALUATES_END: bool = false;
-    const CONTROLLER: StepSizeController = StepSizeController {
-        exponent: 1.0 / 5.0 - 0.75 * 0.04,
-        memory: 0.04,
-        accepted: [0.3, 5.0],
-        rejected: [0.2, 0.85],
-        failed: 0.3,
-    };
 
     fn dense<const N: usize, const M: usize, S: System<N, M>>(
         stages: &Stages<N>,

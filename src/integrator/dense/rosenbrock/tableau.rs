@@ -34,8 +34,6 @@ pub(in super::super) trait Tableau: Sized {
         }
         middle
     };
-    /// Order of the method; its error estimate is of one order less.
-    const ORDER: f64;
     /// Quadrature weights of the stages, of the order of the method.
     const QUADRATURE: [f64; MAX_STAGES] = weights::<Self>(&Self::A[MAX_STAGES]);
     /// Quadrature weights of the error estimate.
@@ -97,7 +95,6 @@ impl Tableau for Rodas4 {
         [-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     ];
-    const ORDER: f64 = 4.0;
 }
 
 /// Rodas5P (Steinebach): order 5, error estimate of order 4.
@@ -179,7 +176,6 @@ impl Tableau for Rodas5p {
             4.883087185713722,
         ],
     ];
-    const ORDER: f64 = 5.0;
 }
 
 #[cfg(test)]
