@@ -14,7 +14,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 use super::{Extremes, derivative_bound};
-use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, StickingConstraint, System, held_at_zero};
+use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, StickingConstraint, System, reaction};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
 
@@ -161,7 +161,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let StickingConstraint::Direction { row, drift, force } = self.sticking(q, &pose, v) else { return holding };
         let mass = self.factor_mass(&pose, self.regularization());
         let (a, _) = mass.solve(&self.forces(q, &pose, v).0, &-self.phi_q_dot_times(&pose, v));
-        let part = held_at_zero(row.dot(&a) + drift, row.dot(&mass.solve(&force, &Vector::ZERO).0));
+        let (part, ..) = reaction(&mass, [&row, &force], row.dot(&a) + drift);
         for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), StickSlip::sticks)) {
             holding[constraint.at.place] = part * share;
         }
@@ -197,9 +197,8 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         }
         let pose = self.pose(q);
         let StickingConstraint::Direction { row, force, .. } = self.sticking(q, &pose, v) else { return Ok((a, lambda)) };
-        let (by_force, by_force_lambda) = self.factor_mass(&pose, self.regularization()).solve(&force, &Vector::ZERO);
-        let part = held_at_zero(row.dot(&a), row.dot(&by_force));
-        Ok((a + part * by_force, lambda + part * by_force_lambda))
+        let (_, da, dlambda) = reaction(&self.factor_mass(&pose, self.regularization()), [&row, &force], row.dot(&a));
+        Ok((a + da, lambda + dlambda))
     }
 
     /// Whether a run can have reached a state with its stick-slip states; `just_stopped` allows the residual rates of a stop.

@@ -267,7 +267,8 @@ impl UnilateralGuard<'_> {
         self.spring.potential(self.phase(mode), self.depth)
     }
 
-    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`Guards::separation_energy`](crate::integrator::Guards::separation_energy)).
+    /// Dissipated power, W; without the loss of a spring whose stored phase is separated, the
+    /// [`separation_energy`](crate::integrator::Guards::separation_energy).
     pub fn dissipation(&self, mode: &Mode) -> f64 {
         self.spring.dissipation(self.phase(mode), self.depth, self.rate)
     }

@@ -225,8 +225,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let dissipated = self.dissipated(system, settings);
         self.memory = self.before;
         self.next_mode_at_end = self.mode;
-        self.reset_to_start();
-        self.end.counters.rejected += 1;
+        self.discard();
         let done = self.work();
         while rest > 0.0 {
             self.check_work(settings, done)?;
@@ -240,12 +239,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the present time is the end of the current step, which then need not be redone.
-    pub fn finish(&mut self) -> bool {
+    fn finish(&mut self) -> bool {
         let is_over = self.elapsed == self.length;
         if is_over {
             (self.length, self.elapsed) = (0.0, 0.0);
         }
         is_over
+    }
+
+    /// Discards the step, which counts as rejected.
+    fn discard(&mut self) {
+        self.reset_to_start();
+        self.end.counters.rejected += 1;
     }
 
     /// Resets the end of the step to its beginning; work counters keep their values.
@@ -286,8 +291,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let work = self.sample(before, settings).work;
         if self.elapsed < self.length {
             self.memory = self.before;
-            self.reset_to_start();
-            self.end.counters.rejected += 1;
+            self.discard();
         }
         (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
         let pose = after.pose(&q);

@@ -70,9 +70,8 @@ fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
     match system.sticking_constraint(q, pose, v) {
         StickingConstraint::Nothing => (a, lambda),
         StickingConstraint::Direction { row, drift, force } => {
-            let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
-            let part = held_at_zero(row.dot(&a) + drift, row.dot(&by_force));
-            (a + part * by_force, lambda + part * by_force_lambda)
+            let (_, da, dlambda) = reaction(mass, [&row, &force], row.dot(&a) + drift);
+            (a + da, lambda + dlambda)
         }
         StickingConstraint::All { force } => (Vector::ZERO, mass.solve(&(*forces + force), &Vector::ZERO).1),
     }
@@ -86,15 +85,20 @@ pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
 ) -> Vector<N> {
     match system.sticking_constraint(q, pose, v) {
         StickingConstraint::Nothing => *v,
-        StickingConstraint::Direction { row, force, .. } => {
-            let (by_force, _) = mass.solve(&force, &Vector::ZERO);
-            *v + held_at_zero(row.dot(v), row.dot(&by_force)) * by_force
-        }
+        StickingConstraint::Direction { row, force, .. } => *v + reaction(mass, [&row, &force], row.dot(v)).1,
         StickingConstraint::All { .. } => Vector::ZERO,
     }
 }
 
-/// Reaction that brings a change along its row to 0, by the mobility of the row; 0 where nothing moves it.
-pub fn held_at_zero(change: f64, mobility: f64) -> f64 {
-    if mobility > 0.0 { -change / mobility } else { 0.0 }
+/// Reaction of one sticking direction, a multiple of its force, that brings a change along its row to 0, with the changes of q̈ (or q̇)
+/// and λ by that reaction; 0 where nothing moves the row.
+pub fn reaction<const N: usize, const M: usize>(
+    mass: &impl Kkt<N, M>,
+    [row, force]: [&Vector<N>; 2],
+    change: f64,
+) -> (f64, Vector<N>, Vector<M>) {
+    let (by_force, by_force_lambda) = mass.solve(force, &Vector::ZERO);
+    let mobility = row.dot(&by_force);
+    let part = if mobility > 0.0 { -change / mobility } else { 0.0 };
+    (part, part * by_force, part * by_force_lambda)
 }

@@ -25,7 +25,7 @@ mod system;
 
 pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{CutStep, Discrete, StepIncrement};
-pub use equilibrium::{equilibrium, held_at_zero};
+pub use equilibrium::{equilibrium, reaction};
 pub use error::StepError;
 pub use events::{ERROR_RATE, Events, Extremes, Guards, Residuals};
 pub use locator::CROSSING_RESIDUAL;

@@ -31,10 +31,11 @@ mod whole;
 
 use crate::dynamics::{StepLevers, TipArm};
 use crate::effects::Slopes;
+use crate::integrator::{CutStep, Discrete, StepIncrement};
 use crate::mechanism::coordinates::{TIP_X, TIP_Y, add_legs, angles_by_leg, centres, legs_of, set_angles, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, largest, sum};
 use crate::mechanism::secant::Secant;
-use crate::mechanism::{Coordinates, Multipliers, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 pub use bordered::BorderedMatrix;
 use bordered::tip_separation;
@@ -69,11 +70,6 @@ pub fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
     CutUnknowns::from_fn(|i| if i < 2 * LAMBDA { factor * x[i] } else { factor * factor * x[i] })
 }
 
-/// The largest |Δθ|, rad.
-pub fn largest_turn(x: &CutUnknowns) -> f64 {
-    largest(legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()))
-}
-
 /// Difference of two moments, link by link.
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p - other_p, d - other_d]
@@ -84,15 +80,26 @@ fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
 }
 
-/// A step of the cut loop: its initial state and length.
-#[derive(Clone, Copy)]
-pub struct OpenStep<'a> {
+/// Increment of a step, as forces take it.
+pub type Increment<'a> = StepIncrement<'a, Secant, COORDINATES>;
+
+/// A system whose mean forces have slopes.
+pub trait MeanSlopes: Discrete<COORDINATES, MULTIPLIERS, Secant = Secant> {
+    /// Slopes of the mean wrench over a step, with the arms of the tip.
+    fn slopes_over(&self, step: &Increment<'_>) -> (Slopes, TipArm);
+}
+
+/// A step of a system with its loop cut: its initial state and length.
+pub struct OpenStep<'a, S> {
+    system: &'a S,
     legs: &'a OpenLegs,
     pose: &'a Pose,
     /// Coordinates q₀, m and rad.
-    pub q: &'a Coordinates,
+    q: &'a Coordinates,
     /// Length of the step, s.
-    pub h: f64,
+    h: f64,
+    /// Factor on the regularisation rates of friction and servos.
+    softening: f64,
     /// First moment k₀ of ½h q̇₀, kg·m².
     initial_moment: Moments,
     /// Initial half-step rotations ½h ω₀, rad.
@@ -139,12 +146,17 @@ fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
     [p.scaled(by_p), d.scaled(by_d)]
 }
 
-impl<'a> OpenStep<'a> {
-    /// A step of h seconds from q₀ and q̇₀.
-    pub fn new(legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> Self {
+impl<'a, S: MeanSlopes> OpenStep<'a, S> {
+    /// A step of h seconds from q₀ with its pose and q̇₀.
+    pub fn new(
+        system: &'a S,
+        legs: &'a OpenLegs,
+        (pose, [q, v]): (&'a Pose, [&'a Coordinates; 2]),
+        (h, softening): (f64, f64),
+    ) -> Self {
         let half = both(0.5 * h);
         let initial_moment = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
-        Self { legs, pose, q, h, initial_moment, initial_rotations: angles_by_leg(v).map(|rate| half * rate) }
+        Self { system, legs, pose, q, h, softening, initial_moment, initial_rotations: angles_by_leg(v).map(|rate| half * rate) }
     }
 
     /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
@@ -166,23 +178,6 @@ impl<'a> OpenStep<'a> {
         ];
         let [length_p, length_d] = self.legs.sigma_length;
         BorderedMatrix::new(matrix, scaled(normals(turned.middle.along()), [by_p * length_p, by_d * length_d]), ends, e)
-    }
-
-    /// The motion with the Δθ of `x`, which does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e
-    /// times the correction of ν.
-    pub fn motion(&self, x: CutUnknowns, e: f64) -> OpenMotion {
-        self.moving(x, e, |bordered, right, ends| {
-            let (half, change) = bordered.solve(right, ends, [0.0; 2]);
-            (half, change, change.map(|change| e * change))
-        })
-    }
-
-    /// The motion with the Δθ and the ν of `x`, whose rates may open the loop. No closure is solved, which loses rank in a vertex.
-    pub fn free_motion(&self, x: CutUnknowns) -> OpenMotion {
-        self.moving(x, 1.0, |bordered, right, ends| {
-            let half = bordered.free(right);
-            (half, [0.0; 2], tip_separation(ends, half))
-        })
     }
 
     /// The motion with ω̂, the change of ν and the residual of the rate equation by `solve`, from the matrix of ω̂ and ν, the right-hand side
@@ -222,28 +217,57 @@ impl<'a> OpenStep<'a> {
         OpenMotion { secant, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
-    /// Increments d = q₁ − q₀ of a motion, m and rad.
-    pub fn way(&self, motion: &OpenMotion) -> Coordinates {
-        let turns = [legs_of(&motion.x, PROXIMAL), legs_of(&motion.x, DISTAL)];
-        let mechanism = &self.legs.mechanism;
-        let end = mechanism.coordinates(&motion.secant.end, [Legs::ZERO; 2]);
-        let mut d = end - *self.q;
-        set_angles(&mut d, turns);
-        d
-    }
-
-    /// Final velocities q̇₁ of a motion, m/s and rad/s.
-    pub fn rates(&self, motion: &OpenMotion) -> Coordinates {
-        let per_second = both(2.0 / self.h);
-        motion.secant.end.velocities(motion.half.map(|half| per_second * half))
-    }
-
-    /// Residual of a motion under mean forces Q̄, N and N·m.
+    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum
+    /// and columns of Δθ, where ω̂ changes as they do.
     #[inline(always)]
-    pub fn balance(&self, motion: &OpenMotion, forces: &Coordinates) -> OpenResidual {
+    fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
+        if !slopes.couple_links() {
+            let ([p, d], none) = (slopes.diagonal(arm, weights), both(0.0));
+            return [[p, none], [none, d]];
+        }
+        let left = |[p, d]: [Legs2; 2]| [p, d].map(|lever| [lever.x.to_array()[0], lever.y.to_array()[0]]);
+        let OpenMotion { secant, half, ends, .. } = motion;
+        let rows = scaled(scaled(normals(secant.middle.along()), secant.sinc), self.legs.sigma_length);
+        let per_second = both(-2.0 / self.h);
+        let turning = scaled(scaled(secant.end.along(), self.legs.sigma_length), half.map(|half| per_second * half));
+        let levers = StepLevers { rows: left(rows), columns: left(*ends), turning: left(turning) };
+        slopes.on_legs(arm, &levers, weights)
+    }
+
+    /// Evaluates `of` on the finite step that belongs to a motion of the cut loop.
+    fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Increment<'_>) -> T) -> T {
+        let [d, v] = self.end(motion);
+        of(&StepIncrement { q: self.q, d: &d, v: &v, h: self.h, softening: self.softening, secant: &motion.secant })
+    }
+}
+
+impl<S: MeanSlopes> CutStep<COORDINATES> for OpenStep<'_, S> {
+    type Unknowns = CutUnknowns;
+    type Secant = Secant;
+    type Motion = OpenMotion;
+    type Balance = OpenResidual;
+    type Factor = BorderedMatrix;
+
+    /// The motion does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e times the correction of ν.
+    fn motion(&self, x: &CutUnknowns, e: f64) -> OpenMotion {
+        self.moving(*x, e, |bordered, right, ends| {
+            let (half, change) = bordered.solve(right, ends, [0.0; 2]);
+            (half, change, change.map(|change| e * change))
+        })
+    }
+
+    /// No closure is solved, which loses rank in a vertex.
+    fn free_motion(&self, x: &CutUnknowns) -> OpenMotion {
+        self.moving(*x, 1.0, |bordered, right, ends| {
+            let half = bordered.free(right);
+            (half, [0.0; 2], tip_separation(ends, half))
+        })
+    }
+
+    fn balance(&self, motion: &OpenMotion) -> OpenResidual {
         let &Self { legs, initial_rotations: [begun_p, begun_d], h, .. } = self;
         let mechanism = &legs.mechanism;
-        let applied = 0.5 * h * h * *forces;
+        let applied = 0.5 * h * h * self.over(motion, |step| self.system.mean_forces(step));
         let OpenMotion {
             secant,
             x,
@@ -267,37 +291,19 @@ impl<'a> OpenStep<'a> {
         OpenResidual { joint_load, left }
     }
 
-    /// Norms of the residuals: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
-    pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
+    fn residuals(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
         let [mobility_p, mobility_d] = self.legs.turn_mobility;
         let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs());
         [offset, Legs::new(*gap), Legs::new(*rate)].map(largest)
     }
 
-    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum
-    /// and columns of Δθ, where ω̂ changes as they do.
-    #[inline(always)]
-    fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
-        if !slopes.couple_links() {
-            let ([p, d], none) = (slopes.diagonal(arm, weights), both(0.0));
-            return [[p, none], [none, d]];
-        }
-        let left = |[p, d]: [Legs2; 2]| [p, d].map(|lever| [lever.x.to_array()[0], lever.y.to_array()[0]]);
-        let OpenMotion { secant, half, ends, .. } = motion;
-        let rows = scaled(scaled(normals(secant.middle.along()), secant.sinc), self.legs.sigma_length);
-        let per_second = both(-2.0 / self.h);
-        let turning = scaled(scaled(secant.end.along(), self.legs.sigma_length), half.map(|half| per_second * half));
-        let levers = StepLevers { rows: left(rows), columns: left(*ends), turning: left(turning) };
-        slopes.on_legs(arm, &levers, weights)
-    }
-
-    /// The matrix of Newton's increments leg by leg, with these slopes of the mean forces: Δθ and ω̂ change together, ν does not change.
-    #[inline(always)]
-    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, (slopes, arm): (&Slopes, &TipArm), e: f64) -> BorderedMatrix {
+    /// Δθ and ω̂ change together, ν does not change.
+    fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, e: f64) -> BorderedMatrix {
+        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
         let (OpenMotion { secant, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
-        let [[pp, pd], [dp, dd]] = self.inertias_of(motion, slopes, arm, [0.5 * self.h * self.h, self.h]);
+        let [[pp, pd], [dp, dd]] = self.inertias_of(motion, &slopes, &arm, [0.5 * self.h * self.h, self.h]);
         // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
@@ -309,28 +315,46 @@ impl<'a> OpenStep<'a> {
         self.bordered((secant, ends), inertias, secant.sinc, e)
     }
 
-    /// Newton's increments of Δθ and Λ. Λ is solved with the gap left out, since closing the gap changes no rates.
-    pub fn correction(
-        &self,
-        OpenMotion { gap, ends, .. }: &OpenMotion,
-        balance: &OpenResidual,
-        matrix: &BorderedMatrix,
-    ) -> CutUnknowns {
-        let [left_p, left_d] = balance.left;
+    /// Λ is solved with the gap left out, since closing the gap changes no rates.
+    fn newton_update(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> CutUnknowns {
+        let (OpenMotion { gap, ends, .. }, [left_p, left_d]) = (motion, balance.left);
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], ends, *gap);
         let mut change = CutUnknowns::ZERO;
         set_legs(&mut change, PROXIMAL, p);
         set_legs(&mut change, DISTAL, d);
         set_legs(&mut change, LAMBDA, Legs::new(lambda));
-        change
+        motion.x + change
     }
 
-    /// The motion with rates and Λ that satisfy (f) at its Δθ: the last linear correction.
-    pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
+    fn whole_correction(&self, motion: &OpenMotion, balance: &OpenResidual, e: f64) -> CutUnknowns {
+        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
+        self.by_whole_tangent(motion, balance, (&slopes, &arm), e)
+    }
+
+    /// The last linear correction.
+    fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
         let [left_p, left_d] = balance.left;
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);
         let mut x = motion.x;
         add_legs(&mut x, LAMBDA, Legs::new(lambda));
         OpenMotion { x, half: [motion.half[0] + p, motion.half[1] + d], ..*motion }
+    }
+    fn rotation_norm(x: &CutUnknowns) -> f64 {
+        largest(legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()))
+    }
+
+    fn unknowns(motion: &OpenMotion) -> CutUnknowns {
+        motion.x
+    }
+
+    fn end(&self, motion: &OpenMotion) -> [Coordinates; 2] {
+        let mut d = self.legs.mechanism.coordinates(&motion.secant.end, [Legs::ZERO; 2]) - *self.q;
+        set_angles(&mut d, [legs_of(&motion.x, PROXIMAL), legs_of(&motion.x, DISTAL)]);
+        let per_second = both(2.0 / self.h);
+        [d, motion.secant.end.velocities(motion.half.map(|half| per_second * half))]
+    }
+
+    fn secant(motion: &OpenMotion) -> &Secant {
+        &motion.secant
     }
 }

@@ -33,9 +33,6 @@ impl DenseRun {
 
     /// Before model or inputs change: truncates the step under way at the present time. A failure leaves the run undefined.
     pub(super) fn stop(&mut self, model: &Model, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
-        if self.step.finish() {
-            return Ok(());
-        }
         self.step.truncate_and_redo(&AngleSystem::of(model, inputs, turns), &self.settings)
     }
 

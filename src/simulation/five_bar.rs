@@ -46,12 +46,6 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         FiveBar { turns, ..*self }
     }
 
-    /// The form that is not specialised for the bare mechanism.
-    pub(super) fn general(self) -> FiveBar<'a> {
-        let Self { model, inputs, turns, follows_work, mode } = self;
-        FiveBar { model, inputs, turns, follows_work, mode }
-    }
-
     /// System in a given mode.
     #[inline(always)]
     pub(super) fn on(&self, mode: Mode) -> Self {
@@ -216,7 +210,8 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
     type General = FiveBar<'a>;
 
     fn general(&self) -> FiveBar<'a> {
-        FiveBar::general(*self)
+        let &Self { model, inputs, turns, follows_work, mode } = self;
+        FiveBar { model, inputs, turns, follows_work, mode }
     }
 
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {

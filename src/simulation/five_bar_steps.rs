@@ -4,19 +4,15 @@
 use super::five_bar::FiveBar;
 use crate::dynamics::TipArm;
 use crate::effects::{FiniteMotion, Slopes, Wrench};
-use crate::integrator::{CutStep, Discrete, StepIncrement, Work};
+use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
-use crate::linear::cut_loop::{
-    BorderedMatrix, CutUnknowns, OpenMotion, OpenResidual, OpenStep, cut_unknowns, largest_turn, lengthened,
-};
+use crate::linear::cut_loop::{CutUnknowns, Increment, MeanSlopes, OpenStep, cut_unknowns, lengthened};
 use crate::mechanism::coordinates::angles_by_leg;
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
-type Step<'a> = StepIncrement<'a, Secant, COORDINATES>;
-
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    fn over(&self, step: &Step<'_>) -> FiniteMotion<'_> {
+    fn over(&self, step: &Increment<'_>) -> FiniteMotion<'_> {
         let &StepIncrement { q, d, v, h, softening, secant } = step;
         self.conditions().finite_motion([q, d, v], secant, (h, softening), self.model.typical_inertia)
     }
@@ -33,15 +29,6 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         (wrench, work)
     }
 
-    /// Slopes of the mean wrench over a step, with the arms of the tip.
-    pub(super) fn slopes_over(&self, step: &Step<'_>) -> (Slopes, TipArm) {
-        let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
-        if !BARE && !self.model.effects.is_empty() {
-            self.add_slopes_over(self.over(step), &mut slopes);
-        }
-        (slopes, TipArm::of_step(step.secant, step.d, step.v))
-    }
-
     #[inline(never)]
     fn add_slopes_over(&self, over: FiniteMotion, slopes: &mut Slopes) {
         for effect in &self.model.effects {
@@ -54,7 +41,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     type Secant = Secant;
     type CutUnknowns = CutUnknowns;
     type Cut<'a>
-        = CutFiveBar<'a, BARE>
+        = OpenStep<'a, Self>
     where
         Self: 'a;
 
@@ -66,19 +53,19 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         &secant.end
     }
 
-    fn mean_forces(&self, step: &Step<'_>) -> Coordinates {
+    fn mean_forces(&self, step: &Increment<'_>) -> Coordinates {
         let wrench = if BARE || self.model.effects.is_empty() { self.inputs.wrench() } else { self.acting_over(self.over(step)).0 };
         let mut forces = self.model.weight;
         wrench.add_to(TipArm::of_step(step.secant, step.d, step.v).row, &mut forces);
         forces
     }
 
-    fn work_over(&self, step: &Step<'_>) -> Work {
+    fn work_over(&self, step: &Increment<'_>) -> Work {
         self.acting_over(self.over(step)).1
     }
 
-    fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64, softening: f64) -> CutFiveBar<'a, BARE> {
-        CutFiveBar { system: self, step: OpenStep::new(self.model.solver.legs(), begin, at, h), softening }
+    fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64, softening: f64) -> OpenStep<'a, Self> {
+        OpenStep::new(self, self.model.solver.legs(), (begin, at), (h, softening))
     }
 
     fn cut_unknowns(&self, d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
@@ -98,78 +85,13 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     }
 }
 
-/// A step of a system with its loop cut.
-pub struct CutFiveBar<'a, const BARE: bool> {
-    system: &'a FiveBar<'a, BARE>,
-    step: OpenStep<'a>,
-    /// Factor on the regularisation rates of friction and servos.
-    softening: f64,
-}
-
-impl<const BARE: bool> CutFiveBar<'_, BARE> {
-    /// Evaluates `of` on the finite step that belongs to a motion of the cut loop.
-    fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
-        let &OpenStep { q, h, .. } = &self.step;
-        let [d, v] = self.end(motion);
-        of(&StepIncrement { q, d: &d, v: &v, h, softening: self.softening, secant: &motion.secant })
-    }
-}
-
-impl<const BARE: bool> CutStep<COORDINATES> for CutFiveBar<'_, BARE> {
-    type Unknowns = CutUnknowns;
-    type Secant = Secant;
-    type Motion = OpenMotion;
-    type Balance = OpenResidual;
-    type Factor = BorderedMatrix;
-
-    fn motion(&self, x: &CutUnknowns, regularization: f64) -> OpenMotion {
-        self.step.motion(*x, regularization)
-    }
-
-    fn free_motion(&self, x: &CutUnknowns) -> OpenMotion {
-        self.step.free_motion(*x)
-    }
-
-    fn balance(&self, motion: &OpenMotion) -> OpenResidual {
-        self.step.balance(motion, &self.over(motion, |step| self.system.mean_forces(step)))
-    }
-
-    fn residuals(&self, motion: &OpenMotion, balance: &OpenResidual) -> [f64; 3] {
-        self.step.left(motion, balance)
-    }
-
-    fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> BorderedMatrix {
-        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
-        self.step.factor(motion, balance, (&slopes, &arm), regularization)
-    }
-
-    fn newton_update(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> CutUnknowns {
-        motion.x + self.step.correction(motion, balance, factor)
-    }
-
-    fn whole_correction(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> CutUnknowns {
-        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
-        self.step.whole_correction(motion, balance, (&slopes, &arm), regularization)
-    }
-
-    fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> OpenMotion {
-        self.step.with_rates(motion, balance, factor)
-    }
-
-    fn rotation_norm(x: &CutUnknowns) -> f64 {
-        largest_turn(x)
-    }
-
-    fn unknowns(motion: &OpenMotion) -> CutUnknowns {
-        motion.x
-    }
-
-    fn end(&self, motion: &OpenMotion) -> [Coordinates; 2] {
-        [self.step.way(motion), self.step.rates(motion)]
-    }
-
-    fn secant(motion: &OpenMotion) -> &Secant {
-        &motion.secant
+impl<const BARE: bool> MeanSlopes for FiveBar<'_, BARE> {
+    fn slopes_over(&self, step: &Increment<'_>) -> (Slopes, TipArm) {
+        let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
+        if !BARE && !self.model.effects.is_empty() {
+            self.add_slopes_over(self.over(step), &mut slopes);
+        }
+        (slopes, TipArm::of_step(step.secant, step.d, step.v))
     }
 }
 
@@ -178,7 +100,7 @@ mod tests {
     use super::*;
     use crate::dynamics::INNER;
     use crate::effects::Inputs;
-    use crate::integrator::{System, velocity_correction};
+    use crate::integrator::{CutStep, System, velocity_correction};
     use crate::mechanism::closure;
     use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
     use crate::mechanism::placement::joint_forces;

@@ -8,7 +8,7 @@ use super::settings::Method;
 use super::state::Core;
 use crate::hybrid::Mode;
 use crate::integrator::dense::{Scheme, Schemes};
-use crate::integrator::{StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
+use crate::integrator::{Implicit, StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 

@@ -13,8 +13,8 @@ use super::angles::{ANGLES, AngleSystem, Angles, angles_of};
 use super::bifurcation;
 use super::five_bar::FiveBar;
 use crate::integrator::{
-    Approach, Departure, EnergyBalance, Passage, PassageLimits, Projection, StepError, StepLimits, Stuck, System, Transit,
-    equilibrium, velocity_correction,
+    Approach, Departure, EnergyBalance, Implicit, Passage, PassageLimits, Projection, StepError, StepLimits, Stuck, System,
+    Transit, equilibrium, velocity_correction,
 };
 use crate::mechanism::{COORDINATES, Coordinates};
 

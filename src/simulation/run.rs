@@ -16,7 +16,7 @@ use crate::effects::Inputs;
 use crate::effects::payload::Join;
 use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::i3alp_conserving::{self, ConservingRun};
-use crate::integrator::{Counters, StepError, System, Work};
+use crate::integrator::{Counters, Implicit, StepError, System, Work};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Assembly, COORDINATES, Coordinates};

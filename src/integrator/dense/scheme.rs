@@ -25,6 +25,11 @@ pub enum Scheme {
 }
 
 impl Scheme {
+    /// Whether steps are linearly implicit.
+    pub(super) const fn is_implicit(self) -> bool {
+        matches!(self, Self::Rodas4 | Self::Rodas5p)
+    }
+
     /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so after Tsit5, since inputs are expected
     /// to change there.
     pub(super) const fn evaluates_end(self) -> bool {

@@ -22,41 +22,30 @@ const OUTPUT_MARGIN: f64 = 1.000_001;
 struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
     step: &'a mut DenseStep<N, M, S::Mode>,
     settings: &'a Settings,
-    /// Time of the next output and limit of the step while inputs are constant.
-    horizon: Horizon,
     /// Pose at the beginning of the step.
     pose: &'a S::Pose,
-    basis: Basis<N>,
+    scheme: Scheme,
+    /// Tangents at the beginning of the step, for an implicit scheme.
+    linearization: Option<Linearization<N>>,
+    plan: Plan,
+}
+
+/// Plan of the trials of a step.
+#[derive(Clone, Copy)]
+struct Plan {
     /// Step length that the error control wants, s.
     wanted: f64,
     /// Whether a vertex is near, where the energy may have to be conserved.
     near: bool,
-}
-
-/// Scheme of a trial with what all trials from one state share.
-enum Basis<const N: usize> {
-    Dop853,
-    Tsit5,
-    Rodas4(Linearization<N>),
-    Rodas5p(Linearization<N>),
-}
-
-impl<const N: usize> Basis<N> {
-    fn scheme(&self) -> Scheme {
-        match self {
-            Self::Dop853 => Scheme::Dop853,
-            Self::Tsit5 => Scheme::Tsit5,
-            Self::Rodas4(_) => Scheme::Rodas4,
-            Self::Rodas5p(_) => Scheme::Rodas5p,
-        }
-    }
+    /// Time of the next output and limit of the step while inputs are constant.
+    horizon: Horizon,
 }
 
 impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
-    /// Basis of an implicit scheme for a system in the mode of the step; DOP853 where an implicit step cannot begin.
+    /// Tangents at the beginning of the step by a system in its mode; `None` where an implicit step cannot begin.
     #[inline(never)]
-    fn linearized(&self, system: &S, basis: fn(Linearization<N>) -> Basis<N>) -> Basis<N> {
-        Linearization::about(system, self.settings, (&self.step.start, self.pose)).map_or(Basis::Dop853, basis)
+    fn linearized(&self, system: &S) -> Option<Linearization<N>> {
+        Linearization::about(system, self.settings, (&self.step.start, self.pose))
     }
 }
 
@@ -70,7 +59,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
     }
 
     fn longest(&self) -> f64 {
-        self.horizon.limit.min(LONGEST)
+        self.plan.horizon.limit.min(LONGEST)
     }
 
     fn enter(&mut self, system: &S, mode: S::Mode) {
@@ -90,8 +79,8 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
     }
 
     fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64 {
-        let &mut Self { settings, horizon, .. } = self;
-        self.near = near.is_some();
+        let &mut Self { settings, plan: Plan { horizon, .. }, .. } = self;
+        self.plan.near = near.is_some();
         self.step.probe_stiffness(system, settings, (horizon.limit, self.pose));
         let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
@@ -99,64 +88,49 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
         // round-off.
         let stiffness_switch = &self.step.memory.stiffness_switch;
-        let scheme = if sticks || self.near && !system.can_project(&self.step.start.q) {
+        let scheme = if sticks || near.is_some() && !system.can_project(&self.step.start.q) {
             Scheme::Dop853
         } else {
             settings.schemes.next(stiffness_switch, settings.error_tolerance, horizon.limit)
         };
-        self.wanted = match scheme {
+        self.plan.wanted = match scheme {
             Scheme::Tsit5 if stiffness_switch.tsit5_step.is_finite() => stiffness_switch.tsit5_step,
             Scheme::Tsit5 => settings.first_step,
             _ if self.step.start.substep.is_finite() => self.step.start.substep,
             _ => settings.first_step,
         };
-        self.basis = match scheme {
-            Scheme::Dop853 => Basis::Dop853,
-            Scheme::Tsit5 => Basis::Tsit5,
-            Scheme::Rodas4 => self.linearized(system, Basis::Rodas4),
-            Scheme::Rodas5p => self.linearized(system, Basis::Rodas5p),
-        };
-        self.wanted.min(longest)
+        self.linearization = if scheme.is_implicit() { self.linearized(system) } else { None };
+        self.scheme = if scheme.is_implicit() && self.linearization.is_none() { Scheme::Dop853 } else { scheme };
+        self.plan.wanted.min(longest)
     }
 
     fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError> {
-        let Self { step, settings, horizon, pose, basis, wanted, near, .. } = self;
+        let Self { step, settings, pose, scheme, linearization, plan } = self;
         let origin = Origin { q: step.start.q, pose: *pose, regularization: settings.regularization };
-        let plan = Plan { wanted: *wanted, near: *near, horizon: *horizon, trials, from };
-        Ok(match basis {
-            Basis::Dop853 => step.try_once::<Explicit<Dop853, N>, S>(system, settings, &plan, (&(), &origin)),
-            Basis::Tsit5 => step.try_once::<Explicit<Tsit5, N>, S>(system, settings, &plan, (&(), &origin)),
-            Basis::Rodas4(tangents) => step.try_once::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan, (tangents, &origin)),
-            Basis::Rodas5p(tangents) => step.try_once::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan, (tangents, &origin)),
+        let of = (&*plan, trials, from);
+        Ok(match (scheme, linearization) {
+            (Scheme::Rodas4, Some(tangents)) => {
+                step.try_once::<Rosenbrock<Rodas4, N>, S>(system, settings, of, (tangents, &origin))
+            }
+            (Scheme::Rodas5p, Some(tangents)) => {
+                step.try_once::<Rosenbrock<Rodas5p, N>, S>(system, settings, of, (tangents, &origin))
+            }
+            (Scheme::Tsit5, _) => step.try_once::<Explicit<Tsit5, N>, S>(system, settings, of, (&(), &origin)),
+            _ => step.try_once::<Explicit<Dop853, N>, S>(system, settings, of, (&(), &origin)),
         })
     }
 
     fn discard(&mut self) {
-        self.step.reset_to_start();
-        self.step.end.counters.rejected += 1;
+        self.step.discard();
     }
 
     fn shorten(&mut self, &Trials { h, rejected, .. }: &Trials, error: f64) -> Result<f64, StepError> {
         if h < SHORTEST {
             return Err(StepError::StepTooShort { substep: h, error: error * self.settings.error_tolerance });
         }
-        let is_implicit = matches!(self.basis, Basis::Rodas4(_) | Basis::Rodas5p(_));
-        let before = rejected.filter(|[_, worst]| is_implicit && worst.is_finite() && error > 1.0);
-        Ok(h * self.basis.scheme().controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
+        let before = rejected.filter(|[_, worst]| self.scheme.is_implicit() && worst.is_finite() && error > 1.0);
+        Ok(h * self.scheme.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
     }
-}
-
-/// Plan of a trial.
-struct Plan<'a, G> {
-    /// Step length that the error control wants, s.
-    wanted: f64,
-    /// Whether a vertex is near, where the energy may have to be conserved.
-    near: bool,
-    /// Time of the next output and limit of the step while inputs are constant.
-    horizon: Horizon,
-    trials: &'a Trials,
-    /// The beginning among the guards, where there are any.
-    from: Option<&'a Probe<G>>,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -177,8 +151,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.begin(system, settings, pose);
-        let (wanted, near) = (settings.first_step, false);
-        let mut attempt = Attempt { step: self, settings, horizon, pose, basis: Basis::Dop853, wanted, near };
+        let plan = Plan { wanted: settings.first_step, near: false, horizon };
+        let mut attempt = Attempt { step: self, settings, pose, scheme: Scheme::Dop853, linearization: None, plan };
         driver::step(&mut attempt, system, (&passage_limits(settings), settings.error_tolerance)).map(drop)
     }
 
@@ -201,15 +175,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Makes one trial of a step.
+    /// Makes one trial of a step; `from` is the beginning among the guards, where there are any.
     fn try_once<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
-        &Plan { wanted, near, horizon, trials: &Trials { h, rejected, events: ref event_trials, .. }, from }: &Plan<
-            '_,
-            S::GuardValues,
-        >,
+        (&Plan { wanted, near, horizon }, &Trials { h, rejected, events: ref event_trials, .. }, from): (
+            &Plan,
+            &Trials,
+            Option<&Probe<S::GuardValues>>,
+        ),
         (basis, origin): (&T::Linearization, &Origin<'_, S::Pose, N>),
     ) -> Outcome {
         let energy_target = if near { self.energy_target(on, h) } else { None };

@@ -7,7 +7,7 @@
 //! Δw = moment(n̂₁ Δω̂ − ω̂ û₁ ΔΔθ),     Δy = moment(n̂₁ ΔΔθ) − Δw − σ(ℓ, L) Δν,     Δg = −Δw − σ(ℓ, L) ΔΛ + slopes of the forces
 //! ```
 
-use super::{CUT_UNKNOWNS, CutUnknowns, DISTAL, LAMBDA, NU, OpenMotion, OpenResidual, OpenStep};
+use super::{CUT_UNKNOWNS, CutUnknowns, DISTAL, LAMBDA, MeanSlopes, NU, OpenMotion, OpenResidual, OpenStep};
 use crate::dynamics::TipArm;
 use crate::effects::Slopes;
 use crate::matrix::Inverse;
@@ -54,11 +54,11 @@ impl Matrix {
     }
 }
 
-impl OpenStep<'_> {
+impl<S: MeanSlopes> OpenStep<'_, S> {
     /// Newton's increments of all unknowns with these slopes of the mean forces and e, 1/kg, of the tip's closure, which moves no root; not
     /// finite where the matrix is singular.
     #[inline(never)]
-    pub fn whole_correction(
+    pub(super) fn by_whole_tangent(
         &self,
         motion: &OpenMotion,
         balance: &OpenResidual,
