@@ -208,10 +208,6 @@ impl ForceLaw for Contact {
         self.guard(at).potential(&at.joints.mode)
     }
 
-    fn has_stiff_forces(&self) -> bool {
-        true
-    }
-
     fn may_make_contact(&self) -> bool {
         true
     }

@@ -104,9 +104,9 @@ pub trait ForceLaw {
         }
     }
 
-    /// Whether the force has regions so stiff and so short that a long step may miss them.
+    /// Whether the force has regions so stiff and so short that a long step may miss them, as contacts have.
     fn has_stiff_forces(&self) -> bool {
-        false
+        self.may_make_contact()
     }
 
     /// Whether the force is smooth but has a region so narrow that the stages of a step may lie on both sides of the region and none in it.

@@ -137,10 +137,6 @@ impl ForceLaw for Stop {
         (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(&at.joints.mode)).sum()
     }
 
-    fn has_stiff_forces(&self) -> bool {
-        true
-    }
-
     fn may_make_contact(&self) -> bool {
         true
     }

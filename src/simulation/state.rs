@@ -77,15 +77,10 @@ impl State {
 
 /// Moves whole turns from angles of q that exceed two turns into `turns`.
 pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
-    if largest_angle(q) <= 2.0 * TAU {
-        return;
-    }
-    remove_whole_turns_of_each(q, turns);
-}
-
-fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
-    for (turns, i) in turns.iter_mut().zip(THETA) {
-        q[i] -= whole_turns(q[i], turns) * TAU;
+    if largest_angle(q) > 2.0 * TAU {
+        for (turns, i) in turns.iter_mut().zip(THETA) {
+            q[i] -= whole_turns(q[i], turns) * TAU;
+        }
     }
 }
 
