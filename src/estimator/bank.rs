@@ -210,6 +210,23 @@ impl Bank {
         self.normalise();
     }
 
+    /// Takes the expected angle of an axis as known up to the noise of a reading.
+    pub(super) fn hold(&mut self, reading: &Innovation) {
+        let expected = self.predict_sample(reading);
+        for (member, (_, variance, column)) in self.members.iter_mut().zip(&expected.each) {
+            reduce(&mut member.covariance, column, *variance);
+        }
+    }
+
+    /// Bank with a further error of the angles along a direction of the tangent basis, of this variance, rad².
+    pub(super) fn with_angle_error(mut self, along: &Pair, variance: f64) -> Self {
+        let further = along * variance.sqrt();
+        for member in self.active_members() {
+            member.covariance.fixed_view_mut::<2, 2>(0, 0).ger(1.0, &further, &further, 1.0);
+        }
+        self
+    }
+
     /// Moves the common estimate by `by`: the mean errors become smaller by as much.
     pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {

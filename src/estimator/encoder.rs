@@ -5,10 +5,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Innovation, PredictedSample};
 use super::constants::{
-    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_JUMP, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
+    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS, SINGLE_EDGE,
     TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
+use super::error_state::{Error, RATE};
 use super::history::History;
 use super::parameters::{Constants, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
@@ -95,9 +96,27 @@ impl Sample {
         Self { age: 0.0, rate: motion.omega[MEASURED[i]], innovation, ..*self }
     }
 
+    /// Variance of the sample, rad², where its quantisation error and a persistent error of variance `persistent`, rad², are its own.
+    pub(super) fn single_variance(&self, persistent: f64) -> f64 {
+        white_variance(self.sigma) + persistent + self.quantum * self.quantum / 12.0
+    }
+
+    /// Share of the persistent error in the sample's variance.
+    pub(super) fn persistent_share(&self) -> f64 {
+        self.persistent / self.single_variance(self.persistent)
+    }
+
     /// Information of the sample with the quantisation error as noise.
     pub(super) fn reading(&self) -> Reading {
         Reading { angle: self.angle, noise: self.innovation.noise, age: self.age, dead_zone: 0.0 }
+    }
+
+    /// Innovation of the rate by the change of the innovation, rad, since the last sample, `interval` seconds before. A persistent error is one of both
+    /// samples.
+    pub(super) fn change(&self, change: f64, interval: f64) -> Innovation {
+        let mut row = Error::zeros();
+        row.fixed_rows_mut::<2>(RATE).copy_from(&(self.innovation.row.fixed_rows::<2>(0) * interval));
+        Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance(0.0) }
     }
 
     /// Innovation with other information of the sample.
@@ -114,9 +133,9 @@ impl Sample {
     }
 }
 
-/// Variance of a sample whose quantisation and persistent errors are its own, rad².
-fn single_variance(sigma: f64, quantum: f64, persistent: f64) -> f64 {
-    (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent + quantum * quantum / 12.0
+/// Variance of white noise of a standard deviation, rad², which is never 0.
+fn white_variance(sigma: f64) -> f64 {
+    (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA)
 }
 
 /// Conditions under which the gate judges a sample.
@@ -367,25 +386,31 @@ impl Encoder {
     }
 
     /// Expected sample as the bank takes it, with its quantisation interval in place of white noise; `None` where the gate rejects the
-    /// sample.
+    /// sample. `jumps`: whether no assumed force explains how the innovation has changed since the last sample.
     pub(super) fn admit(
         &mut self,
         expected: &PredictedSample,
         sample: &Sample,
         conditions: GateConditions,
+        jumps: impl FnOnce() -> bool,
     ) -> Option<PredictedSample> {
-        self.passes_gate(expected, sample, conditions).then(|| self.with_quantisation_interval(expected, sample))
+        self.passes_gate(expected, sample, conditions, jumps).then(|| self.with_quantisation_interval(expected, sample))
     }
 
     /// Gating: whether a sample is used. A sample is judged by its own persistent error, and whether a force explains it by its own quantisation error:
     /// errors that many share are no larger.
-    fn passes_gate(&mut self, expected: &PredictedSample, sample: &Sample, conditions: GateConditions) -> bool {
+    fn passes_gate(
+        &mut self,
+        expected: &PredictedSample,
+        sample: &Sample,
+        conditions: GateConditions,
+        jumps: impl FnOnce() -> bool,
+    ) -> bool {
         let GateConditions { overdue, patient, witnessed } = conditions;
-        let &Sample { sigma, quantum, persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
-        let least = expected.nis_of_loudest_model(noise - single_variance(sigma, quantum, persistent));
+        let &Sample { persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
+        let least = expected.nis_of_loudest_model(noise - sample.single_variance(persistent));
         let shared = persistent * (self.most_correlated_samples() - 1.0);
-        let exceeds = |gate: f64| patient && (least.is_nan() || least > gate);
-        let unexplained = exceeds(GATE_OF_LOUDEST_MODEL);
+        let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if overdue => Fault::Stuck,
@@ -396,7 +421,7 @@ impl Encoder {
             _ => Fault::None,
         };
         // A force that has moved an axis so far moves it on; the next sample tells.
-        if self.fault == Fault::Rejected && exceeds(GATE_OF_JUMP) && witnessed && self.is_settled() {
+        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && jumps() {
             self.jump = residual;
         }
         if self.fault == Fault::None {
@@ -444,7 +469,7 @@ impl Encoder {
 
     /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `persistent`, rad².
     fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
-        (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
+        white_variance(sigma) + persistent * self.most_correlated_samples()
     }
 
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
@@ -490,7 +515,6 @@ impl Encoder {
 mod tests {
     use super::*;
     use crate::estimator::bank::Bank;
-    use crate::estimator::error_state::Error;
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
@@ -570,7 +594,7 @@ mod tests {
                 encoder.stays_away(&sample, change, true);
                 let expected = Bank::new([1e-6, 1.0, 1.0]).predict_sample(&innovation);
                 let conditions = GateConditions { overdue: false, patient: true, witnessed: true };
-                encoder.admit(&expected, &sample, conditions);
+                encoder.admit(&expected, &sample, conditions, || change.abs() > 0.05);
             }
             encoder.is_away()
         };

@@ -8,6 +8,8 @@ use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Number of error components: two of the angles, two of the rates, two of the unknown force.
 pub const ERRORS: usize = 6;
+/// Index of the first rate in an error.
+pub(super) const RATE: usize = 2;
 /// Index of the first force component in an error.
 pub(super) const FORCE: usize = 4;
 

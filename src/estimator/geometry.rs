@@ -31,7 +31,7 @@ impl Frame {
     }
 
     /// Tangent coordinates by the angles of the motors, as far as motors determine them.
-    fn holding(&self) -> Matrix2<f64> {
+    pub(super) fn holding(&self) -> Matrix2<f64> {
         let motors = self.motors();
         // Regularised, the matrix is positive definite.
         let squared = motors.tr_mul(&motors) + Matrix2::identity() * MOTOR_REGULARIZATION;

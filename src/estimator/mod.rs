@@ -279,8 +279,10 @@ impl Estimator {
             let own = expected.nis();
             nis += own;
             self.watch(constants, frame, (i, sample), own);
-            let conditions = self.gate_conditions((i, sample), frame, &models);
-            if let Some(told) = self.encoders[i].admit(&expected, &used, conditions) {
+            let (conditions, change) = self.gate_conditions((i, sample), frame, &models);
+            let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
+            let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
+            if let Some(told) = self.encoders[i].admit(&expected, &used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
                     let considered = match () {
                         () if used.rests() => 0,
@@ -306,7 +308,7 @@ impl Estimator {
                     }
                 }
             } else if conditions.overdue
-                && let Some(bank) = self.unaided[i].take()
+                && let Some(bank) = self.unaided[i].take(i, frame)
             {
                 self.belief.bank = bank;
                 self.learn_anew(constants);
@@ -327,16 +329,16 @@ impl Estimator {
         }
     }
 
-    /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder.
-    fn gate_conditions(&mut self, (i, sample): (usize, &Sample), frame: &Frame, models: &[f64; MODELS]) -> GateConditions {
+    /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder, and the change of its innovation, rad.
+    fn gate_conditions(&mut self, (i, sample): (usize, &Sample), frame: &Frame, models: &[f64; MODELS]) -> (GateConditions, f64) {
         let residual = sample.innovation.residual;
         let change = residual - std::mem::replace(&mut self.innovation[i], residual);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
-        self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], (&self.belief.bank, force), models);
-        let overdue = !away && self.unaided[i].contradicts(sample);
-        GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }
+        self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], sample, (&self.belief.bank, force), models);
+        let overdue = !away && self.unaided[i].contradicts(&self.encoders[i], sample);
+        (GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
     /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later

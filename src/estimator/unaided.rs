@@ -5,11 +5,12 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::Bank;
+use super::bank::{Bank, Innovation};
 use super::constants::{CARRIED_WALK, GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault, Sample};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
+use super::tangent::Frame;
 
 /// Errors about the motion of the estimate that an encoder has no part in since its reading last changed.
 #[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -20,30 +21,45 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at its begin, N·m.
     force: f64,
+    /// Expected innovation of the reading at its begin, rad, where the angle counts from there.
+    offset: f64,
+    /// Variance of the persistent error that readings share which repeat each other, rad², and of their noise; 0 where they are exact.
+    shared: f64,
     /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
     other_changed: bool,
 }
 
 impl Unaided {
-    /// Begins with the estimate at the first repeated reading of an encoder, before that corrects it, and ends where the reading changes or the
-    /// other encoder fails or is silent.
-    /// `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
-    pub(super) fn receive(&mut self, [own, other]: [&Encoder; 2], (bank, force): (&Bank, f64), models: &[f64; MODELS]) {
+    /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes or the
+    /// other encoder fails or is silent. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
+    pub(super) fn receive(
+        &mut self,
+        [own, other]: [&Encoder; 2],
+        sample: &Sample,
+        (bank, force): (&Bank, f64),
+        models: &[f64; MODELS],
+    ) {
         if !own.repeats() || other.is_silent() || other.fails() {
             self.bank = None;
         } else if self.bank.is_none() && own.fault != Fault::Stuck {
             let mut bank = *bank;
             bank.reset_priors(models);
-            *self = Self { bank: Some(bank), time: 0.0, force, other_changed: false };
+            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, other_changed: false };
+            if sample.persistent > 0.0 {
+                self.shared = sample.single_variance(sample.persistent);
+                self.offset = count_from_reading(&mut bank, own.interval(), sample);
+            }
+            self.bank = Some(bank);
         }
     }
 
     /// Whether a repeated reading is no longer possible: the other has changed, the axis has turned by more, and neither a force of any model nor a push that happens
     /// to hold the axis for a while explains it.
-    pub(super) fn contradicts(&self, sample: &Sample) -> bool {
-        let Sample { sigma, quantum, innovation, .. } = sample;
+    pub(super) fn contradicts(&self, own: &Encoder, sample: &Sample) -> bool {
         self.bank.as_ref().filter(|_| self.other_changed).is_some_and(|bank| {
-            let expected = bank.predict_sample(innovation);
+            let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
+            innovation.residual -= self.offset;
+            let expected = bank.predict_sample(&innovation);
             let (off, variance) = expected.mixture_moments();
             let of_angle = (variance - innovation.noise).max(0.0).sqrt();
             off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle
@@ -79,13 +95,27 @@ impl Unaided {
         }
     }
 
-    /// Takes the bank, to replace that of the estimate.
-    pub(super) fn take(&mut self) -> Option<Bank> {
-        self.bank.take()
+    /// Takes the bank of encoder i, to replace that of the estimate, whose angle counts from no reading.
+    pub(super) fn take(&mut self, i: usize, frame: &Frame) -> Option<Bank> {
+        let by_motor = frame.holding().column(i).into_owned();
+        self.bank.take().map(|bank| bank.with_angle_error(&by_motor, self.shared))
     }
 
     /// Whether a stored value is possible.
     pub(super) fn is_sound(&self) -> bool {
-        self.bank.as_ref().is_none_or(Bank::is_sound) && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
+        self.bank.as_ref().is_none_or(Bank::is_sound)
+            && [self.time, self.force, self.shared].iter().all(|x| *x >= 0.0 && x.is_finite())
+            && self.offset.is_finite()
     }
+}
+
+/// Lets the angle of an axis count from a reading that is repeated after `interval` seconds, and its rate from the change before: a persistent error is
+/// one of all these readings. Returns the expected innovation of the reading, rad.
+fn count_from_reading(bank: &mut Bank, interval: f64, sample: &Sample) -> f64 {
+    let noise = sample.single_variance(0.0) / sample.persistent_share();
+    let change = sample.change(-sample.second_difference - sample.rate * interval, interval);
+    bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise, ..change }));
+    let reading = Innovation { noise, ..sample.innovation };
+    bank.hold(&reading);
+    bank.predict_sample(&reading).mixture_moments().0
 }

@@ -1,16 +1,9 @@
 //! Alarms: how soon a push is noticed, and how often there is an alarm without one.
 
 use crate::learning;
-use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, desk, five_percent, follow, start_off};
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, desk, five_percent, follow, learned, start_off};
 use crate::quality::{pick_course, plan, push, servos, sines};
 use crate::report::{Figure, Table, median, quantile};
-
-/// A push while servos follow sines, of a machine that is learned by the unit's start values.
-fn learned_push(random: &mut Random) -> Scenario {
-    let mut scenario = by_start_values(push(random));
-    scenario.model.estimator.learn_enabled = true;
-    scenario
-}
 
 /// The pick, repeated, with masses 5 % off; a push of 0.5 N from some time on.
 fn pushed_pick(random: &mut Random) -> Scenario {
@@ -66,7 +59,7 @@ pub fn table(runs: u64, hours: f64, first: u64) -> Table {
         ("fall under known sines, learned", |random| learning::pushed(random, true), Some([80.0, 12.0])),
         // Uncertain geometry costs sight, which is told and not judged.
         ("sines, start values", |random| by_start_values(push(random)), None),
-        ("sines, start values, learned", learned_push, None),
+        ("sines, start values, learned", |random| learned(push(random)), None),
     ];
     for (i, encoder) in [COARSE, FINE].into_iter().enumerate() {
         for (name, scene, most) in scenes {

@@ -10,7 +10,7 @@ use fivebar::mechanism::Assembly;
 use fivebar::simulation::{Following, Method, Signal};
 
 use crate::machine::{
-    COARSE, Encoder, FINE, Plan, Random, Scenario, by_start_values, desk, five_percent, motion, no_inputs, start_off, tip,
+    COARSE, Encoder, FINE, Plan, Random, Scenario, by_start_values, desk, five_percent, learned, motion, no_inputs, start_off, tip,
 };
 use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
@@ -237,7 +237,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const MEDIUM: Encoder = bits("14 bit", 14);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 44] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 67] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -262,7 +262,23 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("off by 0.1 rad, fall", falling, Failure::Jump(0.1), FINE, 1e-3),
         ("off by 0.01 rad, swing", swing, Failure::Jump(0.01), FINE, 1e-3),
         ("off by 0.1 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.1), FINE, 1e-3),
-        ("off by 0.2 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.2), FINE, 1e-3),
+        ("off by 0.1 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.1), COARSE, 5e-3),
+        ("off by 0.03 rad, swing, start values", |random| by_start_values(swing(random)), Failure::Jump(0.03), FINE, 1e-3),
+        ("off by 0.1 rad, swing, learned", |random| learned(swing(random)), Failure::Jump(0.1), FINE, 1e-3),
+        ("off by 0.1 rad, swing, learned", |random| learned(swing(random)), Failure::Jump(0.1), COARSE, 5e-3),
+        ("off by 0.1 rad, fall, learned", |random| learned(falling(random)), Failure::Jump(0.1), FINE, 1e-3),
+        ("off by 0.03 rad, swing, learned", |random| learned(swing(random)), Failure::Jump(0.03), FINE, 1e-3),
+        ("frozen, swing, start values", |random| by_start_values(swing(random)), Failure::Frozen, FINE, 1e-3),
+        ("frozen, fall, start values", |random| by_start_values(falling(random)), Failure::Frozen, FINE, 1e-3),
+        ("frozen, swing, learned", |random| learned(swing(random)), Failure::Frozen, FINE, 1e-3),
+        ("frozen, swing, learned", |random| learned(swing(random)), Failure::Frozen, COARSE, 5e-3),
+        ("frozen, fall, learned", |random| learned(falling(random)), Failure::Frozen, FINE, 1e-3),
+        ("zero, swing, learned", |random| learned(swing(random)), Failure::Zero, FINE, 1e-3),
+        ("swapped, swing, learned", |random| learned(swing(random)), Failure::Swapped, FINE, 1e-3),
+        ("missing, swing, learned", |random| learned(swing(random)), Failure::Missing, FINE, 1e-3),
+        ("missing, fall, learned", |random| learned(falling(random)), Failure::Missing, FINE, 1e-3),
+        ("jitter of 0.3 ms, sines, learned", |random| learned(fast(random)), Failure::Jitter(3e-4), FINE, 1e-3),
+        ("late by 8 ms, sines, learned", |random| learned(fast(random)), Failure::Late(8e-3), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
         ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),
@@ -278,6 +294,13 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("nothing, friction", friction, Failure::Nothing, FINE, 1e-3),
         ("nothing, friction", friction, Failure::Nothing, COARSE, 1e-3),
         ("nothing, friction", friction, Failure::Nothing, FEWEST, 5e-3),
+        ("nothing, swing, learned", |random| learned(swing(random)), Failure::Nothing, FINE, 1e-3),
+        ("nothing, fall, learned", |random| learned(falling(random)), Failure::Nothing, FINE, 1e-3),
+        ("nothing, push, learned", |random| learned(push(random)), Failure::Nothing, FINE, 1e-3),
+        ("nothing, push, learned", |random| learned(push(random)), Failure::Nothing, COARSE, 5e-3),
+        ("nothing, push, start values", |random| by_start_values(push(random)), Failure::Nothing, COARSE, 5e-3),
+        ("nothing, friction, learned", |random| learned(friction(random)), Failure::Nothing, FINE, 1e-3),
+        ("nothing, pick, learned", |random| learned(pick(random)), Failure::Nothing, COARSE, 1e-3),
         ("nothing, haptic", haptic, Failure::Nothing, FINE, 5e-3),
         ("nothing, haptic", haptic, Failure::Nothing, FINE, 1e-3),
         ("nothing, haptic", haptic, Failure::Nothing, FEW, 5e-3),

@@ -172,6 +172,13 @@ pub fn by_start_values(mut scenario: Scenario) -> Scenario {
     scenario
 }
 
+/// A scenario whose twin learns its machine by the unit's start values.
+pub fn learned(scenario: Scenario) -> Scenario {
+    let mut scenario = by_start_values(scenario);
+    scenario.model.estimator.learn_enabled = true;
+    scenario
+}
+
 /// The table-top machine with which prototypes were measured.
 pub fn desk() -> Parameters {
     let mut parameters = exact();
