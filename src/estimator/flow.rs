@@ -45,8 +45,8 @@ pub trait Scene {
     /// Whether some load changes steeply.
     fn has_stiff_forces(&self) -> bool;
 
-    /// Whether some load may change within a step: dry friction, an end stop, a contact, a servo that saturates at once.
-    fn has_sharp_forces(&self) -> bool;
+    /// Whether dry friction, end stops or contacts may change forces within a step.
+    fn has_abrupt_forces(&self) -> bool;
 }
 
 /// End of a propagated motion, with its derivatives by P learned parameters, all or none.

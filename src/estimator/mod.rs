@@ -244,7 +244,7 @@ impl Estimator {
     fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Learned; 2]>) -> [(f64, f64); 2] {
         match self.learning.as_ref().zip(rows) {
             Some((learning, rows)) => {
-                let (values, further) = (learning.values(), constants.parameters.sigma0_eccentricity.powi(2));
+                let (values, further) = (learning.values(), constants.parameters.eccentricity_variance());
                 [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]) + further, values[OFFSETS.start + i]))
             }
             None => frame.motors_by_geometry(constants.parameters.persistent_errors(false)).map(|variance| (variance, 0.0)),
@@ -268,7 +268,7 @@ impl Estimator {
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
-        let further = constants.parameters.sigma0_eccentricity.powi(2);
+        let further = constants.parameters.eccentricity_variance();
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             // Lengths and mounting angles that are learned are no noise.
@@ -488,7 +488,7 @@ impl Estimator {
             ((force.norm_squared() * CARRIED_WALK + unrevealed * unrevealed * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
         } else {
             let longer = match self.learning {
-                Some(_) => LEARNING_PERSISTENCES[usize::from(scene.has_sharp_forces())],
+                Some(_) => LEARNING_PERSISTENCES[usize::from(scene.has_abrupt_forces())],
                 None => 1.0,
             };
             (0.0, parameters.switch_time * longer)

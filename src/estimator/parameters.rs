@@ -64,6 +64,11 @@ impl Parameters {
         (self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity) = (0.0, 0.0, 0.0);
     }
 
+    /// Variance of the error of a reading by an eccentric disc, rad².
+    pub(super) fn eccentricity_variance(&self) -> f64 {
+        self.sigma0_eccentricity * self.sigma0_eccentricity
+    }
+
     /// Standard deviations of each length, m, and of the persistent error of each encoder, rad, which count as noise; of what is not learned where
     /// lengths and mounting angles are.
     pub(super) fn persistent_errors(&self, are_learned: bool) -> [f64; 2] {

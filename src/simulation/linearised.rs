@@ -130,7 +130,7 @@ impl Scene for FollowedScene<'_> {
         self.model.features.stiff
     }
 
-    fn has_sharp_forces(&self) -> bool {
-        self.model.features.sharp || self.model.may_make_contact
+    fn has_abrupt_forces(&self) -> bool {
+        self.model.has_friction || self.model.may_make_contact
     }
 }

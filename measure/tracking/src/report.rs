@@ -32,14 +32,9 @@ impl Figure {
         Self { name, value, allowed: None, remark }
     }
 
-    /// Whether the figure is one of those of a row of runs.
-    pub fn is_of(&self, runs: &str) -> bool {
-        self.name.starts_with(runs)
-    }
-
-    /// The figure without its target.
-    pub fn not_judged(self) -> Self {
-        Self { allowed: None, ..self }
+    /// Drops the target.
+    pub fn demand_nothing(&mut self) {
+        self.allowed = None;
     }
 
     /// Whether the figure meets its target.
