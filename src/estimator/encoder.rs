@@ -85,6 +85,8 @@ pub(super) struct Sample {
     pub(super) quantum: f64,
     /// Variance of the persistent error, rad².
     pub(super) persistent: f64,
+    /// Number of samples in which the persistent error counts once.
+    pub(super) alike: f64,
     /// Innovation y − h(x̂), with the quantisation error as noise.
     pub(super) innovation: Innovation,
 }
@@ -232,13 +234,14 @@ impl Encoder {
         let angle = angle - offset;
         let second_difference = wrapped(self.change - last_change);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
-        let noise = self.noise(sigma, quantum, rate, persistent);
+        let alike = self.samples_within(constants.persistent_time());
+        let noise = self.noise(sigma, quantum, rate, persistent * alike);
         let Some((expected, row)) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
-        Some(Sample { angle, second_difference, age, rate, sigma, quantum, persistent, innovation })
+        Some(Sample { angle, second_difference, age, rate, sigma, quantum, persistent, alike, innovation })
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -407,9 +410,9 @@ impl Encoder {
         jumps: impl FnOnce() -> bool,
     ) -> bool {
         let GateConditions { overdue, patient, witnessed } = conditions;
-        let &Sample { persistent, innovation: Innovation { residual, noise, .. }, .. } = sample;
+        let &Sample { persistent, alike, innovation: Innovation { residual, noise, .. }, .. } = sample;
         let least = expected.nis_of_loudest_model(noise - sample.single_variance(persistent));
-        let shared = persistent * (self.most_correlated_samples() - 1.0);
+        let shared = persistent * (alike - 1.0);
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
@@ -436,13 +439,12 @@ impl Encoder {
     /// Information of a sample for filters that know no quantiser: an unchanged reading confines the axis to the quantisation interval; a
     /// changed one locates it at the edge between two intervals; neither better than the persistent error allows.
     pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
-        let &Sample { angle, age, rate, sigma, quantum, persistent, .. } = sample;
+        let &Sample { angle, age, rate, sigma, quantum, persistent, alike, .. } = sample;
         if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
             return sample.reading();
         }
         let passed = rate * self.interval;
-        let noise =
-            (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + persistent * self.most_correlated_samples();
+        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + persistent * alike;
         if self.repeated {
             Reading { angle, noise, age, dead_zone: quantum / 2.0 }
         } else {
@@ -458,24 +460,19 @@ impl Encoder {
     /// The sample with a persistent error of another variance, rad².
     pub(super) fn with_persistent_error(&self, sample: &Sample, persistent: f64) -> Sample {
         let mut other = Sample { persistent, ..*sample };
-        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, persistent);
+        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, persistent * sample.alike);
         other
     }
 
-    /// Largest number of samples that share a persistent error.
-    fn most_correlated_samples(&self) -> f64 {
-        if self.interval > 0.0 { (CORRELATION_TIME / self.interval).max(1.0) } else { 1.0 }
-    }
-
-    /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `persistent`, rad².
-    fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
-        white_variance(sigma) + persistent * self.most_correlated_samples()
+    /// Number of samples within a time, s, at least one.
+    fn samples_within(&self, time: f64) -> f64 {
+        if self.interval > 0.0 { (time / self.interval).max(1.0) } else { 1.0 }
     }
 
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
     fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
         let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
-        turns.min(self.most_correlated_samples()).max(1.0)
+        turns.min(self.samples_within(CORRELATION_TIME)).max(1.0)
     }
 
     /// Whether the quantisation error is white: dithered by noise, or of the first sample.
@@ -485,14 +482,14 @@ impl Encoder {
 
     /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
     /// average out while the axis rests.
-    fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
+    fn noise(&self, sigma: f64, quantum: f64, rate: f64, shared: f64) -> f64 {
         let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
-        self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0 * repeated
+        white_variance(sigma) + shared + quantum * quantum / 12.0 * repeated
     }
 
     /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
     pub(super) fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
-        let &Sample { rate, sigma, quantum, persistent, innovation: Innovation { noise, .. }, .. } = sample;
+        let &Sample { rate, sigma, quantum, persistent, alike, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -505,7 +502,7 @@ impl Encoder {
         let repeated = if repeats { correlated_samples } else { 1.0 };
         expected.with_interval(
             quantum,
-            [noise, self.unquantised_variance(sigma, persistent)],
+            [noise, white_variance(sigma) + persistent * alike],
             [repeated, LEAST_VARIANCE * correlated_samples],
         )
     }
@@ -531,8 +528,17 @@ mod tests {
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
-            let sample =
-                Sample { angle: 0.0, second_difference: 0.0, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, innovation };
+            let sample = Sample {
+                angle: 0.0,
+                second_difference: 0.0,
+                age: 0.0,
+                rate,
+                sigma: 0.0,
+                quantum,
+                persistent: 0.0,
+                alike: 1.0,
+                innovation,
+            };
             let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
             encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known
         };
@@ -567,12 +573,13 @@ mod tests {
                     sigma: 0.0,
                     quantum,
                     persistent,
+                    alike: 30.0,
                     innovation,
                 };
                 encoder.confined_to_interval(&sample).noise
             };
-            // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
-            assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
+            // An error of 2 mrad counts once in 0.03 s, which are 30 samples.
+            assert!((of(offset * offset) / (30.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
         }
     }
 
@@ -588,8 +595,17 @@ mod tests {
             let mut last = 0.0;
             for &(residual, second_difference) in samples {
                 let innovation = Innovation { residual, row, noise };
-                let sample =
-                    Sample { angle: 0.0, second_difference, age: 0.0, rate: 0.0, sigma: 0.0, quantum, persistent: 0.0, innovation };
+                let sample = Sample {
+                    angle: 0.0,
+                    second_difference,
+                    age: 0.0,
+                    rate: 0.0,
+                    sigma: 0.0,
+                    quantum,
+                    persistent: 0.0,
+                    alike: 1.0,
+                    innovation,
+                };
                 let change = residual - std::mem::replace(&mut last, residual);
                 encoder.stays_away(&sample, change, true);
                 let expected = Bank::new([1e-6, 1.0, 1.0]).predict_sample(&innovation);
