@@ -45,7 +45,7 @@ pub trait Scene {
     /// Whether some load changes steeply.
     fn has_stiff_forces(&self) -> bool;
 
-    /// Whether dry friction, end stops or contacts may change forces within a step.
+    /// Whether dry friction, end stops, contacts or servos that saturate at once may change forces within a step.
     fn has_abrupt_forces(&self) -> bool;
 }
 

@@ -131,6 +131,6 @@ impl Scene for FollowedScene<'_> {
     }
 
     fn has_abrupt_forces(&self) -> bool {
-        self.model.has_friction || self.model.may_make_contact
+        self.model.features.sharp || self.model.may_make_contact
     }
 }

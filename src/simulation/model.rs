@@ -47,8 +47,6 @@ pub struct Model {
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
-    /// Whether joints have dry friction.
-    pub(super) has_friction: bool,
     /// Linear solver that the scene needs.
     pub solver: LinearSolver,
     /// Constant part of the mass matrix in the link angles.
@@ -91,7 +89,6 @@ impl Model {
             features: Features::SMOOTH,
             may_make_contact: false,
             has_servo: false,
-            has_friction: false,
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
             weight_torques: Weight::new(&mechanism, &weight),
@@ -124,7 +121,6 @@ impl Model {
         };
         self.may_make_contact = may_make_contact;
         self.has_servo = any(&|effect| matches!(effect, Effect::Servo(_)));
-        self.has_friction = any(&|effect| matches!(effect, Effect::Friction(_)));
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
