@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import hard_cases
 import write_report
 from conftest import REPOSITORY
 from report import docs, figures, picks, tables
@@ -264,18 +265,35 @@ def test_in_a_browser(browser: object) -> None:
     assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")
 
 
-def test_notes_cover_no_other_where_they_are_drawn() -> None:
-    """Lines that run beside each other, in three panels."""
+def test_notes_cover_nothing_and_stand_once_where_they_are_drawn() -> None:
+    """Lines that run upon each other, in three panels."""
     scenes = [Reference(f"scene {i}", "smooth", 1e-16, "made up") for i in range(3)]
     markers = [
-        Marker(s.scene, s.kind, method, "tolerance", 10.0**-k, "rad", 10.0**-k, 0.1 * (1 + 0.02 * j) * 1.25**k, 1.0, 1, False, "complete")
+        Marker(s.scene, s.kind, method, "tolerance", 10.0**-k, "rad", 10.0**-k, 0.1 * (1 + 0.004 * j) * 1.25**k, 1.0, 1, False, "complete")
         for s in scenes
         for j, method in enumerate(figures.COLOURS)
         for k in range(1, 14)
     ]
     figure = figures.work_precision(markers, scenes)
     figure.draw_without_rendering()
-    for axes in figure.axes:
-        boxes = [note.get_window_extent() for note in axes.texts if note.get_text() in {m.setting for m in markers}]
+    for axes, scene in zip(figure.axes, scenes):
+        notes = [note for note in axes.texts if note.get_text() in {m.setting for m in markers}]
+        boxes = [note.get_window_extent() for note in notes]
         assert not [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
-    assert sum(len(axes.texts) for axes in figure.axes) > 10
+        points = axes.transData.transform([(m.cost, m.error) for m in markers if m.scene == scene.scene])
+        assert not [(box, point) for box in boxes for point in points if box.contains(*point)]
+        # Markers of equal settings lie upon each other, for all methods are equally good here.
+        assert len({note.get_text() for note in notes}) == len(notes) > 3
+
+
+def test_hard_cases_stand_in_the_column_of_their_setting_or_take_the_line() -> None:
+    """Runs with settings of their own, and those of no single method, belong to no column."""
+    columns = [("i3alp", "default tolerance"), ("dop853", "tolerance 1e-10 rad")]
+    made_up = [(1, "falls", *column) for column in columns]
+    made_up += [(10, "followed", *columns[1]), (6, "tolerances", "i3alp", "own settings"), (8, "same bits", "all", "a sample")]
+    names = ("item", "case", "method", "setting", "runs", "not met", "ended early", "worst |dE| [mgL]", "verdict")
+    figure = hard_cases.matrix([dict(zip(names, (str(item), *row, "2", "0", "0", "1e-9", "pass"))) for item, *row in made_up])
+    [axes] = figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["falls   1", "tolerances   6", "same bits   8", "followed   10"]
+    assert [(*cell.get_xy(), cell.get_width()) for cell in axes.patches] == [(0, 0, 1), (1, 0, 1), (1, 3, 1), (0, 1, 2), (0, 2, 2)]
+    assert "2 runs, i3alp, own settings" in {text.get_text() for text in axes.texts}

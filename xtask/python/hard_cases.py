@@ -87,19 +87,19 @@ def e_fold(pair: np.ndarray) -> float:
 
 
 def matrix(rows: list[Row]) -> Figure:
-    """Cases by methods; the number is the worst energy error."""
-    cases = list(dict.fromkeys((row["item"], row["case"]) for row in rows))
-    columns = list(dict.fromkeys((row["method"], row["setting"]) for row in rows if row["item"] not in ("7", "8")))
+    """Cases by methods; the number is the worst energy error. The first case is run by every method and setting; a row of any other takes the
+    whole line and names its own."""
+    cases = sorted(dict.fromkeys((row["item"], row["case"]) for row in rows), key=lambda case: int(case[0]))
+    columns = [(row["method"], row["setting"]) for row in rows if (row["item"], row["case"]) == cases[0]]
     figure, axes = plt.subplots(figsize=(2.6 + 1.28 * len(columns), 1.3 + 0.56 * len(cases)))
     for row in rows:
         y = cases.index((row["item"], row["case"]))
         column = (row["method"], row["setting"])
-        # The cases that are not run by method take the whole line.
-        x, width = (columns.index(column), 1) if column in columns else (0, len(columns))
+        x, width, note = (columns.index(column), 1, _count(row)) if column in columns else (0, len(columns), f"{_count(row)}, {', '.join(column)}")
         colour = COLOURS[colour_of(row)][0]
         axes.add_patch(Rectangle((x, y), width, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
         axes.text(x + width / 2, y + 0.3, _energy(row), ha="center", va="center", fontsize=9, color=INK)
-        axes.text(x + width / 2, y + 0.69, _count(row), ha="center", va="center", fontsize=6.5, color="#495057", linespacing=1.1)
+        axes.text(x + width / 2, y + 0.69, note, ha="center", va="center", fontsize=6.5, color="#495057", linespacing=1.1)
     axes.set(xlim=(0, len(columns)), ylim=(len(cases), 0))
     axes.set_xticks(np.arange(len(columns)) + 0.5, [f"{method}\n{_short(setting)}" for method, setting in columns], fontsize=8)
     axes.set_yticks(np.arange(len(cases)) + 0.5, [f"{name}   {item}" for item, name in cases])

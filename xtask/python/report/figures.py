@@ -49,7 +49,7 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         if own:
             limits = min(m.cost for m in own) / 1.5, max(m.cost for m in own) * 3
             axes.set_xlim(*limits)
-        _own_error(axes, reference)
+        _own_error(axes, reference, 0.98)
         logarithmic(axes, title=f"{reference.kind}: {reference.scene}")
         axes.set_ylim(1e-15, USELESS)
         axes.set_xlabel("µs per simulated ms, one core")
@@ -68,6 +68,9 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
     return figure
 
 
+MARKER_SIZE = 4.2
+"""Width of a marker, points."""
+
 NOTE_SIZE = 7
 """Size of the settings beside markers, points."""
 
@@ -80,23 +83,35 @@ SIDES = tuple(
 """Places for a note: offset from its marker, points, and alignment of the text."""
 
 
+ROOM = 1.0
+"""Least distance of a note from lines, markers and other notes, points."""
+
+
 def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
-    """The setting beside the ends of each line and every third marker, where it covers no line and no other note; where it would on every
-    side, it is left out."""
+    """The setting beside the ends of each line and every third marker, where it covers no line, no marker and no other note; where it would
+    on every side, it is left out, as is one that stands beside the marker of another method already."""
+    pixels = axes.figure.dpi / 72  # of a point
     lines = [line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1]
+    points = axes.transData.transform([(m.cost, m.error) for m in markers])
+    taken = [*taken, *(Bbox([point, point]).padded(pixels * MARKER_SIZE / 2) for point in points)]
+    noted: list[tuple[str, np.ndarray]] = []
     # The ends of all lines come first, for they show most.
     of_method = [[m for m in markers if m.method == method] for method in COLOURS]
     for m in [*(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])), *(m for line in of_method for m in line[3:-2:3])]:
+        point = axes.transData.transform((m.cost, m.error))
+        if any(setting == m.setting and np.abs(point - other).max() < pixels * MARKER_SIZE for setting, other in noted):
+            continue
         for offset, ha, va in SIDES:
             note = axes.annotate(
                 m.setting, (m.cost, m.error), xytext=offset, textcoords="offset points", fontsize=NOTE_SIZE, color=COLOURS[m.method], ha=ha, va=va
             )
             # Notes lie inside the panels: making room for each of them takes seconds.
             note.set_in_layout(False)
-            box = note.get_window_extent()
+            box = note.get_window_extent().padded(pixels * ROOM)
             inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 and axes.bbox.y0 <= box.y0 and box.y1 <= axes.bbox.y1
             if inside and not any(box.overlaps(other) for other in taken) and not any(line.intersects_bbox(box, filled=False) for line in lines):
                 taken.append(box)
+                noted.append((m.setting, point))
                 break
             note.remove()
 
@@ -127,7 +142,7 @@ def order(markers: list[Marker], references: list[Reference]) -> Figure:
                 axes.text(
                     0.98, 0.04 + 0.075 * i, f"slope {slope:.2f}", color=COLOURS[method], fontsize=8.5, ha="right", transform=axes.transAxes
                 )
-            _own_error(axes, reference)
+            _own_error(axes, reference, 0.02)
             logarithmic(axes, xlabel=label, title=f"{reference.kind}: {reference.scene}")
             axes.set_ylim(1e-15, USELESS)
         left.set_ylabel("largest error of the tip  (m)")
@@ -186,16 +201,16 @@ def logarithmic(axes: Axes, **properties: object) -> None:
 
 def _line(axes: Axes, x: list[float], y: list[float], method: str) -> None:
     if x:
-        axes.plot(x, y, color=COLOURS[method], marker=SHAPES[method], markersize=4.2, linewidth=1.5, label=method)
+        axes.plot(x, y, color=COLOURS[method], marker=SHAPES[method], markersize=MARKER_SIZE, linewidth=1.5, label=method)
 
 
-def _own_error(axes: Axes, reference: Reference) -> None:
-    """Below this the reference tells nothing."""
+def _own_error(axes: Axes, reference: Reference, x: float) -> None:
+    """Below this the reference tells nothing; the note stands at `x`, 0 to 1, where the most accurate settings are not drawn."""
     axes.axhspan(1e-16, reference.own_error, color="#f1f3f5", zorder=0)
     axes.axhline(reference.own_error, color=FAINT, linewidth=0.9, linestyle="--")
     note = axes.annotate(
-        f"own error of the reference {power(reference.own_error)} m", (0.02, reference.own_error), xycoords=("axes fraction", "data"),
-        xytext=(0, 3), textcoords="offset points", fontsize=7, color=INK, alpha=0.75,
+        f"reference good to {power(reference.own_error)} m", (x, reference.own_error), xycoords=("axes fraction", "data"),
+        xytext=(0, 2), textcoords="offset points", fontsize=7, color=INK, alpha=0.75, ha="left" if x < 0.5 else "right",
     )  # fmt: skip
     note.set_in_layout(False)
 

@@ -178,7 +178,7 @@ impl Case {
             item: self.item,
             case: self.name,
             method: setting.method(),
-            setting: setting.label(),
+            setting: if trials.iter().all(|trial| trial.keeps_settings) { "own settings".into() } else { setting.label() },
             runs: trials.len(),
             criterion: self.criterion(&demand),
             ..Row::default()
