@@ -20,11 +20,17 @@ pub(crate) struct Options {
     /// Show the dashboard in a browser and keep running until Ctrl-C
     #[arg(long)]
     open: bool,
+    /// Instead draw the dashboard of a run that learns, write docs/images/dashboard.svg (its needs: .ci/setup)
+    #[arg(long, exclusive = true)]
+    picture: bool,
 }
 
 /// Packs the unit and runs the pipeline; summary, pictures, page and record go to `target/twin/`.
 pub(crate) fn twin(options: &Options) -> Result<()> {
-    let Options { seconds, scene, broker, open } = options;
+    let Options { seconds, scene, broker, open, picture } = options;
+    if *picture {
+        return draw_dashboard();
+    }
     // First of all, so that a misspelt name does not cost a build.
     scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
@@ -38,5 +44,20 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
             .arg(format!("--seconds={seconds}"))
             .args(broker.as_ref().map(|broker| format!("--broker={broker}")))
             .args(open.then_some("--open")),
+    )
+}
+
+/// Packs the unit, and writes docs/images/dashboard.svg from a run of some 30 s.
+fn draw_dashboard() -> Result<()> {
+    let fmu = package::package(Scope::Here)?;
+    process::run(
+        venv::python(Packages::Full)?
+            .arg("xtask/python/dashboard_picture.py")
+            .arg("--fmu")
+            .arg(fmu)
+            .arg("--folder")
+            .arg(paths::in_root("target/twin-picture"))
+            .arg("--out")
+            .arg(paths::in_root("docs/images/dashboard.svg")),
     )
 }
