@@ -126,9 +126,7 @@ impl Sample {
         let residual = self.innovation.residual + reading.angle - self.angle;
         Innovation { residual, noise: reading.noise, ..self.innovation }
     }
-}
 
-impl Sample {
     /// Whether the axis rests: quantisation and persistent errors are those of all its samples then, no noise, and teach nothing.
     pub(super) fn rests(&self) -> bool {
         self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent.sqrt())
