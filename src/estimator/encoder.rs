@@ -571,13 +571,13 @@ mod tests {
                     sigma: 0.0,
                     quantum,
                     persistent,
-                    alike: 30.0,
+                    alike: 300.0,
                     innovation,
                 };
                 encoder.confined_to_interval(&sample).noise
             };
-            // An error of 2 mrad counts once in 0.03 s, which are 30 samples.
-            assert!((of(offset * offset) / (30.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
+            // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
+            assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
         }
     }
 
