@@ -13,19 +13,20 @@ pub(crate) fn model() -> Result<&'static ModelDescription> {
 
 /// Keys of scenes in the tip's coordinates, which need inverse kinematics.
 const TIP: [&str; 4] = ["tip.x", "tip.y", "mode.working", "mode.assembly"];
+/// Keys of the mounting angles of a machine's encoders, which no unit has.
+const OFFSETS: [&str; 2] = ["encoder.offset[1]", "encoder.offset[2]"];
 
-/// Refuses a name that is a key of the tip's coordinates.
-fn not_of_the_tip(name: &str) -> Result<()> {
-    ensure!(
-        !TIP.contains(&name),
-        "'{name}' is in the tip's coordinates, which the Python package fivebar reads and this reader does not"
-    );
+/// Refuses a name that is a key of the tip's coordinates or of an encoder.
+fn not_of_the_package(name: &str) -> Result<()> {
+    for (keys, what) in [(&TIP[..], "is in the tip's coordinates"), (&OFFSETS, "is of an encoder")] {
+        ensure!(!keys.contains(&name), "'{name}' {what}, which the Python package fivebar reads and this reader does not");
+    }
     Ok(())
 }
 
 /// The variable that a scene gives a start value; `reserved` are other keys that a misspelt name may mean.
 pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variable> {
-    not_of_the_tip(name)?;
+    not_of_the_package(name)?;
     let variables = &model()?.variables;
     let can_be_set = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
     match variables.iter().find(|variable| variable.name.full == name) {
@@ -40,7 +41,7 @@ pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variabl
 
 /// The input that a scene gives a signal.
 pub(crate) fn input(name: &str) -> Result<&'static Variable> {
-    not_of_the_tip(name)?;
+    not_of_the_package(name)?;
     if let Some(parameter) = model()?.variables.iter().find(|v| v.name.full == name && v.causality == Causality::Parameter) {
         let tunable = parameter.variability == Variability::Tunable;
         bail!(

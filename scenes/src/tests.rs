@@ -86,16 +86,17 @@ fn row(line: &str) -> Option<(String, String)> {
     Some((cells[0].split('`').next()?.to_owned(), (*cells.get(2)?).to_owned()))
 }
 
-/// Starts and signals by the tip's place need inverse kinematics, which the package has.
+/// Starts and signals by the tip's place need inverse kinematics, and mounting angles of encoders a feeder of samples, which the package has.
 #[test]
-fn scenes_in_the_tip_s_coordinates_are_the_package_s() {
+fn scenes_in_the_tip_s_coordinates_or_with_mounting_angles_are_the_package_s() {
     let knots = json!({ "linear": [[0, 0], [1, 1]] });
-    for content in [json!({ "tip.x": 0.1, "tip.y": 0.2 }), json!({ "signals": { "tip.x": knots, "tip.y": knots } })] {
+    for (content, what) in [
+        (json!({ "tip.x": 0.1, "tip.y": 0.2 }), "'tip.x' is in the tip's coordinates"),
+        (json!({ "signals": { "tip.x": knots, "tip.y": knots } }), "'tip.x' is in the tip's coordinates"),
+        (json!({ "encoder.offset[2]": 1e-3 }), "'encoder.offset[2]' is of an encoder"),
+    ] {
         let error = format!("{:#}", parse(content).expect_err("not read"));
-        assert!(
-            error.ends_with("'tip.x' is in the tip's coordinates, which the Python package fivebar reads and this reader does not"),
-            "{error}"
-        );
+        assert!(error.ends_with(&format!("{what}, which the Python package fivebar reads and this reader does not")), "{error}");
     }
 }
 

@@ -37,7 +37,7 @@ TEXTS = (
     '{"description": "a\tb"}', '{"description": "a\\tb"}', '{"description": "a\\u0000b"}', '{"description": "\\uffff"}', '{"description": "\\u0085"}',
     '{"description": "\\u00a0"}', '{"description": "a", "signals": ' + 9 * "[" + 9 * "]" + "}", '{"description": "a", "signals": ' + 100_000 * "[",
     '{"description": "a", "link[2].length": 0.1, "link[2].Length": 0.1}', '{"description": "a", "": 1}', '{"description": "a", "tip.vx": 1}',
-    '{"description": "a", "tip.x": 1}', '{"description": "a", "signals": {"tip.y": {"linear": [[0, 0], [1, 1]]}}}',
+    '{"description": "a", "tip.x": 1}', '{"description": "a", "encoder.offset[1]": 4}', '{"description": "a", "signals": {"tip.y": {"linear": [[0, 0], [1, 1]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [1e9, 1]]}}, "experiment": {"stopTime": 1e9, "stepSize": 1e-9}}',
     '{"description": "a", "signals": {"tau[1]": {"minimumJerk": [[0, 0], [1e-320, 1], [1, 0]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [0.3, 1e308], [0.7, -1e308]]}}, "experiment": {"stopTime": 1, "stepSize": 0.07}}',
@@ -45,7 +45,7 @@ TEXTS = (
 )  # fmt: skip
 
 
-IN_THE_TIPS_COORDINATES = "is in the tip's coordinates, which the Python package fivebar reads"
+OF_THE_PACKAGE = ", which the Python package fivebar reads and this reader does not"
 """How programs that measure refuse scenes that only users have."""
 
 
@@ -103,7 +103,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
     good = refused = elsewhere = 0
     for file, line in zip(files, answers, strict=True):
         theirs = json.loads(line)
-        if isinstance(theirs, str) and IN_THE_TIPS_COORDINATES in theirs:
+        if isinstance(theirs, str) and OF_THE_PACKAGE in theirs:
             elsewhere += 1
             continue
         try:

@@ -117,14 +117,20 @@ def check_name(name: str) -> None:
 
 def left_out(scene: Scene) -> list[str]:
     """Parts of a scene that a unit cannot have, in sentences."""
-    sentences = [_left_to_the_master(scene)] if scene.signals else []
+    sentences = _left_to_the_master(scene)
     if overlays := [variant.label for variant in scene.variants[1:]]:
         sentences.append(f"The scene's further runs are left out: {'; '.join(overlays)}.")
     return sentences
 
 
-def _left_to_the_master(scene: Scene) -> str:
-    return f"Inputs that the scene changes with time begin at its values at 0 s and are for the master to change: {', '.join(scene.signals)}."
+def _left_to_the_master(scene: Scene) -> list[str]:
+    sentences = []
+    if scene.signals:
+        sentences.append(f"Inputs that the scene changes with time begin at its values at 0 s and are for the master to change: {', '.join(scene.signals)}.")
+    if scene.offsets:
+        shown = " and ".join(f"{offset:.6g} rad for measured.theta{name[-3:]} and servo.theta{name[-3:]}" for name, offset in scene.offsets.items())
+        sentences.append(f"The machine's encoders show more than true angles, which the master takes off samples and orders: {shown}.")
+    return sentences
 
 
 def _camel(stem: str) -> str:
@@ -210,10 +216,10 @@ class _Description:
 
 
 def _description(scene: Scene) -> str:
-    if not scene.signals:
+    if not (sentences := _left_to_the_master(scene)):
         return scene.description
     end = "" if scene.description.endswith((".", "!", "?", ":", ";")) else "."
-    return f"{scene.description}{end} {_left_to_the_master(scene)}"
+    return " ".join([f"{scene.description}{end}", *sentences])
 
 
 def _start_file(name: str, description: _Description, starts: list[Start]) -> str:

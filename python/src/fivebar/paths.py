@@ -311,6 +311,7 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
     Signals of the scene and its further runs are left out.
     """
     values = {key: value for key, value in made.scene.values.items() if not key.startswith(("init.", "servo.theta", "servo.omega"))}
+    values |= made.scene.offsets
     left, right = made.working
     text = f"The machine of {made.scene.name} draws {name}: {made.drawn:.3g} m of lines in {made.time[-1]:.4g} s, in working mode {left}, {right}."
     kept = _knots(made.tip)

@@ -51,6 +51,9 @@ class Scene:
     start: Mapping[str, Value] = field(default_factory=lambda: of_unit().start, repr=False, compare=False)
     """The unit's own start values."""
 
+    offsets: Mapping[str, float] = field(default_factory=dict)
+    """Mounting angles of the machine's encoders that are not 0, rad, by key: known to those who feed a unit with samples, not to the unit."""
+
     tip: tip_scenes.Tip | None = field(default=None, repr=False)
     """Part of the scene's file in the tip's coordinates."""
 
@@ -165,6 +168,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         variants=variants,
         signals=sampled | commands,
         start=variables.start,
+        offsets={name: offset for name, offset in content.offsets.items() if offset != 0.0},
         tip=content.tip,
     )
 
@@ -196,10 +200,14 @@ def write(
 ) -> None:
     """Writes a scene with every value that differs from the unit's own.
 
-    `text` is its description, `signals` are as files have them, `working` is the working mode of signals of the tip.
+    `text` is its description, mounting angles of encoders are among the values, `signals` are as files have them, `working` is the working mode of signals of the tip.
     """
     content: dict[str, Any] = {"description": text, "experiment": {"stopTime": stop_time, "stepSize": step_size}}
     for name, value in values.items():
+        if name in scene_file.OFFSETS:
+            if value != 0.0:
+                content[name] = value
+            continue
         variable = variables.settable(name)
         if value != variable.start:
             content[name] = variable.item(int(value)) if variable.type == "Enumeration" else value

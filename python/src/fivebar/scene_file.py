@@ -20,7 +20,10 @@ MOST_BRACKETS = 8
 
 DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = ("description", "experiment", "signals", "overlay")
 
-RESERVED = (DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *tip_scenes.KEYS)
+OFFSETS = ("encoder.offset[1]", "encoder.offset[2]")
+"""Keys of the mounting angles of a machine's encoders, rad: angles that they show beyond the true ones, which are all other angles of a scene."""
+
+RESERVED = (DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *OFFSETS, *tip_scenes.KEYS)
 """Keys of a scene that are no variables to be set."""
 
 LABEL = "label"
@@ -36,6 +39,8 @@ class Content:
         if not isinstance(content, dict):
             raise FiveBarError("a scene must be an object of variable names and values")
         self.values = _values({name: value for name, value in content.items() if name not in RESERVED}, variables, RESERVED)
+        self.offsets = {name: _angle(name, content[name]) for name in OFFSETS if name in content}
+        """Mounting angles of encoders, rad, by key."""
         self.stop_time, self.step_size = _experiment(content, variables)
         self.description = _text(DESCRIPTION, content)
         self.overlays = list(_overlays(content, self.values, variables))
@@ -135,6 +140,12 @@ def _check_brackets(content: Any, left: int) -> None:
 
 def _values(given: Mapping[str, Any], variables: Variables, reserved: Iterable[str]) -> Values:
     return {name: variables.settable(name, reserved).value(value) for name, value in given.items()}
+
+
+def _angle(key: str, given: Any) -> float:
+    if not isinstance(given, (int, float)) or isinstance(given, bool) or not abs(given) <= math.pi:
+        raise FiveBarError(f"'{key}' must be an angle of -pi to pi in rad, not {shown(given)}")
+    return float(given)
 
 
 def _text(key: str, content: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from collections import deque
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
+from fivebar.scene_file import OFFSETS
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, Message
 from fivebar.twin.setup import Setup
@@ -67,7 +68,7 @@ class Book:
 
     seq: int
     told: dict[str, float]
-    """Commands of the drives at the newest sample."""
+    """Commands of the drives at the newest sample, by true angles."""
 
     on_plan: bool
     """Whether the commands are those of the plan."""
@@ -269,6 +270,9 @@ class Follower(Rider):
                 values |= {each: value * seen[each] for each in DRY}
             elif name.startswith("estimated.length"):
                 values[f"link[{place}].length" if place != "5" else "base.distance"] = value
+            elif name.startswith("estimated.offset"):
+                key = OFFSETS[int(place) - 1]
+                values[key] = self.setup.scene.offsets.get(key, 0.0) + value
         fields = {each: seen[each] for name in known for each in (name, LEARNED[name])}
         return Message("learned", "", self.book.time + self.setup.step_ns, self.book.seq, fields, {"values": values})
 
@@ -304,7 +308,8 @@ class Follower(Rider):
 
     def _start(self, message: Message) -> None:
         """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
-        angles = [message.fields.get(name) for name in MEASURED]
+        fields = self.setup.scene.true(message.fields)
+        angles = [fields.get(name) for name in MEASURED]
         if None in angles:
             self.failure = f"a start needs both angles, and {MEASURED[angles.index(None)]} is missing"
             return
@@ -331,15 +336,16 @@ class Follower(Rider):
             # The machine's clock was set: motion went on by as many samples as were counted.
             book = replace(book, offset=book.offset + odd)
             self.jumps += 1
-        told = {name: value for name, value in message.fields.items() if name in self.references}
+        fields = self.setup.scene.true(message.fields)
+        told = {name: value for name, value in fields.items() if name in self.references}
         plan = self.setup.scene.told(message.seq * self.setup.period)
         on_plan = told.keys() == plan.keys() and all(abs(told[name] - plan[name]) < 1e-6 for name in plan)
         following = replace(book, time=message.time, seq=message.seq, told=told, on_plan=on_plan)
         self.coast(self.book, following.clock)
-        seen = [name for name in MEASURED if name in message.fields]
+        seen = [name for name in MEASURED if name in fields]
         self.unit.set_reals(
             [*(self.measured[name] for name in seen), *(self.stamps[name] for name in seen)],
-            [*(message.fields[name] for name in seen), *(self.unit.time for _ in seen)],
+            [*(fields[name] for name in seen), *(self.unit.time for _ in seen)],
         )
         self.book = following
         self.hold(following)

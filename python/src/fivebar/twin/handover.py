@@ -1,14 +1,18 @@
-"""Hands over what a twin has learned: the scene of its run with learned start values, for a unit of one's own, a calibration, a next run."""
+"""Hands over what a twin has learned: the scene of its run with learned start values, for a unit of one's own, a calibration, a next run.
+
+Lengths and mounting angles of encoders are handed over together, for neither is right without the other. All other angles of a scene are true ones:
+those of the start and of the servos are changed with the mounting angles, so that encoders show the same start, and drives get the same orders.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fivebar import scene_file
 from fivebar.scene import write_content
 from fivebar.twin.calibrate.parameters import SWITCHES
 
-TOLD: Final = "Masses, payload, friction and lengths as a twin has learned them."
+TOLD: Final = "Masses, payload, friction, lengths and mounting angles as a twin has learned them."
 """Sentence at the end of the scene's description."""
 
 
@@ -18,7 +22,20 @@ def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
     A variable to which the scene gives a signal keeps it.
     """
     content = scene_file.parse(scene_file.text(source))
-    learned = {name: value for name, value in values.items() if name not in content.get(scene_file.SIGNALS, {})}
+    signals = content.get(scene_file.SIGNALS, {})
+    learned = {name: value for name, value in values.items() if name not in signals}
     switches = {SWITCHES[word]: True for word in (name.partition(".")[0] for name in learned) if word in SWITCHES}
     before = content[scene_file.DESCRIPTION].removesuffix(TOLD).rstrip()
-    write_content(file, content | switches | learned | {scene_file.DESCRIPTION: f"{before} {TOLD}"})
+    turned = _turned(content, {i: values.get(key, 0.0) - content.get(key, 0.0) for i, key in enumerate(scene_file.OFFSETS, 1) if key in values})
+    write_content(file, content | turned | switches | learned | {scene_file.DESCRIPTION: f"{before} {TOLD}"})
+
+
+def _turned(content: Mapping[str, Any], by: Mapping[int, float]) -> dict[str, Any]:
+    """Angles of a scene's start and of its servos, less those by which encoders show more than was known, rad, by motor."""
+    signals = dict(content.get(scene_file.SIGNALS, {}))
+    turned: dict[str, Any] = {}
+    for i, angle in by.items():
+        turned |= {name: content[name] - angle for name in (f"init.theta[{i}]", f"servo.theta[{i}]") if name in content}
+        for kind, knots in signals.get(f"servo.theta[{i}]", {}).items():
+            signals[f"servo.theta[{i}]"] = {kind: [[time, value - angle] for time, value in knots]}
+    return turned | ({scene_file.SIGNALS: signals} if signals else {})

@@ -16,9 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from fivebar.scene_file import OFFSETS
 from fivebar.twin import priority, process, scene
 from fivebar.twin.bus import Bus
-from fivebar.twin.calibrate.parameters import OFFSETS
 from fivebar.twin.config import Config, Faults, read_json
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import Book, Rider
@@ -46,12 +46,13 @@ class StandIn:
         self.scene = scene.read(Path(config.scene))
         secret = dict(config.machine.hidden)
         self.offsets = [float(secret.pop(name, 0.0)) for name in OFFSETS]
-        """Angles that encoders show beyond the true ones, rad. The drives see what encoders show, and the scene's angles are such."""
+        """Angles that encoders show beyond the true ones, rad. The drives see what encoders show, and are told what these show by the scene."""
 
         values = self.scene.values | secret
         for i, offset in enumerate(self.offsets, 1):
             for name in (f"init.theta[{i}]", f"servo.theta[{i}]"):
-                values[name] = float(values.get(name, library.variable(name).start)) - offset
+                shown = self.scene.shown({name: float(values.get(name, library.variable(name).start))})
+                values[name] = shown[name] - offset
         self.rider = Rider(library, Setup(library.guid, self.scene, values, config.period), "machine")
         self.rider.unit.start(values)
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
@@ -66,7 +67,7 @@ class StandIn:
         """The next sample."""
         seq, period, machine = self.seq, self.config.period, self.config.machine
         truth = self.reader.read()
-        told = self.scene.told(seq * period)
+        told = self.scene.shown(self.scene.told(seq * period))
         # Of each sample its own, so that a machine that is started again has the same noise.
         chance = random.Random(f"{machine.seed} {seq}")
         fields: dict[str, float] = {}

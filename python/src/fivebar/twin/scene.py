@@ -1,6 +1,7 @@
 """The scene of a run, resolved when the run begins: start values, and commands of the drives over time."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +18,10 @@ SOURCE: Final = "source.json"
 """Copy of the scene's own file, in the folder of a run."""
 
 
+OFFSET_OF: Final = {f"{name}[{i}]": offset for i, offset in enumerate(scene_file.OFFSETS, 1) for name in ("measured.theta", "servo.theta", "init.theta")}
+"""Mounting angle that is in a field or a start value, by its name."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """A scene. Its signals begin again at their end where they end as they began; others keep their last value."""
@@ -28,6 +33,8 @@ class Scene:
     step_size: float
     signals: dict[str, list[float]]
     periodic: bool
+    offsets: dict[str, float]
+    """Mounting angles of encoders that are known, rad, by the keys of a scene's file. Other angles here are true ones."""
 
     def content(self) -> dict[str, Any]:
         """As `parse` takes it."""
@@ -38,10 +45,23 @@ class Scene:
             "stepSize": self.step_size,
             "variants": [{"label": self.name, "values": self.values}],
             "signals": self.signals,
+            "offsets": self.offsets,
         }
 
+    def shown(self, fields: Mapping[str, float]) -> dict[str, float]:
+        """Angles of samples and orders as encoders show them, by the true ones: the drives close on their encoders."""
+        return {name: value + self._beyond(name) for name, value in fields.items()}
+
+    def true(self, fields: Mapping[str, float]) -> dict[str, float]:
+        """True angles of samples and orders, by those that encoders show."""
+        return {name: value - self._beyond(name) for name, value in fields.items()}
+
+    def _beyond(self, name: str) -> float:
+        """Angle by which a field of `meas` is beyond the true one, rad."""
+        return self.offsets.get(OFFSET_OF.get(name, ""), 0.0)
+
     def told(self, time: float) -> dict[str, float]:
-        """Commands of the drives at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
+        """Commands of the drives, by true angles, at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
         return {name: self.at(name, time) for name in self.signals if name in INPUTS}
 
     def at(self, name: str, time: float) -> float:
@@ -59,7 +79,8 @@ def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
     for each in (file, source):
         each.touch(mode=0o600)
     given = scenes.found(given)
-    file.write_text(json.dumps(scenes.of_file(given, variables).resolved()) + "\n", encoding="utf-8")
+    own = scenes.of_file(given, variables)
+    file.write_text(json.dumps(own.resolved() | {"offsets": own.offsets}) + "\n", encoding="utf-8")
     source.write_text(scene_file.text(given), encoding="utf-8")
     return file
 
@@ -83,4 +104,6 @@ def parse(content: dict[str, Any]) -> Scene:
         step_size=float(content["stepSize"]),
         signals=signals,
         periodic=bool(signals) and all(abs(values[-1] - values[0]) < 1e-9 for values in signals.values()),
+        # Records of earlier versions have none.
+        offsets={str(name): float(value) for name, value in content.get("offsets", {}).items()},
     )

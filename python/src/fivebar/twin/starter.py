@@ -19,9 +19,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
+from fivebar.scene_file import OFFSETS
 from fivebar.twin import config as configuration
 from fivebar.twin import priority, scene, setup
-from fivebar.twin.calibrate.parameters import OFFSETS
 from fivebar.twin.config import Broker, Config, Faults, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import Follower
@@ -369,7 +369,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
     try:
         known = scene.read(Path(config.scene))
         begin = {name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start)) for i, name in enumerate(MEASURED, 1)}
-        sample: Message | None = Message("meas", config.unit, 0, 0, begin | known.told(0.0))
+        sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.told(0.0)))
         if stand_in:
             machine = Recording(config) if config.machine.csv else None
             if machine is not None:

@@ -117,7 +117,7 @@ class Machine:
         commands = [(c_double * count)(*row) for row in path.true(offsets).tolist()]
         times = path.knots.tolist()
         try:
-            unit.start(values | path.first(offsets))
+            unit.start({name: value for name, value in values.items() if name not in OFFSETS} | path.first(offsets))
             for k, time in enumerate(times):
                 slave.fmi2GetReal(slave.component, self.shown, 4, buffer)
                 out[k] = buffer
@@ -142,9 +142,9 @@ class Machine:
         return {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
 
     def offsets(self, x: Array) -> Array:
-        """(2): angles that encoders show beyond the true ones, rad."""
-        added = self.added(x)
-        return np.array([added.get(name, 0.0) for name in OFFSETS])
+        """(2): angles that encoders show beyond the true ones, rad; where they are not sought, those of the scene."""
+        added = self.scene | self.added(x)
+        return np.array([float(added.get(name, 0.0)) for name in OFFSETS])
 
     def close(self) -> None:
         """Frees the unit."""

@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from fivebar.scene_file import OFFSETS
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library
 
 Values = dict[str, float | int | bool]
 
-OFFSETS: Final = ("encoder.offset[1]", "encoder.offset[2]")
 DELAY: Final = "encoder.delay"
 ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
 """Unknowns of the measurement, which are no parameters of the unit: SI unit, and a size that would be much."""
@@ -108,7 +108,7 @@ def parameters(names: Sequence[str], library: Library, scene: Values, asked: Ask
 def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Parameter:
     if name in ADDITIONS and name in asked.examples:
         unit, size = ADDITIONS[name]
-        return Parameter(name, unit, (), (0.0,), False, size, -10.0, 0.0)
+        return Parameter(name, unit, (), (float(scene.get(name, 0.0)),), False, size, -10.0, 0.0)
     members = _members(name, library, asked)
     first = library.variable(members[0])
     unit = first.unit or getattr(first.declaredType, "unit", None) or "1"
@@ -142,7 +142,7 @@ def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
 
 
 def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Sequence[float]) -> Values:
-    """Start values of the unit with those values of the unknowns."""
+    """Start values of the unit, and mounting angles of its encoders, with those values of the unknowns."""
     values = dict(scene)
 
     def scale(member: str, factor: float) -> None:
@@ -151,6 +151,8 @@ def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Se
 
     given = {member for parameter in sought for member in parameter.members}
     for parameter, number in zip(sought, x, strict=True):
+        if parameter.name in OFFSETS:
+            [values[parameter.name]] = parameter.value(number)
         if not parameter.members:
             continue
         switch = SWITCHES.get(parameter.name.partition(".")[0])

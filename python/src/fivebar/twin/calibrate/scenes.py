@@ -16,21 +16,25 @@ KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
 
 
 def start_values(given: str | Path | None, data: Path, library: Library) -> tuple[Values, str]:
-    """Start values assumed of the machine, and their source: a scene, or the record's message about its run."""
+    """Start values assumed of the machine and its encoders' mounting angles, and their source: a scene, or the record's message about its run."""
     if given is not None:
-        return values(given, library), f"scene {given}"
+        return values(given, library) | scenes.read(given, library.known).offsets, f"scene {given}"
     if not (data.is_file() and data.suffix.lower() == ".csv"):
         try:
             setup = of_message(record.setup(data))
         except TwinError:
             return {}, "the unit's own start values"
-        return {name: value for name, value in setup.values.items() if not name.startswith(KEPT_OUT)}, f"scene {setup.scene.name} of the record"
+        return _of_machine(setup.values | setup.scene.offsets), f"scene {setup.scene.name} of the record"
     return {}, "the unit's own start values"
 
 
 def values(given: str | Path, library: Library) -> Values:
     """Values of the machine in a scene, by its name or file."""
-    return {name: value for name, value in scenes.read(given, library.known).values.items() if not name.startswith(KEPT_OUT)}
+    return _of_machine(scenes.read(given, library.known).values)
+
+
+def _of_machine(given: Values) -> Values:
+    return {name: value for name, value in given.items() if not name.startswith(KEPT_OUT)}
 
 
 def series(description: Sequence[str]) -> str:
