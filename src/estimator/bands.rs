@@ -2,13 +2,13 @@
 
 use nalgebra::{Matrix2, SMatrix, Vector4};
 
-use super::bank::Member;
+use super::bank::{Bank, Member};
 use super::belief::Belief;
 use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
-use super::error_state::FORCE;
+use super::error_state::{FORCE, LEARNED};
 use super::hypotheses::Hypothesis;
 use super::learning::Learning;
-use super::tangent::{LinkState, Links, Pair, wrapped};
+use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};
 
 /// Squares of cosine and sine of eight angles evenly over a quarter turn.
@@ -31,16 +31,17 @@ impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the start is doubted both assemblies count
     /// alike.
     pub fn sigmas(&self, constants: &Constants, motion: &LinkState) -> [Links; 2] {
-        let known = self.forecast.sigmas(motion).unwrap_or_else(|| {
-            let [angles, rates] = sigmas(constants, motion, &self.belief);
-            let Some(learning) = &self.learning else { return [angles, rates] };
+        let own = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>, points: Option<[Links; 2]>| {
             let frame = constants.linkage.frame(&motion.theta);
-            let moments = self.mixed(&learning.second_moments(&self.belief.bank, &frame.basis, &frame.links_by_learned()));
-            [moments.diagonal().map(|variance| variance.max(0.0).sqrt()), rates]
-        });
+            let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, belief));
+            let added =
+                mixed(&belief.bank, &by_geometry(constants, &frame, (belief, learning), (&frame.basis, &frame.links_by_learned())));
+            [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
+        };
+        let known = own(motion, &self.belief, self.learning.as_deref(), self.forecast.sigmas(motion));
         let Some(other) = self.doubt.other() else { return known };
         let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
-        let beside = sigmas(constants, &other.motion, &other.belief);
+        let beside = own(&other.motion, &other.belief, None, None);
         let of_both = |known: f64, beside: f64, off: f64| ((known * known + beside * beside + off * off) / 2.0).sqrt();
         [0, 1].map(|k| Links::from_fn(|i, _| of_both(known[k][i], beside[k][i], off[k][i])))
     }
@@ -62,26 +63,15 @@ impl Estimator {
         };
         let by_models = || of_models(motion, &self.belief, self.learning.as_deref());
         let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| {
-            let frame = constants.linkage.frame(&motion.theta);
-            let by_geometry = match &self.learning {
-                Some(_) => {
-                    let (covariance, tip) = (self.belief.bank.covariance(), frame.tip());
-                    by_models() - tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose()
-                }
-                None => frame.tip_by_geometry(constants.parameters.persistent_errors(false)),
-            };
-            about + by_geometry
+            let added =
+                tip_by_geometry(constants, &constants.linkage.frame(&motion.theta), (&self.belief, self.learning.as_deref()));
+            about + mixed(&self.belief.bank, &added)
         });
         // Sigma points of the motion may contradict the geometry that has been learned.
         let known = by_points.filter(|about| about.trace() > 0.0 && about.determinant() > 0.0).unwrap_or_else(by_models);
         let Some(other) = self.doubt.other() else { return known };
         let apart = tip_apart(constants, motion, &other.motion);
         (known + of_models(&other.motion, &other.belief, None) + apart * apart.transpose()) / 2.0
-    }
-
-    /// Mixture of second moments of the models.
-    fn mixed<const R: usize>(&self, moments: &[SMatrix<f64, R, R>; MODELS]) -> SMatrix<f64, R, R> {
-        moments.iter().zip(&self.belief.bank.members).map(|(moments, member)| moments * member.weight).sum()
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
@@ -114,13 +104,49 @@ impl Estimator {
     }
 }
 
-/// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 of a motion with its belief.
-fn sigmas(constants: &Constants, motion: &LinkState, belief: &Belief) -> [Links; 2] {
-    let (frame, covariance) = (constants.linkage.frame(&motion.theta), belief.bank.covariance());
+/// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 by the errors of a belief.
+fn sigmas(frame: &Frame, belief: &Belief) -> [Links; 2] {
+    let covariance = belief.bank.covariance();
     [0, 2].map(|first| {
         let variances = frame.basis * covariance.fixed_view::<2, 2>(first, first) * frame.basis.transpose();
         variances.diagonal().map(|variance| variance.max(0.0).sqrt())
     })
+}
+
+/// Mixture of moments of the models.
+fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) -> SMatrix<f64, R, R> {
+    moments.iter().zip(&bank.members).map(|(moments, member)| moments * member.weight).sum()
+}
+
+/// Second moments, in each model, that errors of lengths and encoders add to those of a quantity which errors of the motion move by the first of two
+/// derivatives, and learned parameters by the second. Lengths and mounting angles that are not learned persist while encoders hold the motors as far as
+/// possible, as further errors of encoders do at any time.
+fn by_geometry<const R: usize>(
+    constants: &Constants,
+    frame: &Frame,
+    (belief, learning): (&Belief, Option<&Learning>),
+    (by_error, by_learned): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, LEARNED>),
+) -> [SMatrix<f64, R, R>; MODELS] {
+    let parameters = &constants.parameters;
+    if learning.is_none() && parameters.persistent_errors() == [0.0; 2] {
+        return [SMatrix::zeros(); MODELS];
+    }
+    let by_encoders = by_error * frame.holding();
+    let further = by_encoders * by_encoders.transpose() * parameters.eccentricity_variance();
+    let while_held = by_learned + by_error * frame.held_by_learned();
+    let added = learning.map_or_else(
+        || {
+            let moved = while_held * SMatrix::from_diagonal(&parameters.sigma_of_geometry());
+            [moved * moved.transpose(); MODELS]
+        },
+        |learning| learning.added_moments(&belief.bank, by_error, [by_learned, &while_held]),
+    );
+    added.map(|added| added + further)
+}
+
+/// Second moments, in each model, that errors of lengths and encoders add to those of the tip, m².
+fn tip_by_geometry(constants: &Constants, frame: &Frame, belief: (&Belief, Option<&Learning>)) -> [Matrix2<f64>; MODELS] {
+    by_geometry(constants, frame, belief, (&frame.tip(), &frame.tip_by_learned()))
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
@@ -131,14 +157,11 @@ fn tip_of_models(
     learning: Option<&Learning>,
 ) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
-    let (tip, by_geometry) = (frame.tip(), frame.tip_by_geometry(constants.parameters.persistent_errors(learning.is_some())));
-    if let Some(learning) = learning {
-        let moments = learning.second_moments(&belief.bank, &tip, &frame.tip_by_learned());
-        return std::array::from_fn(|j| (belief.bank.members[j].weight, moments[j] + by_geometry));
-    }
-    belief.bank.members.each_ref().map(|Member { weight, error, covariance }| {
+    let (tip, added) = (frame.tip(), tip_by_geometry(constants, &frame, (belief, learning)));
+    std::array::from_fn(|j| {
+        let Member { weight, error, covariance } = &belief.bank.members[j];
         let off: Pair = tip * error.fixed_rows::<2>(0);
-        (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + by_geometry)
+        (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + added[j])
     })
 }
 

@@ -64,9 +64,23 @@ pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Mat
 
 /// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
 pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
+    reduce_of(covariance, column, variance, N);
+}
+
+/// Measurement update in which errors from a number on are considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
+pub(super) fn reduce_of<const N: usize>(
+    covariance: &mut SMatrix<f64, N, N>,
+    column: &SVector<f64, N>,
+    variance: f64,
+    considered: usize,
+) {
     let taken = column / variance.sqrt();
-    covariance.ger(-1.0, &taken, &taken, 1.0);
-    for i in 0..N {
+    for (k, of) in covariance.data.0.iter_mut().enumerate() {
+        let take = |of: &mut [f64]| of.iter_mut().zip(&taken).for_each(|(of, by)| *of -= by * taken[k]);
+        // The whole column has a length that the compiler knows.
+        if k < considered { take(of) } else { take(&mut of[..considered]) }
+    }
+    for i in 0..considered {
         // A variance may turn negative by round-off only.
         covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * taken[i] * taken[i]);
     }

@@ -20,16 +20,6 @@ impl Frame {
         MEASURED.map(|link| encoder * encoder + length * length * turned.row(link).norm_squared())
     }
 
-    /// Covariance of the tip, m², by persistent errors of lengths, m, and encoders, rad, while encoders hold the motors as far as possible.
-    pub(super) fn tip_by_geometry(&self, [length, encoder]: [f64; 2]) -> Matrix2<f64> {
-        if length == 0.0 && encoder == 0.0 {
-            return Matrix2::zeros();
-        }
-        let (turned, by_motors) = (self.turned_by_lengths(), self.tip() * self.holding());
-        let moved = self.tip_by_lengths(&turned) - by_motors * motors_of(&turned);
-        moved * moved.transpose() * (length * length) + by_motors * by_motors.transpose() * (encoder * encoder)
-    }
-
     /// Tangent coordinates by the angles of the motors, as far as motors determine them.
     pub(super) fn holding(&self) -> Matrix2<f64> {
         let motors = self.motors();
@@ -89,9 +79,4 @@ impl Frame {
         gaps[(0, 4)] = -1.0;
         self.jacobian().tr_mul(&(self.inverse_gram * gaps)) * (-part * part)
     }
-}
-
-/// Turns of the motors among those of the links.
-fn motors_of(turned: &Matrix4x5<f64>) -> Matrix2x5<f64> {
-    Matrix2x5::from_rows(&MEASURED.map(|link| turned.row(link).into_owned()))
 }

@@ -20,7 +20,7 @@ use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce,
+    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce_of,
     turned,
 };
 use super::flow::Flow;
@@ -106,19 +106,20 @@ impl Learning {
         self.geometry
     }
 
-    /// Second moments of what the errors move by `by_error` and the parameters by `by_learned`, in each model.
-    pub(super) fn second_moments<const R: usize>(
+    /// Second moments, in each model, that errors of the parameters add to those of a quantity which errors of the motion move by `by_error`. Parameters
+    /// move it by the first of two derivatives, and by the second while lengths and mounting angles are not learned: encoders hold the motors.
+    pub(super) fn added_moments<const R: usize>(
         &self,
         own: &Bank,
         by_error: &SMatrix<f64, R, 2>,
-        by_learned: &SMatrix<f64, R, LEARNED>,
+        [by_learned, while_held]: [&SMatrix<f64, R, LEARNED>; 2],
     ) -> [SMatrix<f64, R, R>; MODELS] {
+        let by_learned = if self.geometry { by_learned } else { while_held };
         std::array::from_fn(|j| {
             let (Moments { error, cross, covariance }, member) = (&self.models[j], &own.members[j]);
-            let both = by_error * cross.fixed_rows::<2>(0) * by_learned.transpose();
-            let off = by_error * member.error.fixed_rows::<2>(0) + by_learned * error;
-            let angles = by_error * member.covariance.fixed_view::<2, 2>(0, 0) * by_error.transpose();
-            angles + both + both.transpose() + by_learned * covariance * by_learned.transpose() + off * off.transpose()
+            let (off, added) = (by_error * member.error.fixed_rows::<2>(0), by_learned * error);
+            let both = by_error * cross.fixed_rows::<2>(0) * by_learned.transpose() + off * added.transpose();
+            both + both.transpose() + by_learned * covariance * by_learned.transpose() + added * added.transpose()
         })
     }
 
@@ -262,13 +263,9 @@ impl Learning {
                 continue;
             }
             let gain = column / *variance;
-            let before = (considered < LEARNED).then_some(*model);
-            model.error += gain * *residual;
+            model.error.rows_mut(0, considered).axpy(*residual, &gain.rows(0, considered), 1.0);
             model.cross.ger(-1.0, own, &gain, 1.0);
-            reduce(&mut model.covariance, column, *variance);
-            if let Some(before) = before {
-                model.keep_from(considered, &before);
-            }
+            reduce_of(&mut model.covariance, column, *variance, considered);
         }
     }
 
@@ -318,14 +315,6 @@ impl Moments {
         cross: Cross::from_array_storage(ArrayStorage([[0.0; ERRORS]; LEARNED])),
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
-
-    /// Keeps mean errors and covariance of the parameters from a number on as they were.
-    fn keep_from(&mut self, first: usize, before: &Self) {
-        let count = LEARNED - first;
-        self.error.rows_mut(first, count).copy_from(&before.error.rows(first, count));
-        let (at, size) = ((first, first), (count, count));
-        self.covariance.view_mut(at, size).copy_from(&before.covariance.view(at, size));
-    }
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {

@@ -247,7 +247,7 @@ impl Estimator {
                 let (values, further) = (learning.values(), constants.parameters.eccentricity_variance());
                 [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]) + further, values[OFFSETS.start + i]))
             }
-            None => frame.motors_by_geometry(constants.parameters.persistent_errors(false)).map(|variance| (variance, 0.0)),
+            None => frame.motors_by_geometry(constants.parameters.persistent_errors()).map(|variance| (variance, 0.0)),
         }
     }
 

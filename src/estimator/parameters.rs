@@ -1,7 +1,7 @@
 //! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
 use super::constants::{PERSISTENT_TIMES, UNKNOWN_FORCE};
-use super::error_state::{LENGTHS, Learned};
+use super::error_state::{LENGTHS, Learned, OFFSETS};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::Linkage;
@@ -69,13 +69,17 @@ impl Parameters {
         self.sigma0_eccentricity * self.sigma0_eccentricity
     }
 
-    /// Standard deviations of each length, m, and of the persistent error of each encoder, rad, which count as noise; of what is not learned where
-    /// lengths and mounting angles are.
-    pub(super) fn persistent_errors(&self, are_learned: bool) -> [f64; 2] {
-        match are_learned {
-            true => [0.0, self.sigma0_eccentricity],
-            false => [self.sigma0_length, libm::hypot(self.sigma0_offset, self.sigma0_eccentricity)],
-        }
+    /// Standard deviations of each length, m, and of the persistent error of each encoder, rad, which count as noise where nothing is learned.
+    pub(super) fn persistent_errors(&self) -> [f64; 2] {
+        [self.sigma0_length, libm::hypot(self.sigma0_offset, self.sigma0_eccentricity)]
+    }
+
+    /// Standard deviations of lengths, m, and mounting angles, rad, before any sample, among those of all that may be learned.
+    pub(super) fn sigma_of_geometry(&self) -> Learned {
+        let mut sigma = Learned::zeros();
+        sigma.fixed_rows_mut::<LENGTH_COUNT>(LENGTHS.start).fill(self.sigma0_length);
+        sigma.fixed_rows_mut::<2>(OFFSETS.start).fill(self.sigma0_offset);
+        sigma
     }
 
     /// Refuses delays that the history does not reach, or that learning does not take; `step_size` is the macro step, s.

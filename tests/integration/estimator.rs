@@ -2,7 +2,7 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
-use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, Measured, Scene, Status};
+use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::{FollowedScene, Following, Method, Parameters, Signal, Simulation};
@@ -200,7 +200,7 @@ fn nees(following: &Following, machine: &Machine) -> f64 {
 }
 
 /// Lengths with errors: the tip's covariance is the sum of the effects of each length with the motors held, by differences of
-/// machines of other lengths.
+/// machines of other lengths; also where they are to be learned.
 #[test]
 fn lengths_move_the_tip() {
     let sigma = 1e-3;
@@ -211,12 +211,11 @@ fn lengths_move_the_tip() {
     };
     let mut parameters = followed(Method::I3alp);
     (parameters.estimator.sigma0_theta, parameters.estimator.sigma0_omega) = (1e-9, 1e-9);
-    let covariance = |sigma: f64| {
+    let covariance = |sigma: f64, learns: bool| {
         let mut parameters = parameters.clone();
-        parameters.estimator.sigma0_length = sigma;
+        (parameters.estimator.sigma0_length, parameters.estimator.learn_enabled) = (sigma, learns);
         Following::new(&parameters, &default_inputs()).expect("a scene").tip_covariance()
     };
-    let (known, off) = (covariance(0.0), covariance(sigma));
     let mut expected = [0.0; 3];
     for length in 0..5 {
         let [[x, y], [v, w]] = [1e-6, -1e-6].map(|change| {
@@ -230,21 +229,24 @@ fn lengths_move_the_tip() {
         let [x, y] = [(x - v) * sigma / 2e-6, (y - w) * sigma / 2e-6];
         expected = [expected[0] + x * x, expected[1] + x * y, expected[2] + y * y];
     }
-    for i in 0..3 {
-        // Motors are not held where they cannot be; that rounds the rest by some percent.
-        let error = (off[i] - known[i] - expected[i]).abs();
-        assert!(error < 0.08 * (expected[0] + expected[2]), "{off:?} less {known:?}, expected {expected:?}");
+    for learns in [false, true] {
+        let (known, off) = (covariance(0.0, learns), covariance(sigma, learns));
+        for i in 0..3 {
+            // Motors are not held where they cannot be; that rounds the rest by some percent.
+            let error = (off[i] - known[i] - expected[i]).abs();
+            assert!(error < 0.08 * (expected[0] + expected[2]), "{off:?} less {known:?}, expected {expected:?}, learns: {learns}");
+        }
     }
 }
 
-/// Encoders mounted at unknown angles: the tip's covariance is the sum of the effects of both motors, by differences of starts.
+/// Encoders mounted at unknown angles: the tip's covariance is the sum of the effects of both motors, by differences of starts, and the motors' angles are
+/// as uncertain; also where mounting angles are to be learned.
 #[test]
 fn mounting_angles_move_the_tip() {
     let sigma = 1e-3;
     let mut parameters = followed(Method::I3alp);
     (parameters.estimator.sigma0_theta, parameters.estimator.sigma0_omega) = (1e-9, 1e-9);
     parameters.estimator.sigma0_offset = sigma;
-    let covariance = Following::new(&parameters, &default_inputs()).expect("a scene").tip_covariance();
     let mut expected = [0.0; 3];
     for motor in 0..2 {
         let [[x, y], [v, w]] = [1e-6, -1e-6].map(|change| {
@@ -256,9 +258,17 @@ fn mounting_angles_move_the_tip() {
         let [x, y] = [(x - v) * sigma / 2e-6, (y - w) * sigma / 2e-6];
         expected = [expected[0] + x * x, expected[1] + x * y, expected[2] + y * y];
     }
-    for i in 0..3 {
+    for learns in [false, true] {
+        parameters.estimator.learn_enabled = learns;
+        let twin = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let (covariance, [angles, _]) = (twin.tip_covariance(), twin.sigmas());
         // As above: the regularisation of what motors hold rounds by some percent.
-        assert!((covariance[i] - expected[i]).abs() < 0.08 * (expected[0] + expected[2]), "{covariance:?}, expected {expected:?}");
+        let size = 0.08 * (expected[0] + expected[2]);
+        assert!(
+            (0..3).all(|i| (covariance[i] - expected[i]).abs() < size),
+            "{covariance:?}, expected {expected:?}, learns: {learns}"
+        );
+        assert!(MEASURED.into_iter().all(|link| (angles[link] / sigma - 1.0).abs() < 0.1), "{angles:?}, learns: {learns}");
     }
 }
 

@@ -195,7 +195,7 @@ fn mounting_angles_are_found_under_servos() {
     assert!(OFFSETS.into_iter().all(|i| (values[i] - 1e-3).abs() < 2e-4 && sigma[i] < 2e-4), "{values} {sigma}");
 }
 
-/// A machine at rest tells neither lengths nor mounting angles: values and bands stay.
+/// A machine at rest tells neither lengths nor mounting angles: values and bands stay, that of the tip as well.
 #[test]
 fn at_rest_lengths_and_mounting_angles_stay_at_their_prior() {
     let mut model = learning();
@@ -203,7 +203,10 @@ fn at_rest_lengths_and_mounting_angles_stay_at_their_prior() {
     model.effects.gravity.enabled = false;
     let mut pair = Pair::new(&model, &model, |_| default_inputs());
     pair.offset = [1e-3; 2];
+    let [xx, _, yy] = pair.twin.tip_covariance();
     pair.follow(500, |_| ());
+    let [at_rest_xx, _, at_rest_yy] = pair.twin.tip_covariance();
+    assert!(((at_rest_xx + at_rest_yy) / (xx + yy)).sqrt() > 0.9, "{at_rest_xx} {at_rest_yy}, at first {xx} {yy}");
     let [values, sigma] = pair.learned();
     assert!(OFFSETS.into_iter().all(|i| values[i].abs() < 1e-3 && sigma[i] > 1.5e-3), "{values} {sigma}");
     assert!(LENGTHS.into_iter().all(|i| sigma[i] > 1.5e-4), "{sigma}");
