@@ -147,6 +147,11 @@ pub(super) const OVERDUE: [f64; 3] = [2.0, 4.0, 4.0];
 /// Stuck encoder: time within which a push may hold an axis inside a quantisation interval by chance, s. With 0.05 s one of 600 pushes at 10 bits and
 /// six of 600 runs of `haptic` at 0.1° look like a stuck encoder, with 0.1 s none (table `faults`, `--part 30 --seeds 940000000`).
 pub(super) const LONGEST_CHANCE: f64 = 0.1;
+/// Stuck encoder: turn of the axis, in quantisation intervals, that a push may cancel by chance. Of encoders that freeze in a fall 11 of 400 are silent by
+/// 16 bits and the unit's start values where any may be cancelled, and none of 400 with 20; with 40 two of 200 by 0.1° and exact geometry, with 10 eight of 60
+/// pushes by 0.1° and the start values are missed in place of four (tables `faults`, `--part 10 --seeds` 1280000000 and 1300000000, and `detection`,
+/// `--seeds 8020000000`).
+pub(super) const LARGEST_CHANCE: f64 = 20.0;
 /// Number of samples over which the variance of the stamps is averaged.
 pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.

@@ -141,8 +141,8 @@ fn white_variance(sigma: f64) -> f64 {
 /// Conditions under which the gate judges a sample.
 #[derive(Clone, Copy)]
 pub(super) struct GateConditions {
-    /// Whether the reading should have changed.
-    pub(super) overdue: bool,
+    /// Fault of a reading that repeats.
+    pub(super) repetition: Fault,
     /// Whether the estimate is trusted rather than the sample.
     pub(super) patient: bool,
     /// Whether the estimate has settled on the other encoder.
@@ -407,14 +407,14 @@ impl Encoder {
         conditions: GateConditions,
         jumps: impl FnOnce() -> bool,
     ) -> bool {
-        let GateConditions { overdue, patient, witnessed } = conditions;
+        let GateConditions { repetition, patient, witnessed } = conditions;
         let &Sample { persistent, alike, innovation: Innovation { residual, noise, .. }, .. } = sample;
         let least = expected.nis_of_loudest_model(noise - sample.single_variance(persistent));
         let shared = persistent * (alike - 1.0);
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
-            _ if overdue => Fault::Stuck,
+            _ if repetition != Fault::None => repetition,
             _ if self.is_away() => Fault::Rejected,
             // NaN exceeds the gate.
             _ if expected.nis_with_less(shared) <= GATE => Fault::None,
@@ -607,7 +607,7 @@ mod tests {
                 let change = residual - std::mem::replace(&mut last, residual);
                 encoder.stays_away(&sample, change, true);
                 let expected = Bank::new([1e-6, 1.0, 1.0]).predict_sample(&innovation);
-                let conditions = GateConditions { overdue: false, patient: true, witnessed: true };
+                let conditions = GateConditions { repetition: Fault::None, patient: true, witnessed: true };
                 encoder.admit(&expected, &sample, conditions, || change.abs() > 0.05);
             }
             encoder.is_away()

@@ -307,11 +307,15 @@ impl Estimator {
                         self.doubt.receive((i, sample.rate), &sample.innovation_of(reading));
                     }
                 }
-            } else if conditions.overdue
-                && let Some(bank) = self.unaided[i].take(i, frame)
+            } else if conditions.repetition != Fault::None
+                && let Some(bank) = self.unaided[i].bank(i, frame)
             {
+                self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
                 self.belief.bank = bank;
-                self.learn_anew(constants);
+                if conditions.repetition == Fault::Stuck {
+                    self.unaided[i] = Unaided::default();
+                    self.learn_anew(constants);
+                }
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -337,8 +341,8 @@ impl Estimator {
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
         self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], sample, (&self.belief.bank, force), models);
-        let overdue = !away && self.unaided[i].contradicts(&self.encoders[i], sample);
-        (GateConditions { overdue, patient: self.hypotheses.is_branch_known(), witnessed }, change)
+        let repetition = if away { Fault::None } else { self.unaided[i].fault(&self.encoders[i], sample) };
+        (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
     /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later

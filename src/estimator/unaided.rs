@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::bank::{Bank, Innovation};
-use super::constants::{CARRIED_WALK, GATE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
+use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault, Sample};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
@@ -25,6 +25,8 @@ pub(super) struct Unaided {
     offset: f64,
     /// Variance of the persistent error that readings share which repeat each other, rad², and of their noise; 0 where they are exact.
     shared: f64,
+    /// Whether the reading is left out, since the axis has turned.
+    doubted: bool,
     /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
     other_changed: bool,
 }
@@ -44,7 +46,7 @@ impl Unaided {
         } else if self.bank.is_none() && own.fault != Fault::Stuck {
             let mut bank = *bank;
             bank.reset_priors(models);
-            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, other_changed: false };
+            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false };
             if sample.persistent > 0.0 {
                 self.shared = sample.single_variance(sample.persistent);
                 self.offset = count_from_reading(&mut bank, own.interval(), sample);
@@ -53,18 +55,23 @@ impl Unaided {
         }
     }
 
-    /// Whether a repeated reading is no longer possible: the other has changed, the axis has turned by more, and neither a force of any model nor a push that happens
-    /// to hold the axis for a while explains it.
-    pub(super) fn contradicts(&self, own: &Encoder, sample: &Sample) -> bool {
-        self.bank.as_ref().filter(|_| self.other_changed).is_some_and(|bank| {
-            let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
-            innovation.residual -= self.offset;
-            let expected = bank.predict_sample(&innovation);
-            let (off, variance) = expected.mixture_moments();
-            let of_angle = (variance - innovation.noise).max(0.0).sqrt();
-            off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle
-                && (self.time > LONGEST_CHANCE || expected.nis_of_loudest_model(0.0) > GATE)
-        })
+    /// Fault of a reading that repeats once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a push may hold
+    /// the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes.
+    pub(super) fn fault(&mut self, own: &Encoder, sample: &Sample) -> Fault {
+        let Some(bank) = self.bank.as_ref().filter(|_| self.other_changed) else { return Fault::None };
+        let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
+        innovation.residual -= self.offset;
+        let expected = bank.predict_sample(&innovation);
+        let (off, variance) = expected.mixture_moments();
+        let of_angle = (variance - innovation.noise).max(0.0).sqrt();
+        let turned = off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
+        let lasts = self.time > LONGEST_CHANCE;
+        self.doubted |= turned && (lasts || off.abs() > LARGEST_CHANCE * quantum);
+        match () {
+            () if !self.doubted => Fault::None,
+            () if lasts || expected.nis_of_loudest_model(0.0) > GATE => Fault::Stuck,
+            () => Fault::Rejected,
+        }
     }
 
     /// Measurement update by a sample of the other encoder, with its quantisation interval.
@@ -95,10 +102,10 @@ impl Unaided {
         }
     }
 
-    /// Takes the bank of encoder i, to replace that of the estimate, whose angle counts from no reading.
-    pub(super) fn take(&mut self, i: usize, frame: &Frame) -> Option<Bank> {
+    /// Errors without encoder i, in place of those of the estimate, whose angle counts from no reading.
+    pub(super) fn bank(&self, i: usize, frame: &Frame) -> Option<Bank> {
         let by_motor = frame.holding().column(i).into_owned();
-        self.bank.take().map(|bank| bank.with_angle_error(&by_motor, self.shared))
+        self.bank.map(|bank| bank.with_angle_error(&by_motor, self.shared))
     }
 
     /// Whether a stored value is possible.
