@@ -15,13 +15,11 @@
 //! Limits: a point against a plane; by the smooth law the tip creeps under a tangential load F_t below mu N, at about
 //! slipVelocity F_t/(mu N).
 
-use arrayvec::ArrayVec;
-
 use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::ForceLaw;
 use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
 use crate::hybrid::{
-    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, SPRINGS, TIP_FRICTION, UnilateralGuard, UnilateralSpring,
+    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralGuard, UnilateralGuards, UnilateralSpring,
 };
 use crate::mechanism::{LINKS, Mechanism, SceneError};
 
@@ -212,8 +210,8 @@ impl ForceLaw for Contact {
         true
     }
 
-    fn guard_values(&self, at: &Motion) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
-        ArrayVec::from_iter([self.guard(at)])
+    fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {
+        guards.push(self.guard(at));
     }
 
     fn may_stick(&self) -> bool {

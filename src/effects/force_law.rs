@@ -4,12 +4,10 @@
 //! with a contact states these methods itself: the mean force of its potential over a step is a discrete gradient, the change of the
 //! potential divided by the displacement.
 
-use arrayvec::ArrayVec;
-
 use super::Inputs;
 use super::finite_motion::FiniteMotion;
 use super::wrench::{FrictionElements, JOINTS, JointMotion, Motion, Slopes, Wrench};
-use crate::hybrid::{SPRINGS, UnilateralGuard};
+use crate::hybrid::UnilateralGuards;
 
 /// Account in the energy balance to which the power of a joint law belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,10 +122,8 @@ pub trait ForceLaw {
         false
     }
 
-    /// Unilateral springs of the effect, with their guard values.
-    fn guard_values(&self, _at: &Motion) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
-        ArrayVec::new()
-    }
+    /// Adds the unilateral springs of the effect, with their guard values.
+    fn add_guards<'a>(&'a self, _at: &Motion, _guards: &mut UnilateralGuards<'a>) {}
 
     /// Whether friction of the effect may stick, by its set-valued law.
     fn may_stick(&self) -> bool {

@@ -5,12 +5,10 @@
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
-use arrayvec::ArrayVec;
-
 use super::finite_motion::FiniteMotion;
 use super::force_law::ForceLaw;
 use super::wrench::{JOINT_ARMS, MOTOR_ANGLES, Motion, Slopes, Wrench};
-use crate::hybrid::{MeanReaction, SPRINGS, STOPS, UnilateralGuard, UnilateralSpring};
+use crate::hybrid::{MeanReaction, STOPS, UnilateralGuard, UnilateralGuards, UnilateralSpring};
 use crate::mechanism::{Mechanism, SceneError};
 
 /// The `stop.*` variables.
@@ -141,7 +139,7 @@ impl ForceLaw for Stop {
         true
     }
 
-    fn guard_values(&self, at: &Motion) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
-        [0, 1].into_iter().flat_map(|motor| self.guards_of(at, motor)).collect()
+    fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {
+        guards.extend((0..2).flat_map(|motor| self.guards_of(at, motor)));
     }
 }

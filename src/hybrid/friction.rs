@@ -141,15 +141,11 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             return StickingConstraint::All { force };
         }
         let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
-        let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
-        let shares = shares(self.stick_slip(), &constraints);
-        let force = shares.fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
-        StickingConstraint::Direction { row: first.row, drift: first.drift, force }
+        held_direction(self.stick_slip(), &constraints)
     }
 
     /// Friction reactions of sticking places: torques in the joints, N·m, and force on the tip, N.
-    fn holding(&self, q: &Vector<N>, v: &Vector<N>) -> [f64; FRICTION_PLACES] {
-        let pose = self.pose(q);
+    fn holding(&self, (q, pose, v): (&Vector<N>, &Self::Pose, &Vector<N>)) -> [f64; FRICTION_PLACES] {
         let mut holding = [0.0; FRICTION_PLACES];
         if self.stick_slip().at_rest() {
             let friction_problem = self.friction_problem(q, v, &|_| true);
@@ -158,20 +154,27 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             }
             return holding;
         }
-        let StickingConstraint::Direction { row, drift, force } = self.sticking(q, &pose, v) else { return holding };
-        let mass = self.factor_mass(&pose, self.regularization());
-        let (a, _) = mass.solve(&self.forces(q, &pose, v).0, &-self.phi_q_dot_times(&pose, v));
+        let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
+        let StickingConstraint::Direction { row, drift, force } = held_direction(self.stick_slip(), &constraints) else {
+            return holding;
+        };
+        let mass = self.factor_mass(pose, self.regularization());
+        let (a, _) = mass.solve(&self.forces(q, pose, v).0, &-self.phi_q_dot_times(pose, v));
         let (part, ..) = reaction(&mass, [&row, &force], row.dot(&a) + drift);
-        for (constraint, share) in shares(self.stick_slip(), &self.friction_constraints((q, &pose, v), StickSlip::sticks)) {
+        for (constraint, share) in shares(self.stick_slip(), &constraints) {
             holding[constraint.at.place] = part * share;
         }
         holding
     }
 
     /// Friction guards at a state with its active places, for event location.
-    fn friction_guards(&self, places: impl Iterator<Item = FrictionPlace>, [q, v]: [&Vector<N>; 2]) -> FrictionGuards {
+    fn friction_guards(
+        &self,
+        places: impl Iterator<Item = FrictionPlace>,
+        at: (&Vector<N>, &Self::Pose, &Vector<N>),
+    ) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
-        let holding = if watched { self.holding(q, v) } else { [0.0; FRICTION_PLACES] };
+        let holding = if watched { self.holding(at) } else { [0.0; FRICTION_PLACES] };
         let first = (0..FRICTION_PLACES).find(|place| watched && self.stick_slip().at(*place).sticks());
         let guard = |at: FrictionPlace| FrictionGuard {
             at,
@@ -211,8 +214,9 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             let slowest = if just_stopped { REST_RATE * self.stick_velocity() } else { 0.0 };
             return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
         }
-        let constraints = self.friction_constraints((q, &self.pose(q), v), all);
-        let guards = self.friction_guards(constraints.into_iter().map(|constraint| constraint.at), [q, v]);
+        let pose = self.pose(q);
+        let constraints = self.friction_constraints((q, &pose, v), all);
+        let guards = self.friction_guards(constraints.into_iter().map(|constraint| constraint.at), (q, &pose, v));
         let far = LARGEST_CONTRADICTION * self.stick_velocity();
         let there = |place: usize| guards.iter().any(|guard| guard.at.place == place);
         (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
@@ -239,6 +243,13 @@ const CARRIED_RATE: f64 = 50.0;
 /// Takes places in every state.
 fn all(_: StickSlip) -> bool {
     true
+}
+
+/// Constraint on the motion by places that all hold one direction of it.
+fn held_direction<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickingConstraint<N> {
+    let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
+    let force = shares(stick_slip, constraints).fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
+    StickingConstraint::Direction { row: first.row, drift: first.drift, force }
 }
 
 /// The places of these constraints, which all hold one motion, with their torque per unit of the first: all use an equal fraction of their
@@ -292,22 +303,32 @@ impl FrictionGuard {
         if self.carried { self.at.rate.abs() / stick_velocity(tolerance) - CARRIED_RATE } else { f64::NEG_INFINITY }
     }
 
+    /// Bounds on the first two derivatives of the sliding rate. That of a joint is a difference of link rates; the arms of the tip turn with
+    /// the links.
+    fn rate_bounds(&self, extremes: &Extremes) -> [f64; 2] {
+        let FrictionPlace { place, arms, .. } = self.at;
+        [(2, &extremes.accelerations), (3, &extremes.jerks)].map(|(order, fixed)| match place {
+            TIP_FRICTION => derivative_bound(&arms, order, extremes),
+            _ => (0..LINKS).map(|link| arms[link] * fixed[link]).sum(),
+        })
+    }
+
+    /// Whether the sliding rate provably keeps its sign for `duration` seconds from this state on, whatever the end.
+    pub fn is_out_of_reach(&self, stick_slip: &StickSlips, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let StickSlip::Slips(direction) = stick_slip.at(self.at.place) else { return true };
+        let [steepest, _] = self.rate_bounds(extremes);
+        direction.sign() * self.at.rate - steepest * duration >= stick_velocity(tolerance)
+    }
+
     /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
     /// derivative of the rate, or on the distance of the rate from its chord.
     pub fn stays(&self, to: &Self, stick_slip: &StickSlips, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let FrictionPlace { place, rate, arms, .. } = self.at;
-        // The sliding rate of a joint is a difference of link rates; the arms of the tip turn with the links.
-        let bound = |order: usize, fixed: &Vector<LINKS>| match place {
-            TIP_FRICTION => derivative_bound(&arms, order, extremes),
-            _ => (0..LINKS).map(|link| arms[link] * fixed[link]).sum(),
-        };
-        let StickSlip::Slips(direction) = stick_slip.at(place) else { return true };
-        let [from, to] = [rate, to.at.rate].map(|rate| direction.sign() * rate);
-        let most = bound(2, &extremes.accelerations);
-        if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
+        let StickSlip::Slips(direction) = stick_slip.at(self.at.place) else { return true };
+        let [from, to] = [self.at.rate, to.at.rate].map(|rate| direction.sign() * rate);
+        let [steepest, curvature] = self.rate_bounds(extremes);
+        if from + to - steepest * duration >= -2.0 * stick_velocity(tolerance) {
             return true;
         }
-        let curvature = bound(3, &extremes.jerks);
         from.min(to) - curvature * duration * duration / 8.0 >= -stick_velocity(tolerance)
     }
 }

@@ -9,17 +9,20 @@ use super::mode::{INDICATORS, Mode, Phase, SPRINGS};
 use super::unilateral::UnilateralGuard;
 use crate::integrator::{Guards, Residuals};
 
+/// Unilateral springs at a state.
+pub type UnilateralGuards<'a> = ArrayVec<UnilateralGuard<'a>, SPRINGS>;
+
 /// Guard values of a scene at a state, in a mode.
 pub struct GuardValues<'a> {
     mode: Mode,
-    springs: ArrayVec<UnilateralGuard<'a>, SPRINGS>,
+    springs: UnilateralGuards<'a>,
     friction_guards: FrictionGuards,
 }
 
 impl<'a> GuardValues<'a> {
     /// Guard values of springs and friction at a state.
-    pub fn new(mode: Mode, springs: impl Iterator<Item = UnilateralGuard<'a>>, friction_guards: FrictionGuards) -> Self {
-        Self { mode, springs: springs.collect(), friction_guards }
+    pub fn new(mode: Mode, springs: UnilateralGuards<'a>, friction_guards: FrictionGuards) -> Self {
+        Self { mode, springs, friction_guards }
     }
 
     /// A mode with the springs in the phases of the present state.
@@ -44,13 +47,20 @@ impl<'a> GuardValues<'a> {
         let nearest = self.residuals(tolerance).largest.min(0.0);
         let mut next_mode = self.mode;
         for guard in &self.springs {
-            if let Some(phase_guard) =
-                guard.deciding(&self.mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)
-            {
-                next_mode.springs[guard.place] = Some(phase_guard.next_phase);
+            let (phase_guard, residual) = guard.deciding(&self.mode, tolerance);
+            if residual >= nearest {
+                next_mode.springs[guard.place] = Some(guard.spring.phase_past(phase_guard, guard.depth));
             }
         }
         next_mode
+    }
+
+    /// Whether springs provably stay in their phases and slip keeps its direction for `duration` seconds from this state on, whatever the
+    /// end, at an angular tolerance, rad.
+    pub fn are_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let Self { mode, springs, friction_guards } = self;
+        friction_guards.iter().all(|guard| guard.is_out_of_reach(&mode.stick_slip, duration, extremes, tolerance))
+            && springs.iter().all(|guard| guard.is_out_of_reach(mode, duration, extremes, tolerance))
     }
 
     /// Whether springs provably stay in their phases and slip keeps its direction between two states `duration` seconds apart, to the
@@ -69,12 +79,7 @@ impl Guards for GuardValues<'_> {
     /// Nothing breaks away where everything sticks. The tolerance is an angle, rad.
     fn residuals(&self, tolerance: f64) -> Residuals {
         let stick_slip = &self.mode.stick_slip;
-        let phase_guards = self
-            .springs
-            .iter()
-            .filter_map(|guard| guard.deciding(&self.mode, tolerance))
-            .map(|phase_guard| phase_guard.guard_residual);
-        let largest = phase_guards.fold(f64::NEG_INFINITY, f64::max);
+        let largest = self.springs.iter().fold(f64::NEG_INFINITY, |most, guard| most.max(guard.deciding(&self.mode, tolerance).1));
         self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
             let residual = guard.guard_residual(stick_slip, tolerance);
             let sticks = !stick_slip.at_rest() && stick_slip.at(guard.at.place).sticks();

@@ -11,7 +11,7 @@ pub mod unilateral;
 pub use friction::{
     FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, Frictional, Law, stick_velocity,
 };
-pub use guards::GuardValues;
+pub use guards::{GuardValues, UnilateralGuards};
 pub use mode::{CONTACT, FRICTION_PLACES, INDICATORS, Mode, SPRINGS, STOPS, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 pub use unilateral::{MeanReaction, UnilateralGuard, UnilateralSpring};
 

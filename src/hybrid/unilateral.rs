@@ -10,8 +10,8 @@
 //! Phases are free, ramp and full; their guards are d = 0, d = width and k d + c ḋ = 0.
 //!
 //! Between two states the guard values have upper bounds, so that no crossing is missed: given values and slopes at both ends and bounds on
-//! higher derivatives, a function lies below two parabolas, below the parabola over its chord, and within a remainder of the cubic Hermite
-//! polynomial.
+//! higher derivatives, a function lies below two straight lines, below the parabola over its chord, and within a remainder of the cubic
+//! Hermite polynomial.
 
 use super::mode::{Mode, Phase};
 use super::{Extremes, derivative_bound};
@@ -29,21 +29,44 @@ pub struct UnilateralSpring {
     pub width: f64,
 }
 
-/// A guard of a phase.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PhaseGuard {
-    /// Guard value, m or rad: positive past the guard, negative where the phase holds.
-    pub(super) guard_residual: f64,
-    /// Derivatives of the guard value by penetration, 1, and by its rate, s.
-    by: [f64; 2],
-    /// The phase past the guard.
-    pub(super) next_phase: Phase,
+/// A guard of a phase: a function of penetration and its rate, m or rad, positive past the guard and negative where the phase holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PhaseGuard {
+    /// Penetration: the spring is touched.
+    Touch,
+    /// Negative penetration: the ramp is left outwards.
+    Release,
+    /// Penetration beyond the ramp.
+    FullDepth,
+    /// Missing penetration: the ramp is entered again.
+    BackOnRamp,
+    /// Unramped push as a distance.
+    Push,
+    /// Negative unramped push as a distance: the spring separates.
+    Pull,
 }
 
 impl Phase {
     /// Whether the spring pushes.
     pub fn pushes(self) -> bool {
         matches!(self, Self::Ramp | Self::Full)
+    }
+
+    /// Guards of a phase, the first and the others: the phase ends where any of them is passed, or, for a free spring, where all of them
+    /// are. Without damping the push as a distance is the penetration.
+    fn guards(self) -> (PhaseGuard, &'static [PhaseGuard]) {
+        match self {
+            Self::Free => (PhaseGuard::Touch, &[PhaseGuard::Push]),
+            Self::Ramp => (PhaseGuard::FullDepth, &[PhaseGuard::Release, PhaseGuard::Pull]),
+            Self::Full => (PhaseGuard::BackOnRamp, &[PhaseGuard::Pull]),
+        }
+    }
+
+    /// Whether a phase holds, given which of its guards are provably not passed.
+    fn holds(self, is_kept: impl Fn(PhaseGuard) -> bool) -> bool {
+        let (first, others) = self.guards();
+        let mut others = others.iter().copied();
+        if self == Self::Free { is_kept(first) || others.any(is_kept) } else { is_kept(first) && others.all(is_kept) }
     }
 }
 
@@ -57,29 +80,46 @@ impl UnilateralSpring {
         }
     }
 
-    /// Guards of a phase: the phase ends where any of them is passed, or, for a free spring, where all of them are.
-    fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
-        let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
-        let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
-        let push = |sign: f64, next_phase| {
-            let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
-            // Without damping every contact pushes.
-            (self.damping > 0.0).then(|| PhaseGuard { guard_residual: sign * self.push_as_distance(depth, rate), by, next_phase })
-        };
-        match phase {
-            Phase::Free => {
-                let next_phase = if depth < self.width { Phase::Ramp } else { Phase::Full };
-                [deeper(0.0, next_phase), push(1.0, next_phase), None]
-            }
-            Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), push(-1.0, Phase::Free)],
-            Phase::Full => [None, shallower(self.width, Phase::Ramp), push(-1.0, Phase::Free)],
+    /// Value of a guard, m or rad.
+    fn guard_residual(&self, guard: PhaseGuard, [depth, rate]: [f64; 2]) -> f64 {
+        match guard {
+            PhaseGuard::Touch => depth,
+            PhaseGuard::Release => -depth,
+            PhaseGuard::FullDepth => depth - self.width,
+            PhaseGuard::BackOnRamp => self.width - depth,
+            PhaseGuard::Push => self.push_as_distance(depth, rate),
+            PhaseGuard::Pull => -self.push_as_distance(depth, rate),
         }
     }
 
-    /// The element that decides on the end of a phase: the largest guard value, or the smallest for a free spring.
-    fn deciding<T>(phase: Phase, phase_guards: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
+    /// Derivatives of a guard value by penetration, 1, and by its rate, s.
+    fn guard_slopes(&self, guard: PhaseGuard) -> [f64; 2] {
+        match guard {
+            PhaseGuard::Touch | PhaseGuard::FullDepth => [1.0, 0.0],
+            PhaseGuard::Release | PhaseGuard::BackOnRamp => [-1.0, 0.0],
+            PhaseGuard::Push => [self.stiffness, self.damping].map(|by| by / self.push_scale()),
+            PhaseGuard::Pull => [self.stiffness, self.damping].map(|by| -by / self.push_scale()),
+        }
+    }
+
+    /// The phase past a guard, at a penetration.
+    pub(super) fn phase_past(&self, guard: PhaseGuard, depth: f64) -> Phase {
+        match guard {
+            PhaseGuard::Touch | PhaseGuard::Push if depth < self.width => Phase::Ramp,
+            PhaseGuard::BackOnRamp => Phase::Ramp,
+            PhaseGuard::Touch | PhaseGuard::Push | PhaseGuard::FullDepth => Phase::Full,
+            PhaseGuard::Release | PhaseGuard::Pull => Phase::Free,
+        }
+    }
+
+    /// The guard that decides on the end of a phase, with its value: the largest value, or the smallest for a free spring.
+    fn deciding(phase: Phase, value: impl Fn(PhaseGuard) -> f64) -> (PhaseGuard, f64) {
         let all = phase == Phase::Free;
-        phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
+        let (first, others) = phase.guards();
+        others.iter().fold((first, value(first)), |one, guard| {
+            let other = value(*guard);
+            if (other >= one.1) != all { (*guard, other) } else { one }
+        })
     }
 
     /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
@@ -278,6 +318,11 @@ impl UnilateralGuard<'_> {
         mode.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
     }
 
+    /// Penetration per angle of a motion of all links, m/rad or 1, at most.
+    fn scale(&self) -> f64 {
+        self.arms.iter().sum()
+    }
+
     /// Event tolerance in penetration, m or rad, at an angular tolerance, rad: the error of the trajectory or a part of the ramp's width,
     /// the smaller, but no less than round-off.
     fn event_tolerance(&self, tolerance: f64) -> f64 {
@@ -285,96 +330,71 @@ impl UnilateralGuard<'_> {
         const RAMP_PART: f64 = 0.01;
         /// Round-off of an angle, rad: some hundred units in the last place of 1 rad.
         const ANGLE_ROUND_OFF: f64 = 1e-13;
-        let scale: f64 = self.arms.iter().sum();
+        let scale = self.scale();
         (tolerance * scale).min(RAMP_PART * self.spring.width).max(ANGLE_ROUND_OFF * scale)
+    }
+
+    /// Whether the phase provably holds for `duration` seconds from this state on, whatever the end: each guard is farther away than the
+    /// penetration can change in that time, by more than the error of the motion at an angular tolerance, rad.
+    pub(super) fn is_out_of_reach(&self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let bound = |order: usize| derivative_bound(self.arms, order, extremes);
+        self.phase(mode).holds(|guard| {
+            let guard_residual = self.spring.guard_residual(guard, [self.depth, self.rate]);
+            guard_residual + self.spring.steepest(guard, bound) * duration <= -tolerance * self.scale()
+        })
     }
 
     /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
     pub(super) fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let (phase, event_tolerance) = (self.phase(mode), self.event_tolerance(tolerance));
+        let event_tolerance = self.event_tolerance(tolerance);
         let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
         let bound = |order: usize| derivative_bound(self.arms, order, extremes);
         // The cheaper bound decides most cases, in which the spring is far from its guards.
-        let by_derivatives =
-            || self.spring.residual_bound_by_derivatives(phase, ends, duration, [1, 2].map(bound)) <= event_tolerance;
-        let by_cubic = || self.spring.residual_bound_by_cubic(phase, ends, duration, [2, 3, 4].map(bound)) <= event_tolerance;
-        by_derivatives() || by_cubic()
+        self.phase(mode).holds(|guard| {
+            self.spring.bound_by_slope(guard, ends, duration, bound) <= event_tolerance
+                || self.spring.bound_by_cubic(guard, ends, duration, bound) <= event_tolerance
+        })
     }
 
-    /// The guard of the current phase that decides on its end, with its residual in units of the event tolerance.
-    pub(super) fn deciding(&self, mode: &Mode, tolerance: f64) -> Option<PhaseGuard> {
-        let phase = self.phase(mode);
-        let phase_guards = self.spring.phase_guards(phase, self.depth, self.rate).into_iter().flatten();
-        let deciding = UnilateralSpring::deciding(phase, phase_guards, |phase_guard| phase_guard.guard_residual);
-        let unit = self.event_tolerance(tolerance);
-        deciding.map(|guard| PhaseGuard { guard_residual: guard.guard_residual / unit, ..guard })
+    /// The guard that decides on the end of the current phase, with its value in units of the event tolerance.
+    pub(super) fn deciding(&self, mode: &Mode, tolerance: f64) -> (PhaseGuard, f64) {
+        let guard_residual = |guard| self.spring.guard_residual(guard, [self.depth, self.rate]);
+        let (guard, guard_residual) = UnilateralSpring::deciding(self.phase(mode), guard_residual);
+        (guard, guard_residual / self.event_tolerance(tolerance))
     }
 }
 
 impl UnilateralSpring {
-    /// Upper bound on the guard value that ends a phase, m or rad, between two states `duration` seconds apart, each given by penetration
-    /// and rate, from bounds on the first two derivatives of the penetration.
-    fn residual_bound_by_derivatives(&self, phase: Phase, ends: [[f64; 2]; 2], duration: f64, [slope, curvature]: [f64; 2]) -> f64 {
-        let deciding = self.phase_guards_at(phase, ends).map(|[from, to]| {
-            let [by_depth, by_rate] = from.by;
-            if by_rate == 0.0 {
-                let [u, w] = ends.map(|[_, rate]| by_depth * rate);
-                parabola_bound([from.guard_residual, u], [to.guard_residual, w], duration, curvature)
-            } else {
-                // The value lies below both straight lines of the steepest slope.
-                let steepest = by_depth.abs() * slope + by_rate.abs() * curvature;
-                f64::max(from.guard_residual, to.guard_residual)
-                    .max(0.5 * (from.guard_residual + to.guard_residual + steepest * duration))
-            }
-        });
-        Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
+    /// Bound on the derivative of a guard value, m/s or rad/s, from bounds on the derivatives of the penetration, of order 1 and 2.
+    fn steepest(&self, guard: PhaseGuard, bound: impl Fn(usize) -> f64) -> f64 {
+        let [by_depth, by_rate] = self.guard_slopes(guard);
+        by_depth.abs() * bound(1) + if by_rate == 0.0 { 0.0 } else { by_rate.abs() * bound(2) }
     }
 
-    /// Upper bound on the guard value that ends a phase, m or rad, from bounds on the derivatives of order 2, 3 and 4 of the penetration:
+    /// Upper bound on a guard value, m or rad, between two states `duration` seconds apart, each given by penetration and rate: the value
+    /// lies below both straight lines of the steepest slope.
+    fn bound_by_slope(&self, guard: PhaseGuard, ends: [[f64; 2]; 2], duration: f64, bound: impl Fn(usize) -> f64) -> f64 {
+        let [from, to] = ends.map(|end| self.guard_residual(guard, end));
+        from.max(to).max(0.5 * (from + to + self.steepest(guard, bound) * duration))
+    }
+
+    /// Upper bound on a guard value, m or rad, from bounds on the derivatives of order 2, 3 and 4 of the penetration:
     /// the smaller of the bounds by the parabola over the chord and by the cubic Hermite polynomial. The remainders of the cubic are
     /// 1/384 (penetration) and √3/216 (rate) of the fourth derivative times the fourth and the third power of the duration.
-    fn residual_bound_by_cubic(
-        &self,
-        phase: Phase,
-        ends: [[f64; 2]; 2],
-        duration: f64,
-        [largest_curvature, third, fourth]: [f64; 3],
-    ) -> f64 {
+    fn bound_by_cubic(&self, guard: PhaseGuard, ends: [[f64; 2]; 2], duration: f64, bound: impl Fn(usize) -> f64) -> f64 {
         /// Remainder constants of cubic Hermite interpolation, for the value and for the slope: 1/384 and √3/216.
         const OFF: [f64; 2] = [1.0 / 384.0, 0.008_018_753_738_744_79];
         let [[x, u], [y, w]] = ends;
         let mean = 3.0 * (y - x) / duration;
         let [curvature, end_curvature] = [mean - 2.0 * u - w, u + 2.0 * w - mean].map(|rise| 2.0 * rise / duration);
-        let deciding = self.phase_guards_at(phase, ends).map(|[from, to]| {
-            let [by_depth, by_rate] = from.by;
-            let slopes = [by_depth * u + by_rate * curvature, by_depth * w + by_rate * end_curvature];
-            let off = (OFF[0] * by_depth.abs() * duration + OFF[1] * by_rate.abs()) * fourth * duration * duration * duration;
-            let cubic = off - cubic_minimum([-from.guard_residual, -to.guard_residual], slopes.map(|slope| -slope * duration));
-            let curvature_term = (by_depth.abs() * largest_curvature + by_rate.abs() * third) * duration * duration;
-            cubic.min(chord_bound([from.guard_residual, to.guard_residual], curvature_term))
-        });
-        Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
+        let [from, to] = ends.map(|end| self.guard_residual(guard, end));
+        let [by_depth, by_rate] = self.guard_slopes(guard);
+        let slopes = [by_depth * u + by_rate * curvature, by_depth * w + by_rate * end_curvature];
+        let off = (OFF[0] * by_depth.abs() * duration + OFF[1] * by_rate.abs()) * bound(4) * duration * duration * duration;
+        let cubic = off - cubic_minimum([-from, -to], slopes.map(|slope| -slope * duration));
+        let curvature_term = (by_depth.abs() * bound(2) + by_rate.abs() * bound(3)) * duration * duration;
+        cubic.min(chord_bound([from, to], curvature_term))
     }
-
-    /// Each guard of a phase at both ends.
-    fn phase_guards_at(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [PhaseGuard; 2]> {
-        let [from, to] = ends.map(|[depth, rate]| self.phase_guards(phase, depth, rate));
-        from.into_iter().flatten().zip(to.into_iter().flatten()).map(|(from, to)| [from, to])
-    }
-}
-
-/// Upper bound on a function between the ends of an interval, from values and slopes at the ends and the bound `curvature` on its second
-/// derivative: the largest value below both parabolas.
-fn parabola_bound([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, curvature: f64) -> f64 {
-    let at = |start: f64, slope: f64, time: f64| start + time * (slope + curvature / 2.0 * time);
-    // The parabolas differ by a linear function of time, which rises but for round-off; `meet` is its root.
-    let rising = u - w + curvature * duration;
-    let meet = if rising > 0.0 {
-        ((y - x - w * duration + curvature / 2.0 * duration * duration) / rising).clamp(0.0, duration)
-    } else {
-        0.0
-    };
-    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
 }
 
 /// Upper bound on a function between the end values x and y, where `curvature_term` bounds its second derivative times the square of the interval:
@@ -495,22 +515,19 @@ mod tests {
             let middle = if case % 2 == 0 { uniform(-1e-3, 2e-3) } else { 5e-6 - top };
             let spring = UnilateralSpring { damping: if case % 3 == 0 { 0.0 } else { uniform(0.0, 0.5) }, ..SPRING };
             let at = |time: f64| [middle + sum(0, time), sum(1, time)];
-            let most = |order: i32| swings.iter().map(|[size, rate, _]| size.abs() * rate.powi(order)).sum::<f64>();
-            let [slope, curvature, third, fourth] = [1, 2, 3, 4].map(most);
+            let bound = |order: usize| swings.iter().map(|[size, rate, _]| size.abs() * rate.powi(order as i32)).sum::<f64>();
             for phase in [Phase::Free, Phase::Ramp, Phase::Full] {
                 let ends = [at(0.0), at(duration)];
-                let guard_residual = |[depth, rate]: [f64; 2]| {
-                    let phase_guards =
-                        spring.phase_guards(phase, depth, rate).into_iter().flatten().map(|phase_guard| phase_guard.guard_residual);
-                    UnilateralSpring::deciding(phase, phase_guards, |guard_residual| *guard_residual).expect("a border")
-                };
+                let deciding = |value: &dyn Fn(PhaseGuard) -> f64| UnilateralSpring::deciding(phase, value).1;
+                let guard_residual = |end: [f64; 2]| deciding(&|guard| spring.guard_residual(guard, end));
                 let sampled = places.clone().map(|time| guard_residual(at(time))).fold(f64::NEG_INFINITY, f64::max);
-                let by_derivatives = spring.residual_bound_by_derivatives(phase, ends, duration, [slope, curvature]);
-                let by_cubic = spring.residual_bound_by_cubic(phase, ends, duration, [curvature, third, fourth]);
+                let by_slope = deciding(&|guard| spring.bound_by_slope(guard, ends, duration, bound));
+                let by_cubic = deciding(&|guard| spring.bound_by_cubic(guard, ends, duration, bound));
+                let by_start = deciding(&|guard| spring.guard_residual(guard, ends[0]) + spring.steepest(guard, bound) * duration);
                 // Round-off of sums of some millimetres.
                 assert!(
-                    sampled <= by_derivatives + 1e-15 && sampled <= by_cubic + 1e-15,
-                    "{case} {phase:?}: {sampled:e} {by_derivatives:e} {by_cubic:e}"
+                    [by_slope, by_cubic, by_start].iter().all(|bound| sampled <= bound + 1e-15),
+                    "{case} {phase:?}: {sampled:e} {by_slope:e} {by_cubic:e} {by_start:e}"
                 );
                 let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| guard_residual(at(part * duration)));
                 hidden += u32::from(sampled > 1e-6 && quarters.into_iter().all(|guard_residual| guard_residual < 0.0));

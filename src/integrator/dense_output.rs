@@ -18,7 +18,7 @@ pub(super) enum Quintic<const K: usize> {
 
 /// Larger of `most` and |x|, element by element; `most` is not negative.
 pub(super) fn max_magnitude<const K: usize>(most: &Vector<K>, x: &Vector<K>) -> Vector<K> {
-    Vector::from_fn(|i| most[i].max(x[i].abs()))
+    Vector::from_fn(|i| if x[i].abs() > most[i] { x[i].abs() } else { most[i] })
 }
 
 impl<const K: usize> Interpolant<K> {
@@ -54,6 +54,11 @@ impl<const K: usize> Interpolant<K> {
     /// Hermite quintic between two states `h` seconds apart, each given by q, q̇ and q̈.
     pub(super) fn between([[from, v, a], [to, v_to, a_to]]: [[Vector<K>; 3]; 2], h: f64) -> Self {
         Self::quintic([from, to], [h * v, h * v_to], &Quintic::SecondDerivatives([h * h * a, h * h * a_to]))
+    }
+
+    /// Interpolant of some components.
+    pub(super) fn components<const L: usize>(&self, components: [usize; L]) -> Interpolant<L> {
+        Interpolant(std::array::from_fn(|row| Vector::from_fn(|i| self.0[row][components[i]])))
     }
 
     /// Higher coefficients, which values and derivatives at the ends do not determine.

@@ -83,10 +83,12 @@ pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     mass: &S::Mass,
 ) -> Vector<N> {
+    if system.stuck() == Stuck::Wholly {
+        return Vector::ZERO;
+    }
     match system.sticking_constraint(q, pose, v) {
-        StickingConstraint::Nothing => *v,
         StickingConstraint::Direction { row, force, .. } => *v + reaction(mass, [&row, &force], row.dot(v)).1,
-        StickingConstraint::All { .. } => Vector::ZERO,
+        StickingConstraint::Nothing | StickingConstraint::All { .. } => *v,
     }
 }
 

@@ -9,6 +9,7 @@ use std::fmt::Debug;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::locator::Path;
 use crate::vector::Vector;
 
 /// Rate that is as admissible an error as an angle of 1 rad, 1/s: a rate counts as the displacement in 0.1 s, in error norms and in guards.
@@ -65,6 +66,8 @@ pub trait Events<const N: usize>: Clone {
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
     /// Guard values at a state.
     type GuardValues: Guards;
+    /// Bounds on the derivatives of the coordinates on which guards depend, over a path.
+    type PathBounds;
 
     /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
@@ -92,9 +95,18 @@ pub trait Events<const N: usize>: Clone {
         false
     }
 
-    /// Whether a motion between two states, `duration` seconds apart and within `extremes`, certainly passes no guard by more than
-    /// the event tolerance, reactions of sticking friction excepted.
-    fn stays_within(&self, _ends: [&Self::GuardValues; 2], _duration: f64, _extremes: &Extremes<N>, _tolerance: f64) -> bool {
+    /// Bounds over a path.
+    fn path_bounds(&self, path: &Path<N>) -> Self::PathBounds;
+
+    /// Whether a motion within bounds certainly passes no guard in `duration` seconds, by where it begins, reactions of sticking friction
+    /// excepted.
+    fn is_out_of_reach(&self, _from: &Self::GuardValues, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
+        true
+    }
+
+    /// Whether a motion within bounds certainly passes no guard by more than the event tolerance between two states, `duration` seconds
+    /// apart, reactions of sticking friction excepted.
+    fn stays_within(&self, _ends: [&Self::GuardValues; 2], _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
         true
     }
 }

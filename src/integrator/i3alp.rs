@@ -57,6 +57,9 @@ const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// Shortest step solved by Newton's method, s: below it the Taylor series is exact, while Newton's method would divide round-off by
 /// h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
+/// Longest stretch for a parabola of sticking friction, relative to the step: the local error bounds the change of the accelerations, so that
+/// reactions bend little over a step.
+const LONGEST_PARABOLA: f64 = 1.0;
 /// Step-size controller for a local error of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
@@ -339,9 +342,13 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     ) -> EventCheck {
         let Self { end: to, .. } = self;
         let displacement = h / 2.0 * (from.v + to.v) + h * h / 12.0 * (from.a - to.a);
-        let increment = Interpolant::between([[Vector::ZERO, from.v, from.a], [displacement, to.v, to.a]], h);
-        let path = Path { origin: from.q, increment, length: h };
-        locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, path, |_| false)
+        let path = Path {
+            origin: from.q,
+            increment: Interpolant::between([[Vector::ZERO, from.v, from.a], [displacement, to.v, to.a]], h),
+            length: h,
+            longest_parabola: LONGEST_PARABOLA,
+        };
+        locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, &path, |_| false)
     }
 
     /// Makes the attempt the new state.

@@ -25,8 +25,6 @@ const SHORTEST_HALVED: f64 = 1e-12;
 const LINEARIZED_PART: f64 = 1e-6;
 /// Largest correction of a step's end towards a guard, relative to the step.
 const LARGEST_CORRECTION: f64 = 0.1;
-/// Longest stretch, relative to the step, on which the reaction of sticking friction is interpolated by a parabola.
-const LONGEST_PARABOLA: f64 = 0.25;
 /// Length of a stretch, relative to the step, on which the reaction is assumed to have one maximum at most.
 const ONE_MAXIMUM: f64 = 1.0 / 16.0;
 /// Largest number of parabolas per maximum.
@@ -58,9 +56,13 @@ pub(super) fn check<const N: usize, S: Events<N>>(
     from: &Probe<S::GuardValues>,
     (end, length): ([&Vector<N>; 3], f64),
     tries: u32,
-    path: Path<N>,
+    path: &Path<N>,
     truncate: impl FnOnce(f64) -> bool,
 ) -> EventCheck {
+    let bounds = system.path_bounds(path);
+    if tries == 0 && !from.sticks() && system.is_out_of_reach(&from.guard_values, length, &bounds, tolerance) {
+        return EventCheck::Clear;
+    }
     let mut seen = EventCheck::Clear;
     if (1..MOST_TRIES).contains(&tries) {
         match EventWindow::of(system, tolerance, end, length) {
@@ -71,7 +73,8 @@ pub(super) fn check<const N: usize, S: Events<N>>(
             EventWindow::Outside(None) => {}
         }
     }
-    match path.first_crossing(system, tolerance, from, Probe::new(system, (1.0, [end[0], end[1]]), tolerance)) {
+    let search = Search { path, system, tolerance, bounds, left: Cell::new(MOST_EVALUATIONS) };
+    match search.locate(from, &Probe::new(system, (1.0, [end[0], end[1]]), tolerance)) {
         Found::Nothing => seen,
         Found::Crossing(when) if when >= SHORTEST && truncate(when) => EventCheck::AtEnd,
         Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
@@ -146,13 +149,15 @@ impl EventWindow {
 }
 
 /// Motion over a step: a polynomial for the coordinates relative to its beginning, whose derivative is the rates.
-pub(super) struct Path<const N: usize> {
+pub struct Path<const N: usize> {
     /// Coordinates at the beginning, m and rad.
     pub(super) origin: Vector<N>,
     /// Increment of the coordinates, m and rad.
     pub(super) increment: Interpolant<N>,
     /// Length of the step, s.
     pub(super) length: f64,
+    /// Longest stretch, relative to the step, on which the reaction of sticking friction is interpolated by a parabola.
+    pub(super) longest_parabola: f64,
 }
 
 impl<const N: usize> Path<N> {
@@ -161,30 +166,14 @@ impl<const N: usize> Path<N> {
         [self.origin + self.increment.at(part), (1.0 / self.length) * self.increment.rate_at(part)]
     }
 
-    /// Bounds on the derivatives of the coordinates over the step.
-    fn extremes(&self) -> Extremes<N> {
+    /// Bounds on the derivatives of some coordinates over the step.
+    pub fn extremes<const K: usize>(&self, coordinates: [usize; K]) -> Extremes<K> {
         let mut per = 1.0;
-        let [rates, accelerations, jerks, snaps] = self.increment.derivative_bounds().map(|bounds| {
+        let [rates, accelerations, jerks, snaps] = self.increment.components(coordinates).derivative_bounds().map(|bounds| {
             per /= self.length;
             per * bounds
         });
         Extremes { rates, accelerations, jerks, snaps }
-    }
-
-    /// Time of the first event, s from the beginning, between both ends.
-    fn first_crossing<S: Events<N>>(
-        &self,
-        system: &S,
-        tolerance: f64,
-        from: &Probe<S::GuardValues>,
-        to: Probe<S::GuardValues>,
-    ) -> Found {
-        let search = Search { path: self, system, tolerance, extremes: self.extremes(), left: Cell::new(MOST_EVALUATIONS) };
-        match search.first(from, &to) {
-            _ if search.left.get() == 0 => Found::TooMuch,
-            Some(part) => Found::Crossing(self.length * part),
-            None => Found::Nothing,
-        }
     }
 }
 
@@ -219,6 +208,11 @@ impl<T: Guards> Probe<T> {
         Self { part, guard_values, residuals }
     }
 
+    /// Whether friction sticks while the system moves.
+    fn sticks(&self) -> bool {
+        self.residuals.breakaway != f64::NEG_INFINITY
+    }
+
     /// Whether an event has occurred: the place is past a guard of the mode.
     pub(super) fn is_past_guard(&self) -> bool {
         self.residuals.largest > CROSSING_RESIDUAL
@@ -226,30 +220,40 @@ impl<T: Guards> Probe<T> {
 }
 
 /// Location of the first event on a path.
-struct Search<'a, S, const N: usize> {
+struct Search<'a, S: Events<N>, const N: usize> {
     path: &'a Path<N>,
     system: &'a S,
     /// Error tolerance of a coordinate, rad.
     tolerance: f64,
     /// Bounds on the derivatives over the whole step.
-    extremes: Extremes<N>,
+    bounds: S::PathBounds,
     /// Number of evaluations left.
     left: Cell<u32>,
 }
 
 impl<S: Events<N>, const N: usize> Search<'_, S, N> {
+    /// Time of the first event, s from the beginning, between both ends.
+    fn locate(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Found {
+        match self.first(from, to, false) {
+            _ if self.left.get() == 0 => Found::TooMuch,
+            Some(part) => Found::Crossing(self.path.length * part),
+            None => Found::Nothing,
+        }
+    }
+
     fn at(&self, part: f64) -> Probe<S::GuardValues> {
         self.left.set(self.left.get().saturating_sub(1));
         let [q, v] = self.path.at(part);
         Probe::new(self.system, (part, [&q, &v]), self.tolerance)
     }
 
-    /// Part of the step at which the first guard is crossed between two places; the first place is within all guards.
-    fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
+    /// Part of the step at which the first guard is crossed between two places; the first place is within all guards. Where `stays` is
+    /// given, bounds on a longer stretch have excluded all guards but those of sticking friction.
+    fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>, stays: bool) -> Option<f64> {
         if to.is_past_guard() {
             // A crossing lies in between; the stretch before it is searched for earlier ones.
             let at = self.crossing_between(from, to);
-            let before = if at.is_past_guard() { None } else { self.first(from, &at) };
+            let before = if at.is_past_guard() { None } else { self.first(from, &at, stays) };
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
@@ -257,12 +261,13 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
             return None;
         }
         let duration = stretch * self.path.length;
-        let stays = self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.extremes, self.tolerance);
-        if stays && from.residuals.breakaway == f64::NEG_INFINITY {
+        let stays =
+            stays || self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.bounds, self.tolerance);
+        if stays && !from.sticks() {
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
-        if stays && !middle.is_past_guard() && stretch <= LONGEST_PARABOLA {
+        if stays && !middle.is_past_guard() && stretch <= self.path.longest_parabola {
             let probes = [from, &middle, to].map(|probe| [probe.part, probe.residuals.breakaway]);
             if maximum_is_below(probes) {
                 return None;
@@ -271,7 +276,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
                 return self.refine_maximum(from, probes);
             }
         }
-        self.first(from, &middle).or_else(|| self.first(&middle, to))
+        self.first(from, &middle, stays).or_else(|| self.first(&middle, to, stays))
     }
 
     /// First crossing on a stretch where the reaction of sticking friction has one maximum at most, by successive parabolas.
@@ -286,7 +291,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
             }
             let probe = self.at(part);
             if probe.is_past_guard() {
-                return self.first(from, &probe);
+                return self.first(from, &probe, true);
             }
             let maximum = [part, probe.residuals.breakaway];
             [left, top, right] = match (part < top[0], maximum[1] > top[1]) {

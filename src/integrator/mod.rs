@@ -28,7 +28,7 @@ pub use discrete::{CutStep, Discrete, StepIncrement};
 pub use equilibrium::{equilibrium, reaction};
 pub use error::StepError;
 pub use events::{ERROR_RATE, Events, Extremes, Guards, Residuals};
-pub use locator::CROSSING_RESIDUAL;
+pub use locator::{CROSSING_RESIDUAL, Path};
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;

@@ -62,7 +62,7 @@ impl Observed<'_, f64> {
         // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let at = self.motion();
-        let springs = self.model.effects.iter().flat_map(|effect| effect.guard_values(&at));
+        let springs = self.model.unilateral_guards(&at);
         let of_springs = GuardValues::new(at.joints.mode, springs, FrictionGuards::new()).indicators();
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&of_configuration);

@@ -7,18 +7,18 @@ use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles,
 use super::five_bar::FiveBar;
 use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
-    self, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
+    Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
     StickSlips, stick_velocity,
 };
-use crate::integrator::{Events, Extremes, System};
+use crate::integrator::{Events, Path, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
-use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, MULTIPLIERS, Pose};
+use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Pose};
 use crate::vector::Vector;
 
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// Guard values at a motion, given those of friction.
     fn guards(&self, at: &Motion, friction_guards: FrictionGuards) -> GuardValues<'a> {
-        GuardValues::new(self.mode, self.model.effects.iter().flat_map(|effect| effect.guard_values(at)), friction_guards)
+        GuardValues::new(self.mode, self.model.unilateral_guards(at), friction_guards)
     }
 
     /// Friction places that are active at a motion, with their wrenches.
@@ -54,13 +54,6 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     fn closure_branch(&self, [q, v]: [[crate::mechanism::legs::Legs; 2]; 2]) -> Option<ClosureBranch> {
         ClosureBranch::of(&self.model.mechanism.geometry, q, v)
     }
-}
-
-/// Bounds on the link angles out of bounds on all coordinates.
-fn of_links<const N: usize>(extremes: &Extremes<N>, links: [usize; LINKS]) -> hybrid::Extremes {
-    let of = |x: &Vector<N>| Vector::from_fn(|link| x[links[link]]);
-    let Extremes { rates, accelerations, jerks, snaps } = extremes;
-    Extremes { rates: of(rates), accelerations: of(accelerations), jerks: of(jerks), snaps: of(snaps) }
 }
 
 impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
@@ -122,10 +115,12 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
+    type PathBounds = Extremes;
 
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
-        let motion = self.motion(&self.pose(q), q, v);
-        let friction_guards = self.friction_guards(self.five_bar().friction_places(&motion), [q, v]);
+        let pose = self.pose(q);
+        let motion = self.motion(&pose, q, v);
+        let friction_guards = self.friction_guards(self.five_bar().friction_places(&motion), (q, &pose, v));
         self.five_bar().guards(&motion, friction_guards)
     }
 
@@ -164,18 +159,28 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         self.five_bar().mode.has_active_contact()
     }
 
-    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, duration, &of_links(extremes, LINK_INDICES), tolerance)
+    fn path_bounds(&self, path: &Path<ANGLES>) -> Extremes {
+        path.extremes(LINK_INDICES)
+    }
+
+    fn is_out_of_reach(&self, from: &GuardValues<'a>, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        from.are_out_of_reach(duration, extremes, tolerance)
+    }
+
+    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        GuardValues::stay_in_phase(ends, duration, extremes, tolerance)
     }
 }
 
 impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
+    type PathBounds = Extremes;
 
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
-        let motion = self.motion(q, &self.pose(q), v);
-        let friction_guards = self.friction_guards(self.friction_places(&motion), [q, v]);
+        let pose = self.pose(q);
+        let motion = self.motion(q, &pose, v);
+        let friction_guards = self.friction_guards(self.friction_places(&motion), (q, &pose, v));
         self.guards(&motion, friction_guards)
     }
 
@@ -195,8 +200,16 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         self.with_resolved_friction(self.guard_values(q, v).next_mode(tolerance), q, v)
     }
 
-    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, duration, &of_links(extremes, THETA), tolerance)
+    fn path_bounds(&self, path: &Path<COORDINATES>) -> Extremes {
+        path.extremes(THETA)
+    }
+
+    fn is_out_of_reach(&self, from: &GuardValues<'a>, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        from.are_out_of_reach(duration, extremes, tolerance)
+    }
+
+    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        GuardValues::stay_in_phase(ends, duration, extremes, tolerance)
     }
 }
 

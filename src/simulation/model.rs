@@ -7,6 +7,7 @@ use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
 use crate::estimator;
+use crate::hybrid::UnilateralGuards;
 use crate::integrator::Features;
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -153,6 +154,15 @@ impl Model {
     /// Potential energy of the active effects at coordinates with their motion, J; 0 of their constant force at the left motor axis.
     pub fn potential(&self, q: &Coordinates, at: &Motion) -> f64 {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - q.dot(&self.weight)
+    }
+
+    /// Unilateral springs of the active effects at a motion.
+    pub fn unilateral_guards(&self, at: &Motion) -> UnilateralGuards<'_> {
+        let mut guards = UnilateralGuards::new();
+        for effect in &self.effects {
+            effect.add_guards(at, &mut guards);
+        }
+        guards
     }
 
     /// Wrench of the effects whose work is put in.

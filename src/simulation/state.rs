@@ -61,7 +61,11 @@ impl State {
 
     /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 where nothing sticks.
     pub fn holding(&self, model: &Model) -> [f64; FRICTION_PLACES] {
-        if self.stick_slip.any_sticks() { self.system(model).holding(&self.core.q, &self.core.v) } else { [0.0; FRICTION_PLACES] }
+        if !self.stick_slip.any_sticks() {
+            return [0.0; FRICTION_PLACES];
+        }
+        let Core { q, v, .. } = &self.core;
+        self.system(model).holding((q, &model.mechanism.pose(q), v))
     }
 
     /// System under the present inputs, with the present stick-slip states.

@@ -2,7 +2,7 @@
 //! stiffness.
 
 use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes, Settings};
-use fivebar::integrator::{AccelerationTangents, Events, Features, Kkt, Passage, State, System, Work};
+use fivebar::integrator::{AccelerationTangents, Events, Features, Kkt, Passage, Path, State, System, Work};
 use fivebar::vector::Vector;
 
 use crate::support::slope;
@@ -75,8 +75,11 @@ impl Passage<2> for Point {}
 impl Events<2> for Point {
     type Mode = ();
     type GuardValues = ();
+    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
+
+    fn path_bounds(&self, _: &Path<2>) {}
 
     fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }

@@ -10,7 +10,7 @@ mod pose;
 pub use factor::Factor;
 pub use pose::Pose;
 
-use fivebar::integrator::{Events, Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Events, Implicit, Kkt, Passage, Path, StepError, System, TangentPoint, Work};
 use fivebar::vector::Vector;
 pub(crate) use pose::rotated;
 use pose::{Side, quarter_turn};
@@ -249,8 +249,11 @@ impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M
 impl<const N: usize, const M: usize, const W: usize> Events<N> for Linkage<N, M, W> {
     type Mode = ();
     type GuardValues = ();
+    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<N>, _: &Vector<N>) {}
+
+    fn path_bounds(&self, _: &Path<N>) {}
 
     fn mode_of(&self, _: &Vector<N>, _: &Vector<N>) {}
 }

@@ -6,7 +6,7 @@
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
 
-use fivebar::integrator::{Events, Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Events, Implicit, Kkt, Passage, Path, StepError, System, TangentPoint, Work};
 
 use crate::Problem;
 use fivebar::vector::Vector;
@@ -110,8 +110,11 @@ impl Passage<2> for Pendulum {}
 impl Events<2> for Pendulum {
     type Mode = ();
     type GuardValues = ();
+    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
+
+    fn path_bounds(&self, _: &Path<2>) {}
 
     fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }

@@ -22,6 +22,8 @@ const MOST_CORRECTIONS: u32 = 4;
 /// Projected state of the interpolant: iterations of the projection, q and q̇, pose and mass factor.
 type Candidate<const N: usize, P, F> = (u32, [Vector<N>; 2], P, F);
 
+/// Longest stretch for a parabola of sticking friction, relative to a step of high order, over which a reaction may swing.
+const LONGEST_PARABOLA: f64 = 0.25;
 /// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
 const LARGEST_INCONSISTENCY: f64 = 1e3;
 /// Round-off of a difference of coordinates, rad.
@@ -194,7 +196,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let rates = [*length * start.v, *length * end.v];
         let increment = Interpolant::new([Vector::ZERO, displacement], rates, self.dense.map(|slope| slope.q));
-        Path { origin: start.q, increment, length: *length }
+        Path { origin: start.q, increment, length: *length, longest_parabola: LONGEST_PARABOLA }
     }
 
     /// Ends the step at an event that its interpolant shows `when` seconds after the beginning; returns false and changes nothing

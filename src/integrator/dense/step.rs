@@ -331,8 +331,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if !self.interpolant_is_consistent(settings) {
             return Err(f64::NAN);
         }
-        let event =
-            locator::check(of, from, ([&end.q, &end.v, &end.a], length), tries, path, |when| self.truncate(system, settings, when));
+        let event = locator::check(of, from, ([&end.q, &end.v, &end.a], length), tries, &path, |when| {
+            self.truncate(system, settings, when)
+        });
         if let EventCheck::Before(_) = event {
             return Ok(event);
         }
