@@ -18,7 +18,9 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
-use super::constants::{LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY};
+use super::constants::{
+    BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY,
+};
 use super::error_state::{
     DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce_of,
     turned,
@@ -61,6 +63,12 @@ pub(super) struct Learning {
     models: [Moments; MODELS],
     /// Whether lengths and mounting angles are learned at present; elsewhere they are noise that persists.
     geometry: bool,
+    /// Bits of the parameters that have been moved to a bound which says that the machine is another one.
+    at_bound: u32,
+    /// Bits of those of them that have been told.
+    told: u32,
+    /// Time since one was moved there, s.
+    within_for: f64,
 }
 
 impl Learning {
@@ -68,7 +76,12 @@ impl Learning {
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
         let model = Moments { covariance, ..Moments::ZERO };
-        Self { values: prior.values, models: [model; MODELS], geometry: false }
+        Self { values: prior.values, models: [model; MODELS], geometry: false, at_bound: 0, told: 0, within_for: 0.0 }
+    }
+
+    /// All begin anew; what has been told of bounds stays so.
+    pub(super) fn begin_all_anew(&mut self, prior: &Prior) {
+        *self = Self { at_bound: self.at_bound & self.told, told: self.told, within_for: self.within_for, ..Self::new(prior) };
     }
 
     /// Values of the parameters.
@@ -99,6 +112,12 @@ impl Learning {
             let [least, most] = bounds(i, constants);
             (self.values[i] + error[i]).clamp(least, most)
         })
+    }
+
+    /// Parameters that have been moved to a bound since the last call, with the bounds: each once, and again only after all values have been within theirs.
+    pub(super) fn take_bounds(&mut self, constants: &Constants) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let news = self.at_bound & !std::mem::replace(&mut self.told, self.at_bound);
+        (0..LEARNED).filter(move |i| news >> i & 1 == 1).map(|i| (i, bounds(i, constants)))
     }
 
     /// Whether lengths and mounting angles are learned at present.
@@ -202,6 +221,10 @@ impl Learning {
         (scales, (h, switch_time)): ([f64; 3], (f64, f64)),
         priors: &[f64; MODELS],
     ) {
+        self.within_for += h;
+        if self.within_for > BOUNDS_LEFT_AFTER {
+            self.at_bound = 0;
+        }
         let stay = persistence(h, switch_time);
         let [by_angle, by_rate] = flow.by_learned.map(|by_learned| step.to.basis.tr_mul(&by_learned));
         let mut psi = Moving::zeros();
@@ -275,8 +298,13 @@ impl Learning {
         for i in 0..LEARNED {
             let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
             let [least, most] = bounds(i, constants);
-            let beyond = (self.values[i] + error).clamp(least, most) - (self.values[i] + error);
+            let value = self.values[i] + error;
+            let beyond = value.clamp(least, most) - value;
             if beyond != 0.0 {
+                // A payload or a friction of 0 is that of a machine without.
+                if least < 0.0 {
+                    (self.at_bound, self.within_for) = (self.at_bound | 1 << i, 0.0);
+                }
                 for (model, member) in self.models.iter_mut().zip(&mut own.members) {
                     let Moments { error, cross, covariance } = model;
                     let part = beyond / covariance[(i, i)].max(f64::MIN_POSITIVE);
@@ -304,6 +332,7 @@ impl Learning {
             (least..=most).contains(value)
         };
         self.values.iter().enumerate().all(is_within)
+            && self.within_for >= 0.0
             && self.models.iter().zip(&own.members).all(|(model, member)| model.is_sound(&member.covariance))
     }
 }

@@ -400,7 +400,9 @@ impl Estimator {
 
     /// Begins to learn anew where samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
     fn learn_anew(&mut self, constants: &Constants) {
-        self.learning = constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior)));
+        if let (Some(learning), Some(prior)) = (&mut self.learning, &constants.prior) {
+            learning.begin_all_anew(prior);
+        }
     }
 
     /// Parameters that the master has set to other values begin anew; `tuned` is the prior with these values.
@@ -420,6 +422,11 @@ impl Estimator {
     /// Standard deviations of what is learned, and 0 of what is not.
     pub fn learned_sigma(&self) -> Learned {
         self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma(&self.belief.bank))
+    }
+
+    /// Learned parameters that have been moved to a bound since the last call, and their bounds.
+    pub fn take_bounds(&mut self, constants: &Constants) -> impl Iterator<Item = (usize, [f64; 2])> {
+        self.learning.iter_mut().flat_map(|learning| learning.take_bounds(constants))
     }
 
     /// Normalised error squared of the learned parameters among `which` that are not known, against true values, and their number.

@@ -1,9 +1,11 @@
-//! Warnings of a communication step of a machine that is followed: faults of its encoders, and restarts of the estimate.
+//! Warnings of a communication step of a machine that is followed: faults of its encoders, restarts of the estimate, and learned values at a bound.
 
 use crate::estimator::Fault;
+use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS};
 use crate::simulation::Following;
 
-/// Warnings after a step from `point`, s: faults of encoders, and a restart of the estimate unless the samples before had `restarted` it.
+/// Warnings after a step from `point`, s: faults of encoders, a restart of the estimate unless the samples before had `restarted` it, and learned values
+/// that have come to a bound.
 pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -> Vec<String> {
     let faults = following.take_reports();
     let mut warnings: Vec<String> = faults.into_iter().map(|(encoder, fault)| fault_message(encoder, fault, point)).collect();
@@ -14,7 +16,24 @@ pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -
              diverged and restarts from the measured angles."
         ));
     }
+    if following.parameters().estimator.learn_enabled {
+        warnings.extend(following.take_bounds().into_iter().map(|reached| bound_message(reached, point)));
+    }
     warnings
+}
+
+/// The warning about a learned value that was moved to one of its bounds.
+fn bound_message((parameter, value, [least, most]): (usize, f64, [f64; 2]), time: f64) -> String {
+    let (name, unit) = match parameter {
+        DRY => ("estimated.friction".to_owned(), ""),
+        _ if MASSES.contains(&parameter) => (format!("estimated.mass[{}]", parameter - MASSES.start + 1), " kg"),
+        _ if LENGTHS.contains(&parameter) => (format!("estimated.length[{}]", parameter - LENGTHS.start + 1), " m"),
+        _ => (format!("estimated.offset[{}]", parameter - OFFSETS.start + 1), " rad"),
+    };
+    format!(
+        "at {time:?} s: {name} = {value:?}{unit} has been moved to its bound, {least:?} to {most:?}{unit} being allowed: the machine is not the one \
+         that was described, or has something that is not modelled. This warning comes again only after all values have been within their bounds for 1 s."
+    )
 }
 
 /// The warning about a fault of an encoder: silent, or samples rejected.

@@ -169,20 +169,20 @@ impl Following {
     /// Learned values with standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of dry
     /// friction, lengths, m, mounting angles, rad. Where nothing is learned, the parameters in force.
     pub fn learned(&self) -> [Learned; 2] {
-        let parameters = self.parameters();
         let estimator = &self.estimate.estimator;
-        let (values, sigma) = (estimator.learned().unwrap_or_else(|| parameters.known()), estimator.learned_sigma());
-        let factors = Learned::from_fn(|i, _| match i {
-            _ if MASSES.contains(&i) => parameters.geometry.links[i].mass * libm::exp(values[i]),
-            DRY => libm::exp(values[i]),
-            _ => 1.0,
-        });
-        let natural = |i: usize| match i {
-            _ if MASSES.contains(&i) || i == DRY => factors[i],
-            _ if LENGTHS.contains(&i) => self.constants.length(i - LENGTHS.start) + values[i],
-            _ => values[i],
-        };
-        [Learned::from_fn(|i, _| natural(i)), sigma.component_mul(&factors)]
+        let (values, sigma) = (estimator.learned().unwrap_or_else(|| self.parameters().known()), estimator.learned_sigma());
+        let natural = Learned::from_fn(|i, _| self.natural(i, values[i]));
+        [natural, Learned::from_fn(|i, _| if MASSES.contains(&i) || i == DRY { sigma[i] * natural[i] } else { sigma[i] })]
+    }
+
+    /// Value of a parameter in the unit in which it is told, by that in which it is learned.
+    fn natural(&self, i: usize, value: f64) -> f64 {
+        match i {
+            _ if MASSES.contains(&i) => self.parameters().geometry.links[i].mass * libm::exp(value),
+            DRY => libm::exp(value),
+            _ if LENGTHS.contains(&i) => self.constants.length(i - LENGTHS.start) + value,
+            _ => value,
+        }
     }
 
     /// Data of the estimator that stay constant between changes of parameters.
@@ -244,6 +244,14 @@ impl Following {
             }
         }
         news
+    }
+
+    /// Learned parameters that have been moved to a bound since the last call, in the order of [`estimator::error_state`]: value and both bounds, in the
+    /// units of [`learned`](Self::learned); each once, and again only after all values have been within theirs for 1 s.
+    pub fn take_bounds(&mut self) -> Vec<(usize, f64, [f64; 2])> {
+        let reached: Vec<(usize, [f64; 2])> = self.estimate.estimator.take_bounds(&self.constants).collect();
+        let told = |(i, bounds): (usize, [f64; 2])| (i, self.learned()[0][i], bounds.map(|bound| self.natural(i, bound)));
+        reached.into_iter().map(told).collect()
     }
 }
 

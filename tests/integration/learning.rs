@@ -358,10 +358,16 @@ fn host(learns: bool, values: &[(&str, f64)]) -> Host {
 
 /// Takes `steps` with samples of a machine whose first link is 5 % heavier.
 fn take(host: &Host, machine: &mut Simulation, steps: std::ops::Range<u32>) {
+    take_beyond(host, machine, steps, 0.0);
+}
+
+/// Takes `steps` with samples of a machine whose left encoder shows so much beyond the true angle, rad.
+fn take_beyond(host: &Host, machine: &mut Simulation, steps: std::ops::Range<u32>, offset: f64) {
     let names = ["measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]"].map(reference);
     for step in steps {
         let (time, theta) = (f64::from(step) * H, machine.state().angles());
-        let [left, right] = MEASURED.map(|link| (theta[link] / QUANTUM).round() * QUANTUM);
+        let beyond = [theta[MEASURED[0]] + offset, theta[MEASURED[1]]];
+        let [left, right] = beyond.map(|angle| (angle / QUANTUM).round() * QUANTUM);
         assert_eq!(host.set_real(&names, &[left, right, time, time]), fmi2OK);
         assert_eq!(host.do_step(time, H), fmi2OK, "{:?}", host.take());
         machine.advance(&Inputs { tau: [0.02, 0.0], ..default_inputs() }, H, 1).expect("a step");
@@ -427,6 +433,60 @@ fn stored_states_hold_what_is_learned() {
         take(&other, &mut machine_again, 100..200);
         assert_eq!(other.do_step(0.2, 0.05), fmi2OK);
         assert_eq!(computed(&other), computed(&host), "method {method}");
+        assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
+    }
+}
+
+/// A learned value that comes to its bound is told once, by one that goes on from a stored state as well: again only where it is told anew.
+#[test]
+fn a_value_at_its_bound_is_told_once() {
+    let told = |host: &Host| -> Vec<String> {
+        host.take().into_iter().map(|line| line.text).filter(|text| text.contains("has been moved to its bound")).collect()
+    };
+    let bounded = || {
+        let host = host(true, &[("estimator.sigma0.offset", 2e-3)]);
+        assert_eq!(host.call(fivebar::ffi::fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+        host
+    };
+    let (host, mut machine) = (bounded(), heavier());
+    let (mut before, mut lines, mut step) = (host.state(), Vec::new(), 0);
+    let mut machine_before = machine.clone();
+    while lines.is_empty() && step < 2000 {
+        assert_eq!(host.free_state(&mut before), fmi2OK);
+        (before, machine_before) = (host.state(), machine.clone());
+        take_beyond(&host, &mut machine, step..step + 1, 0.02);
+        lines = told(&host);
+        step += 1;
+    }
+    let [first] = &lines[..] else { panic!("{lines:?}") };
+    assert!(
+        first.contains("estimated.offset[1] = 0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed"),
+        "{first}"
+    );
+    let after = host.state();
+    take_beyond(&host, &mut machine, step..step + 1000, 0.02);
+    lines.extend(told(&host));
+    let mut names: Vec<&str> = lines.iter().filter_map(|line| line.split(' ').nth(3)).collect();
+    names.sort_unstable();
+    // Others follow the first, and none comes twice, though values move to and fro.
+    assert!(names.len() > 1 && names.windows(2).all(|pair| pair[0] != pair[1]), "{lines:?}");
+    // A state of before the step tells in its turn, one of after it does not.
+    for (state, expected) in [(before, 1), (after, 0)] {
+        let mut machine = machine_before.clone();
+        assert_eq!(host.set_state(state), fmi2OK);
+        if expected == 0 {
+            machine.advance(&Inputs { tau: [0.02, 0.0], ..default_inputs() }, H, 1).expect("a step");
+        }
+        let first = step - u32::try_from(expected).expect("0 or 1");
+        let (size, other) = (host.serialized_size(state).1, bounded());
+        let (bytes, mut read) = (host.serialize(state, size).1, std::ptr::null_mut());
+        assert_eq!((other.deserialize(&bytes, &mut read), other.set_state(read)), (fmi2OK, fmi2OK));
+        for host in [&host, &other] {
+            let _ = host.take();
+            take_beyond(host, &mut machine.clone(), first..first + 1, 0.02);
+            assert_eq!(told(host).len(), expected);
+        }
+        let (mut state, mut read) = (state, read);
         assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
     }
 }

@@ -16,7 +16,7 @@ from fivebar.commands import main
 from fivebar.errors import FiveBarError
 from fivebar.own_unit import write_unit
 from fivebar.scene_file import OFFSETS
-from fivebar.twin import dashboard, figures, handover, scene
+from fivebar.twin import dashboard, figures, handover, record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import TRACKED
@@ -180,6 +180,17 @@ def test_drives_get_the_same_orders(tmp_path: Path, fmu: Path, library: Library)
     assert told["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3) and told["estimated.tau.sigma[1]"] > 0
     for each in (before, after, twin):
         each.close()
+
+
+def test_a_value_at_its_bound_is_told_to_whoever_listens(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """An encoder that is mounted ten standard deviations off: one warning of the unit, one alarm for the dashboard."""
+    config = configured(tmp_path, fmu, library, "fall_90_120", learn=True)
+    hidden = config.machine.hidden | {OFFSETS[0]: 2e-2}
+    run = recorded(replace(config, machine=replace(config.machine, hidden=hidden)), library, 600)
+    alarms = record.messages(run.folder, "alarm", refused=lambda _: None)
+    sentences = [message.extra["sentence"] for message in alarms if message.extra["state"] == "trouble"]
+    assert sum("estimated.offset[1] = 0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed" in each for each in sentences) == 1, sentences
+    assert len(sentences) == len(set(sentences)) and all("has been moved to its bound" in each for each in sentences)
 
 
 def test_mounting_angles_of_a_scene_are_checked(tmp_path: Path, library: Library) -> None:

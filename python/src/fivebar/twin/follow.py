@@ -22,6 +22,9 @@ STORE_EVERY: Final = 1_000_000_000
 MUCH: Final = 4 * math.pi
 """rad: an angle at which encoders seldom begin, and degrees mostly do."""
 
+AT_BOUND: Final = "has been moved to its bound"
+"""Words of the unit's warning about a learned value that says that the machine is another one."""
+
 log = logging.getLogger("fivebar")
 
 
@@ -90,6 +93,11 @@ class Twin(Worker):
             self.counts["failures"] += 1
             self.trouble("unit", f"starting anew with the next sample: {follower.failure}", message.time, message.seq)
             follower.failure = ""
+        news, follower.unit.news = follower.unit.news, []
+        for sentence in news:
+            if AT_BOUND in sentence:
+                # The unit itself tells each once.
+                self.trouble("unit", sentence, message.time, message.seq, every=0.0)
         if not made:
             return
         self.publish(follower.estimate())

@@ -86,6 +86,8 @@ class Unit:
         self.library, self.time = library, 0.0
         self.log: list[str] = []
         """Sentences of warnings and errors, the last 100."""
+        self.news: list[str] = []
+        """Those since the last look, as many."""
         self.slave = load(fmi2.FMU2Slave, library.model, library.directory, name)
         self.slave.instantiate(callbacks=self._callbacks())
 
@@ -93,7 +95,8 @@ class Unit:
         def append(_environment: Any, _instance: bytes, status: int, _category: bytes, text: bytes) -> None:
             if status > fmi2.fmi2OK:
                 # The text is a printf format by contract: a percent sign comes doubled.
-                self.log = [*self.log[-99:], text.decode(errors="replace").replace("%%", "%")]
+                sentence = text.decode(errors="replace").replace("%%", "%")
+                self.log, self.news = [*self.log[-99:], sentence], [*self.news[-99:], sentence]
 
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(append)
