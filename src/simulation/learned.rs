@@ -73,17 +73,14 @@ pub struct Others<'a> {
     parameters: &'a Parameters,
     /// Bodies whose masses are learned, each as if alone.
     bodies: [(Inertia, Weight); 3],
-    /// Friction by the `friction.*` variables, also of a scene that has none, unless it learns: its machine may have some. `None` where they are
-    /// not valid.
+    /// Friction by the `friction.*` variables, also of a scene that has none: its machine may have some. `None` where they are not valid.
     friction: Option<Friction>,
 }
 
 impl<'a> Others<'a> {
     /// Machines beside that of a scene.
     pub(super) fn new(parameters: &'a Parameters) -> Self {
-        let may_rub = parameters.effects.friction.enabled || !parameters.estimator.learn_enabled;
-        let friction =
-            may_rub.then(|| Friction::new(&parameters.effects.friction, &Mechanism::new(&parameters.geometry)).ok()).flatten();
+        let friction = Friction::new(&parameters.effects.friction, &Mechanism::new(&parameters.geometry)).ok();
         Self { parameters, bodies: Self::bodies(parameters), friction }
     }
 
