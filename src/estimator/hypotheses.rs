@@ -505,7 +505,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-    use crate::fmi::bindings::default_parameters;
+    use crate::simulation::bindings::default_parameters;
 
     /// Motions that go straight on next to a vertex are states that may be stored, whatever their rates.
     #[test]

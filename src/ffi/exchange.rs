@@ -2,7 +2,7 @@
 
 use super::function::functions;
 use super::types::{fmi2Boolean, fmi2EventInfo, fmi2False, fmi2Real, size_t};
-use crate::fmi::STATES;
+use crate::simulation::STATES;
 use crate::variables::EVENT_INDICATORS;
 
 functions! {

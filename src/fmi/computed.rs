@@ -1,11 +1,11 @@
 //! Observers → computed variables: each output and local variable is defined once, generic over its value, its directional
 //! derivative and its time derivatives.
 
-use super::bindings::{self, Field};
 use crate::estimator;
 use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS, PAYLOAD, VISCOUS};
 use crate::observers::{self, Estimated, Observed, Point};
 use crate::scalar::Scalar;
+use crate::simulation::bindings::{self, Field};
 use crate::variables::{
     EnumerationComputed, EstimatorStatus, IntegerComputed, RealComputed, Value, Variable, VariableId, WorkingMode,
 };

@@ -9,9 +9,9 @@ use num_dual::Dual64;
 
 use super::computed::real;
 use super::values::{check_computed, check_finite, find, lookup};
-use super::{CallError, Instance, bindings};
+use super::{CallError, Instance};
 use crate::observers::Observed;
-use crate::simulation::{Direction, ORDERS, Signal};
+use crate::simulation::{Direction, ORDERS, Signal, bindings};
 use crate::variables::{FmiType, Variable, VariableId};
 
 impl Instance {

@@ -8,9 +8,9 @@ use super::messages::{Log, Status};
 use super::own::Unit;
 use super::snapshot::Scene;
 use super::values::{check_computed, check_finite, check_settable, check_value, find, lookup};
-use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
+use super::{CallError, Kind, Snapshot, Stage, computed};
 use crate::observers::{Observation, Observed};
-use crate::simulation::Method;
+use crate::simulation::{Method, bindings};
 use crate::variables::{FmiType, VARIABLES, Value, Variable};
 
 /// An instance of the FMU.

@@ -39,8 +39,6 @@ pub use messages::{Message, Status};
 pub use own::{Guid, Unit};
 pub use snapshot::Snapshot;
 
-pub use crate::simulation::{STATES, bindings};
-
 /// A call that was refused or discarded; the instance is unchanged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallError {

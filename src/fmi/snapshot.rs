@@ -2,11 +2,11 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bindings::{self, Field};
 use super::clock::Clock;
 use super::{Guid, Kind, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
+use crate::simulation::bindings::{self, Field};
 use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
 use crate::variables::{Value, Variable, VariableId};
 

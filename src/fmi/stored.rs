@@ -18,7 +18,6 @@ use std::io::{self, Read, Write};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bindings::{self, Field};
 use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::snapshot::{Scene, Warned};
@@ -26,6 +25,7 @@ use super::values::{check_value, lookup};
 use super::{CallError, Guid, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
+use crate::simulation::bindings::{self, Field};
 use crate::simulation::{Estimate, Following, Parameters, Run, Signal, Simulation};
 use crate::variables::{Parameter, Value, Variable, VariableId};
 

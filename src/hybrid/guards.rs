@@ -54,28 +54,11 @@ impl<'a> GuardValues<'a> {
         }
         next_mode
     }
-
-    /// Whether springs provably stay in their phases and slip keeps its direction for `duration` seconds from this state on, whatever the
-    /// end, at an angular tolerance, rad.
-    pub fn are_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let Self { mode, springs, friction_guards } = self;
-        friction_guards.iter().all(|guard| guard.is_out_of_reach(&mode.stick_slip, duration, extremes, tolerance))
-            && springs.iter().all(|guard| guard.is_out_of_reach(mode, duration, extremes, tolerance))
-    }
-
-    /// Whether springs provably stay in their phases and slip keeps its direction between two states `duration` seconds apart, to the
-    /// event tolerance at an angular tolerance, rad. Sticking loads have no such bound.
-    pub fn stay_in_phase(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let [from, to] = ends;
-        let mode = &from.mode;
-        let mut friction_guards = from.friction_guards.iter().zip(&to.friction_guards);
-        let mut springs = from.springs.iter().zip(&to.springs);
-        friction_guards.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
-            && springs.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
-    }
 }
 
 impl Guards for GuardValues<'_> {
+    type PathBounds = Extremes;
+
     /// Nothing breaks away where everything sticks. The tolerance is an angle, rad.
     fn residuals(&self, tolerance: f64) -> Residuals {
         let stick_slip = &self.mode.stick_slip;
@@ -99,5 +82,21 @@ impl Guards for GuardValues<'_> {
     fn dwell_time(&self) -> f64 {
         let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(&self.mode), guard.depth, guard.rate));
         lasting.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Springs stay in their phases, and slip keeps its direction.
+    fn are_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let Self { mode, springs, friction_guards } = self;
+        friction_guards.iter().all(|guard| guard.is_out_of_reach(&mode.stick_slip, duration, extremes, tolerance))
+            && springs.iter().all(|guard| guard.is_out_of_reach(mode, duration, extremes, tolerance))
+    }
+
+    /// Springs stay in their phases, and slip keeps its direction.
+    fn stay_until(&self, to: &Self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let Self { mode, springs, friction_guards } = self;
+        let mut slips = friction_guards.iter().zip(&to.friction_guards);
+        let mut phases = springs.iter().zip(&to.springs);
+        slips.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
+            && phases.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
     }
 }

@@ -40,6 +40,9 @@ pub struct Residuals {
 
 /// Guard values of a system at a state, in the system's mode. By default there is no guard.
 pub trait Guards {
+    /// Bounds on the derivatives of the coordinates on which guards depend, over a path.
+    type PathBounds;
+
     /// Distances of the state past the guards, in units of the event tolerance that belongs to `tolerance`.
     fn residuals(&self, _tolerance: f64) -> Residuals {
         Residuals { largest: f64::NEG_INFINITY, breakaway: f64::NEG_INFINITY }
@@ -55,10 +58,24 @@ pub trait Guards {
     fn dwell_time(&self) -> f64 {
         f64::INFINITY
     }
+
+    /// Whether a motion within bounds certainly passes no guard in `duration` seconds from here on, reactions of sticking friction
+    /// excepted.
+    fn are_out_of_reach(&self, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
+        true
+    }
+
+    /// Whether a motion within bounds certainly passes no guard by more than the event tolerance between here and another state,
+    /// `duration` seconds later, reactions of sticking friction excepted.
+    fn stay_until(&self, _to: &Self, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
+        true
+    }
 }
 
 /// No guards.
-impl Guards for () {}
+impl Guards for () {
+    type PathBounds = ();
+}
 
 /// A hybrid system. By default it has one mode and no events.
 pub trait Events<const N: usize>: Clone {
@@ -66,8 +83,6 @@ pub trait Events<const N: usize>: Clone {
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
     /// Guard values at a state.
     type GuardValues: Guards;
-    /// Bounds on the derivatives of the coordinates on which guards depend, over a path.
-    type PathBounds;
 
     /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
@@ -96,19 +111,7 @@ pub trait Events<const N: usize>: Clone {
     }
 
     /// Bounds over a path.
-    fn path_bounds(&self, path: &Path<N>) -> Self::PathBounds;
-
-    /// Whether a motion within bounds certainly passes no guard in `duration` seconds, by where it begins, reactions of sticking friction
-    /// excepted.
-    fn is_out_of_reach(&self, _from: &Self::GuardValues, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
-        true
-    }
-
-    /// Whether a motion within bounds certainly passes no guard by more than the event tolerance between two states, `duration` seconds
-    /// apart, reactions of sticking friction excepted.
-    fn stays_within(&self, _ends: [&Self::GuardValues; 2], _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
-        true
-    }
+    fn path_bounds(&self, path: &Path<N>) -> <Self::GuardValues as Guards>::PathBounds;
 }
 
 /// Energy that separated springs dissipate between guard values and a later state q, q̇, J.

@@ -60,7 +60,7 @@ pub(super) fn check<const N: usize, S: Events<N>>(
     truncate: impl FnOnce(f64) -> bool,
 ) -> EventCheck {
     let bounds = system.path_bounds(path);
-    if tries == 0 && !from.sticks() && system.is_out_of_reach(&from.guard_values, length, &bounds, tolerance) {
+    if tries == 0 && !from.sticks() && from.guard_values.are_out_of_reach(length, &bounds, tolerance) {
         return EventCheck::Clear;
     }
     let mut seen = EventCheck::Clear;
@@ -226,7 +226,7 @@ struct Search<'a, S: Events<N>, const N: usize> {
     /// Error tolerance of a coordinate, rad.
     tolerance: f64,
     /// Bounds on the derivatives over the whole step.
-    bounds: S::PathBounds,
+    bounds: <S::GuardValues as Guards>::PathBounds,
     /// Number of evaluations left.
     left: Cell<u32>,
 }
@@ -261,8 +261,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
             return None;
         }
         let duration = stretch * self.path.length;
-        let stays =
-            stays || self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.bounds, self.tolerance);
+        let stays = stays || from.guard_values.stay_until(&to.guard_values, duration, &self.bounds, self.tolerance);
         if stays && !from.sticks() {
             return None;
         }

@@ -115,7 +115,6 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
 impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
-    type PathBounds = Extremes;
 
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
         let pose = self.pose(q);
@@ -162,20 +161,11 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     fn path_bounds(&self, path: &Path<ANGLES>) -> Extremes {
         path.extremes(LINK_INDICES)
     }
-
-    fn is_out_of_reach(&self, from: &GuardValues<'a>, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        from.are_out_of_reach(duration, extremes, tolerance)
-    }
-
-    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, duration, extremes, tolerance)
-    }
 }
 
 impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
-    type PathBounds = Extremes;
 
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
@@ -202,14 +192,6 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
 
     fn path_bounds(&self, path: &Path<COORDINATES>) -> Extremes {
         path.extremes(THETA)
-    }
-
-    fn is_out_of_reach(&self, from: &GuardValues<'a>, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        from.are_out_of_reach(duration, extremes, tolerance)
-    }
-
-    fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, duration, extremes, tolerance)
     }
 }
 

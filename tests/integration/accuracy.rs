@@ -1,9 +1,9 @@
 //! Orders and reference values: fall-90-120 and the torque test in quadruple precision, by means other than ours.
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{self, rk4};
 use fivebar::mechanism::Coordinates;
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Inputs, Method, Simulation};
 

@@ -4,9 +4,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use fivebar::ffi::fmi2OK;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::linear::LinearSolve;
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Method, Simulation};
 
 use crate::fmi_host::{Host, reference};

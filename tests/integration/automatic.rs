@@ -3,10 +3,10 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{State, System, equilibrium};
 use fivebar::observers;
 use fivebar::simulation::angles::{AngleSystem, Angles, angles_of};
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Counters, Inputs, Method, Parameters, Simulation};
 use fivebar::vector::Vector;

@@ -2,11 +2,11 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::closure::assemble;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{Assembly, Geometry, Start, close};
 use fivebar::observers::{self, SingularityKind};
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Parameters, Simulation};
 
 use crate::support::unequal;

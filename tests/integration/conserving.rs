@@ -1,8 +1,8 @@
 //! The conserving step: energy and both levels of the constraints at strictly fixed steps, whatever the motion and the loads.
 
 use fivebar::effects::JOINTS;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers::{self, Energies};
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Signal, Simulation};
 
 use crate::support::{MGL, Reference, enable, fall_90_120, slope, tip_error, unequal};

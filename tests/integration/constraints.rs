@@ -1,8 +1,8 @@
 //! Φ, Φ_q, Φ̇_q q̇ and the geometric stiffness against finite differences along real motions.
 
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Mechanism, Multipliers};
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Method, Simulation};
 use fivebar::vector::Vector;
 use nalgebra::SVector;

@@ -2,8 +2,8 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Signal, Simulation};
 
 use crate::support::{MGL, Reference, angle_error, fall_90_120, run, tip_error, torque, unequal};

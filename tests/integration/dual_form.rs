@@ -1,11 +1,11 @@
 //! The dual form is the paper's penalty step: the same numbers, by dense matrices written down from the paper's equations.
 
 use fivebar::effects::Mode;
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::integrator::{self, Kkt, System, i3alp};
 use fivebar::linear::dense::Dense;
 use fivebar::linear::two_leg::{Elimination, TwoLeg};
 use fivebar::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Inputs, Model, Simulation};
 use nalgebra::{SMatrix, SVector};

@@ -4,12 +4,12 @@ use std::f64::consts::PI;
 
 use fivebar::dynamics::Conditions;
 use fivebar::effects::{Mode, NAMES};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, System, TangentPoint};
 use fivebar::linear::{LinearSolve, LinearSolver};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Multipliers};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::methods::{MethodSettings, method_settings};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};

@@ -7,8 +7,8 @@
 
 use std::f64::consts::PI;
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers::{self, Energies};
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 
 use crate::support::{MGL, enable, fall_90_120, run, unequal};

@@ -1,7 +1,7 @@
 //! Stiff effects at h = 1 ms: stable, without chatter, and the counters show the sub-steps.
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 
 use crate::support::{MGL, enable, run};

@@ -3,8 +3,8 @@
 use fivebar::effects::Inputs;
 use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
 use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::Assembly;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{FollowedScene, Following, Method, Parameters, Signal, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -3,9 +3,9 @@
 use std::f64::consts::PI;
 
 use fivebar::ffi::*;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::fmi::{Instance, Kind};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Signal, Simulation};
 use fivebar::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
 use model_description::ModelDescription;

@@ -2,9 +2,9 @@
 //! friction that sticks stays.
 
 use fivebar::effects::Mode;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, i3alp};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;

@@ -5,8 +5,8 @@ use fivebar::effects::Inputs;
 use fivebar::estimator::error_state::{LENGTHS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::ffi::{fmi2Error, fmi2OK};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
 
 use crate::fmi_host::{EXACT, Host, reference};

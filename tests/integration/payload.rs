@@ -1,9 +1,9 @@
 //! Mass that joins the tip during a run, or leaves it: momentum, energy, limits of a run.
 
 use fivebar::effects::payload::Join;
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::linear::LinearSolve;
 use fivebar::observers::{self, Energies};
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Method, Parameters, Simulation};
 
 use crate::support::{MGL, enable, unequal};

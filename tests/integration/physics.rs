@@ -1,11 +1,11 @@
 //! Physics without a reference: energy, symmetry, reversal, equivalent formulations, determinism.
 
 use fivebar::effects::Mode;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator;
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::methods::{MethodSettings, method_settings};
 use fivebar::simulation::{Inputs, Method, Simulation};

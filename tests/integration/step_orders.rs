@@ -75,7 +75,6 @@ impl Passage<2> for Point {}
 impl Events<2> for Point {
     type Mode = ();
     type GuardValues = ();
-    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
 

@@ -4,11 +4,11 @@
 use std::f64::consts::PI;
 
 use fivebar::effects::Law;
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::hybrid::friction::FrictionProblem;
 use fivebar::hybrid::{SlipDirection, StickSlip, StickSlips};
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
 
 use rand_chacha::ChaCha8Rng;

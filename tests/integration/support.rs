@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{Coordinates, Geometry, closure};
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 
 /// m g L of the paper's links, J: the unit in which energy errors are judged.

@@ -3,7 +3,7 @@
 use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
-use fivebar::fmi::bindings::{self, default_inputs, default_parameters};
+use fivebar::simulation::bindings::{self, default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Model, Parameters};
 use fivebar::variables::{Value, Variable};
 use scenes::Scene as File;

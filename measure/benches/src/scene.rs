@@ -1,7 +1,7 @@
 //! Parameters and inputs by the names of variables.
 
 use anyhow::{Context, Result, ensure};
-use fivebar::fmi::bindings::{default_inputs, default_parameters, write};
+use fivebar::simulation::bindings::{default_inputs, default_parameters, write};
 use fivebar::simulation::{Inputs, Parameters, Simulation};
 use fivebar::variables::{VARIABLES, Value, Variable, VariableId};
 

@@ -3,8 +3,8 @@
 use std::f64::consts::FRAC_PI_2;
 use std::io::Write;
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::observers;
+use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Parameters, Simulation};
 
 use crate::machine::{NO_LOAD, fall_90_120};

@@ -1,7 +1,7 @@
 //! Scenes and machines that several cases share.
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Geometry, closure};
+use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Inputs, Parameters};
 
 /// No load.

@@ -3,9 +3,9 @@
 //!
 //! The seed is fixed; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for other machines.
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, Link};
 use fivebar::observers::{self, SingularityKind};
+use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 use hard_cases::{POSTURES, mgl};
 use proptest::prelude::*;

@@ -249,7 +249,6 @@ impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M
 impl<const N: usize, const M: usize, const W: usize> Events<N> for Linkage<N, M, W> {
     type Mode = ();
     type GuardValues = ();
-    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<N>, _: &Vector<N>) {}
 

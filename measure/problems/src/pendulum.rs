@@ -110,7 +110,6 @@ impl Passage<2> for Pendulum {}
 impl Events<2> for Pendulum {
     type Mode = ();
     type GuardValues = ();
-    type PathBounds = ();
 
     fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
 

@@ -1,8 +1,8 @@
 //! The five-bar of the benchmark of state observers by Sanjurjo and others (mbde): gravity off by 1 m/s², starting angles off by π/16.
 
 use fivebar::estimator::{LinkState, Linkage, Links, MEASURED, Scene};
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::{Assembly, Link};
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{FollowedScene, Method, Parameters};
 
 use crate::machine::{Encoder, Plan, Random, Scenario, exact, follow, motion, no_inputs};

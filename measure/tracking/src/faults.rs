@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::{Fault, MEASURED, Measured, Status};
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::Assembly;
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Following, Method, Signal};
 
 use crate::machine::{

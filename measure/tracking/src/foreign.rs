@@ -3,8 +3,8 @@
 //! are eccentric, their samples are 2 ms old.
 
 use fivebar::estimator::{Measured, Status};
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::Signal;
+use fivebar::simulation::bindings::default_inputs;
 
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, desk, no_inputs, start_off, tip};
 use crate::report::{Figure, Table};

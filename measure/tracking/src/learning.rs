@@ -3,7 +3,7 @@
 use fivebar::effects::Inputs;
 use fivebar::estimator::error_state::{DRY, Learned, MASSES, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
-use fivebar::fmi::bindings::default_inputs;
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
 
 use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, motion, tip};

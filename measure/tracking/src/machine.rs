@@ -2,9 +2,9 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::{MEASURED, Measured};
-use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation, State, StepFailure};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -2,7 +2,7 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::Status;
-use fivebar::fmi::bindings::default_inputs;
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Method, Parameters};
 
 use crate::machine::{

@@ -2,8 +2,8 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::{LinkState, Linkage, Pair};
-use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::Assembly;
+use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Method, Parameters, Simulation};
 
 use crate::machine::{

@@ -1,7 +1,7 @@
 //! Item 1 of the battery: perturbed free falls.
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, close};
+use fivebar::simulation::bindings::default_parameters;
 use std::f64::consts::FRAC_PI_2;
 
 use super::{Case, Conserving, Extent};

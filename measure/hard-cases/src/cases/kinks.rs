@@ -6,8 +6,8 @@ use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
 use fivebar::effects::Law;
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::observers;
+use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Inputs, Parameters, Simulation};
 
 use super::{Case, Extent};

@@ -2,8 +2,8 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::Assembly;
+use fivebar::simulation::bindings::default_parameters;
 
 use super::{Case, Extent};
 use crate::machine::{leg_to, right_rates};

@@ -1,8 +1,8 @@
 //! Item 5 of the battery: the paper's tests: 0.25 N·m on the left motor, with and without gravity, whips of 70 rad/s. The conserving step
 //! is run for 50 s, throughout which the torque acts, and over the free fall as well.
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::simulation::Inputs;
+use fivebar::simulation::bindings::default_parameters;
 
 use super::Case;
 use crate::machine::{NO_LOAD, weightless};

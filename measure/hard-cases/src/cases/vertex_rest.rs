@@ -1,7 +1,7 @@
 //! Item 3 of the battery: rest in each vertex.
 
-use fivebar::fmi::bindings::default_parameters;
 use fivebar::simulation::Inputs;
+use fivebar::simulation::bindings::default_parameters;
 
 use super::{Case, Extent};
 use crate::gauss::branches;
