@@ -17,7 +17,7 @@ const LEARNED_FOR: f64 = 2.0;
 /// When forecasts begin, s, and how far ahead they are looked at, s.
 const FORECASTS: ([f64; 2], f64) = ([1.0, LEARNED_FOR], 0.3);
 /// Alarms before, s, are of the start: an alarm lasts 0.1 s.
-const STARTED: f64 = 0.15;
+pub(crate) const STARTED: f64 = 0.15;
 /// Length of a rest, and time between its samples, s.
 const REST: [f64; 2] = [3600.0, 5e-3];
 /// Part of the runs that may raise a false alarm: without and with learning.
@@ -72,6 +72,11 @@ fn scenario(random: &mut Random, (driven, friction): (bool, Friction), learns: b
     }
     model.estimator.learn_enabled = learns;
     scenario
+}
+
+/// A fall under known sines of a machine whose masses are 5 % off.
+pub(crate) fn under_torques(random: &mut Random) -> Scenario {
+    scenario(random, (true, Friction::None), false)
 }
 
 /// A fall under known sines, learned or not, pushed after a second by 0.5 N.

@@ -31,7 +31,7 @@ fn main() -> ExitCode {
         compare::write(runs(10), seeds, &folder).unwrap_or_else(|error| panic!("{}: {error:#}", folder.display()));
         return ExitCode::SUCCESS;
     }
-    let tables: [(&str, &dyn Fn() -> Table); 13] = [
+    let tables: [(&str, &dyn Fn() -> Table); 14] = [
         ("benchmark", &|| benchmark::table(runs(60), seeds)),
         ("quality", &|| quality::table(runs(100), seeds)),
         ("compare", &|| compare::table(runs(10), seeds)),
@@ -43,6 +43,7 @@ fn main() -> ExitCode {
         ("causes", &|| causes::table(runs(50), seeds)),
         ("foreign", &|| foreign::table(runs(20), seeds)),
         ("geometry", &|| geometry::table(runs(100), seeds)),
+        ("off", &|| geometry::one_thing_off(runs(200), seeds)),
         ("workshop", &|| geometry::learned(runs(25), seeds)),
         ("learning", &|| learning::table(runs(500), seeds)),
     ];
