@@ -19,7 +19,8 @@ use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::ForceLaw;
 use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
 use crate::hybrid::{
-    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralGuard, UnilateralGuards, UnilateralSpring,
+    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralGuard, UnilateralGuards,
+    UnilateralSpring,
 };
 use crate::mechanism::{LINKS, Mechanism, SceneError};
 
