@@ -73,7 +73,6 @@ if __name__ == "__main__":
         above.stairs(1e3 * tau[i], time, baseline=None, label=f"{side} motor", color=f"C{i}")
         below.plot(time, np.degrees(planned[i]), label=f"{side}, planned", color=f"C{i}")
         below.plot(time, np.degrees(states[i]), "o", markersize=4, label=f"{side}, played back", color=f"C{i}")
-    for axes, label in ((above, "torque (mN·m)"), (below, "motor angle (°)")):
-        axes.set(ylabel=label), axes.legend()
-    below.set_xlabel("time (s)")
+    above.set_ylabel("torque (mN·m)"), above.legend()
+    below.set(xlabel="time (s)", ylabel="motor angle (°)"), below.legend(loc="upper center", ncols=2)
     figure.savefig("target/optimal_control.svg", metadata={"Date": None})
