@@ -20,8 +20,6 @@ pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 
 /// Number of parameters that may be learned.
 pub const LEARNED: usize = 18;
-/// Number of those that change accelerations: loads and lengths, the first.
-pub const MOVING: usize = 16;
 /// Number of loads, the first: masses, payload and friction.
 pub const LOADS: usize = 11;
 /// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
@@ -33,9 +31,9 @@ pub const VISCOUS: Range<usize> = 5..10;
 /// Logarithm of the factor of dry friction in all joints.
 pub const DRY: usize = 10;
 /// Lengths of links 1 to 4 and of the base: errors of the parameters, m.
-pub const LENGTHS: Range<usize> = LOADS..MOVING;
-/// Mounting angles of the encoders, rad.
-pub const OFFSETS: Range<usize> = MOVING..LEARNED;
+pub const LENGTHS: Range<usize> = LOADS..LOADS + 5;
+/// Mounting angles of the encoders, rad, on which servos close.
+pub const OFFSETS: Range<usize> = LENGTHS.end..LEARNED;
 /// Values of the parameters: logarithms, kg, N·m·s/rad, m, rad.
 pub type Learned = SVector<f64, LEARNED>;
 

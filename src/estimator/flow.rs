@@ -8,7 +8,7 @@ use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 use super::constants::{
     EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
 };
-use super::error_state::{LENGTHS, LOADS};
+use super::error_state::{LENGTHS, LOADS, OFFSETS};
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
 
 /// Equations of motion linearised at a state.
@@ -38,6 +38,9 @@ pub trait Scene {
     /// Derivatives of the accelerations, which are `alpha`, by the lengths of links 1 to 4, at held angles and rates; `None` where these are
     /// not learned.
     fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>>;
+
+    /// Derivatives of the accelerations by the mounting angles of the encoders, on which servos close; `None` without servos.
+    fn by_offsets(&self, at: &LinkState, force: &Links) -> Option<Matrix4x2<f64>>;
 
     /// Mass matrix M in the link angles, kg·m².
     fn mass(&self, theta: &Links) -> Matrix4<f64>;
@@ -162,6 +165,9 @@ pub fn flow<const P: usize>(
         if P > 0 {
             let alpha = near.alpha - near.by_torque * unknown;
             learned.fixed_columns_mut::<LOADS>(0).copy_from(&scene.by_loads(at, force, &alpha));
+            if let Some(by_offsets) = scene.by_offsets(at, force) {
+                learned.fixed_columns_mut::<2>(OFFSETS.start).copy_from(&by_offsets);
+            }
         }
         learned
     };

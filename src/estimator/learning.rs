@@ -22,8 +22,7 @@ use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY,
 };
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, MOVING, Matrix, is_correlation, is_covariance, reduce_of,
-    turned,
+    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance, reduce_of, turned,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
@@ -33,8 +32,8 @@ use super::tangent::Frame;
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
-/// Derivatives Ψ of the errors of the motion by the parameters that move it.
-type Moving = SMatrix<f64, FORCE, MOVING>;
+/// Derivatives Ψ of the errors of the motion by the parameters.
+type Moving = SMatrix<f64, FORCE, LEARNED>;
 /// Number of lengths and mounting angles, the last parameters.
 const GEOMETRY: usize = LEARNED - LOADS;
 /// Covariance of the errors of the parameters.
@@ -216,7 +215,7 @@ impl Learning {
     pub(super) fn predict(
         &mut self,
         own: &mut Bank,
-        (step, flow): (&Propagation, &Flow<MOVING>),
+        (step, flow): (&Propagation, &Flow<LEARNED>),
         noise: &ProcessNoise,
         (scales, (h, switch_time)): ([f64; 3], (f64, f64)),
         priors: &[f64; MODELS],
@@ -231,7 +230,7 @@ impl Learning {
         psi.fixed_rows_mut::<2>(0).copy_from(&by_angle);
         psi.fixed_rows_mut::<2>(2).copy_from(&by_rate);
         if !self.geometry {
-            psi.fixed_columns_mut::<{ MOVING - LOADS }>(LOADS).fill(0.0);
+            psi.fixed_columns_mut::<GEOMETRY>(LOADS).fill(0.0);
         }
         let (all, mean) = (self.moments(own), own.mean());
         // Shares of the parameters in mean and covariance of each model.
@@ -356,14 +355,14 @@ impl Moments {
 
     /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
     fn step(&mut self, f: &Matrix, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
-        let pushed = psi * self.covariance.fixed_rows::<MOVING>(0);
+        let pushed = psi * self.covariance;
         self.cross = f * self.cross;
         let mut half = self.cross;
         let mut rows = half.fixed_rows_mut::<FORCE>(0);
         rows += pushed * 0.5;
         let mut rows = self.cross.fixed_rows_mut::<FORCE>(0);
         rows += pushed;
-        (psi * self.error.fixed_rows::<MOVING>(0), half.fixed_columns::<MOVING>(0) * psi.transpose())
+        (psi * self.error, half * psi.transpose())
     }
 
     /// Whether stored moments are possible beside the covariance of motion and force.

@@ -58,7 +58,7 @@ use constants::{
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Reading, Sample};
-use error_state::{LEARNED, LOADS, Learned, MOVING, OFFSETS};
+use error_state::{LEARNED, LOADS, Learned, OFFSETS};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -476,7 +476,7 @@ impl Estimator {
         self.coasts = coasts;
         let (mass, ahead) = (scene.mass(&from.theta), linkage.frame(&to.theta));
         let (step, learned) = if self.learning.is_some() {
-            let flow: Flow<MOVING> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
+            let flow: Flow<LEARNED> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
             (Propagation::along(&flow, mass, &frame, (to, &ahead), h), Some(flow))
         } else {
             let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));

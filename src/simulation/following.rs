@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bindings::check_bounds;
 use super::learned::Others;
-use super::linearised::{FollowedScene, with_unknown_force};
+use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
@@ -76,9 +76,11 @@ impl Following {
         let (before, at) = (estimator.learned(), run.motion(model));
         let corrected = estimator.correct(constants, &at, measured, now);
         if let Some(motion) = corrected.or_else(|| (estimator.learned() != before).then_some(at)) {
-            let inputs = with_unknown_force(inputs, &estimator.belief().force);
+            let learned = estimator.learned();
+            let inputs = by_true_angles(model, inputs, learned.as_ref());
+            let inputs = with_unknown_force(&inputs, &estimator.belief().force);
             // A machine that has been learned within its bounds can be simulated.
-            let learned = estimator.learned().and_then(|learned| Model::within_bounds(&parameters.with_learned(&learned)).ok());
+            let learned = learned.and_then(|learned| Model::within_bounds(&parameters.with_learned(&learned)).ok());
             run.resume_from([model, learned.as_ref().unwrap_or(model)], &motion, &inputs);
             if let Some(learned) = learned {
                 // The method stays.
@@ -99,8 +101,10 @@ impl Following {
         let Self { simulation: Simulation { model, run, parameters }, constants, estimate } = self;
         estimate.inputs = *inputs;
         let (turns, from) = (run.turns, run.motion(model));
+        let learned = estimate.estimator.learned();
+        let inputs = &by_true_angles(model, inputs, learned.as_ref());
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
-        let learned = estimate.estimator.learned().map(|learned| parameters.with_learned(&learned));
+        let learned = learned.map(|learned| parameters.with_learned(&learned));
         let asked = learned.as_ref().or_else(|| estimate.estimator.asks_for_parameters().then_some(parameters));
         let others = asked.map(Others::new);
         let scene = FollowedScene { model, inputs, turns: &turns, learned: others.as_ref() };
@@ -123,9 +127,11 @@ impl Following {
         self.simulation.parameters()
     }
 
-    /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force.
+    /// Present state, with the q̈ and λ that belong to `inputs`, with servo references by true angles, plus the unknown force.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.belief().force))
+        let estimator = &self.estimate.estimator;
+        let inputs = by_true_angles(&self.simulation.model, inputs, estimator.learned().as_ref());
+        self.simulation.state_for(&with_unknown_force(&inputs, &estimator.belief().force))
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller keeps a copy.

@@ -1,9 +1,9 @@
 //! A scene whose masses, friction, lengths and mounting angles an estimator learns: its parameters with what has been learned, and the accelerations
 //! by each.
 
-use nalgebra::{Matrix4, SMatrix};
+use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
-use super::{FollowedScene, Model, Parameters};
+use super::{FollowedScene, Inputs, Model, Parameters};
 use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
 use crate::effects::friction::Friction;
 use crate::effects::payload::CARRIER;
@@ -159,6 +159,19 @@ impl FollowedScene<'_> {
         });
         by_loads
     }
+
+    /// Derivatives of the accelerations by the mounting angles of the encoders: those by servo references, with the sign changed.
+    pub(super) fn by_offsets(&self, at: &LinkState, force: &Links) -> Matrix4x2<f64> {
+        self.at(at, force, |_, equations, _, motion| {
+            Matrix4x2::from_columns(&[[-1.0, 0.0], [0.0, -1.0]].map(|servo_theta| {
+                let change = Inputs { servo_theta, ..Inputs::default() };
+                let by_effects =
+                    self.model.effects.iter().map(|effect| on_links(effect.torques_by_inputs(&motion.joints, &change)));
+                let torques: Links = by_effects.map(Links::from).sum();
+                Links::from(in_link_order(&equations.by_torques(&angles(by_legs(torques.into())))))
+            }))
+        })
+    }
 }
 
 /// Torques on links 1 to 4 by those in the joints, N·m.
@@ -178,12 +191,11 @@ mod tests {
     use nalgebra::Matrix4x2;
 
     use super::*;
-    use crate::effects::Inputs;
     use crate::estimator::Linkage;
-    use crate::estimator::error_state::MOVING;
+    use crate::estimator::error_state::LEARNED;
     use crate::estimator::flow::{flow, motion};
-    use crate::simulation::Model;
     use crate::simulation::bindings::{default_inputs, default_parameters};
+    use crate::simulation::linearised::by_true_angles;
 
     /// A scene with every effect that is learned, all links unequal and in a loaded motion.
     fn scene() -> (Parameters, Inputs, LinkState) {
@@ -197,9 +209,10 @@ mod tests {
         let effects = &mut parameters.effects;
         (effects.gravity.enabled, effects.payload.enabled, effects.viscous.enabled, effects.friction.enabled) =
             (true, true, true, true);
+        (effects.servo.enabled, effects.servo.kp, effects.servo.kd) = (true, [0.4, 0.5], [4e-3, 5e-3]);
         effects.viscous.b = [1e-3, 2e-3, 3e-3, 2e-3, 1e-3];
         effects.friction.breakaway_velocity = 1.0;
-        let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], ..default_inputs() };
+        let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], servo_theta: [2.3, 1.0], ..default_inputs() };
         parameters.start.theta = [2.2, 0.9];
         parameters.start.omega = [2.0, -3.0];
         let simulation = crate::simulation::Simulation::new(&parameters, &inputs).expect("a scene");
@@ -221,17 +234,19 @@ mod tests {
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
         let loads = Scene::by_loads(&here, &at, &none, &alpha);
         let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");
+        let offsets = Scene::by_offsets(&here, &at, &none).expect("servos");
         let (h, least, frame) = (2e-3, 4, linkage.frame(&at.theta));
-        let moved = flow::<MOVING>(&linkage, &here, (&at, &frame), &none, (h, least));
+        let moved = flow::<LEARNED>(&linkage, &here, (&at, &frame), &none, (h, least));
         let links = frame.links_by_learned();
         let (readings, tip) = (frame.readings_by_learned(), frame.tip_by_learned());
-        for i in 0..MOVING {
+        for i in 0..LEARNED {
             let is_length = LENGTHS.contains(&i);
             let step = if i == PAYLOAD || VISCOUS.contains(&i) || is_length { 1e-6 } else { 1e-5 };
             let [ahead, behind] = [step, -step].map(|by| {
                 let mut learned = known;
                 learned[i] += by;
                 let (model, linkage) = made(&learned);
+                let inputs = by_true_angles(&model, &inputs, Some(&learned));
                 let scene = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: None };
                 let from = linkage.closed(at).expect("a closed loop").0;
                 let end = motion(&scene, &from, &none, h, moved.steps);
@@ -247,6 +262,7 @@ mod tests {
             let exact: Links = match i {
                 _ if is_base => Links::zeros(),
                 _ if is_length => lengths.column(i - LENGTHS.start).into(),
+                _ if OFFSETS.contains(&i) => offsets.column(i - OFFSETS.start).into(),
                 _ => loads.column(i).into(),
             };
             let size = exact.amax();

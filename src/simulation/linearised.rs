@@ -8,7 +8,7 @@ use super::learned::Others;
 use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::effects::Motion;
-use crate::estimator::error_state::LOADS;
+use crate::estimator::error_state::{LOADS, Learned, OFFSETS};
 use crate::estimator::{Linearised, LinkState, Links, Scene};
 use crate::integrator::Work;
 use crate::mechanism::Pose;
@@ -32,6 +32,15 @@ impl FiveBar<'_> {
     }
 }
 
+/// Inputs whose servo references are true angles: those by the encoders, on which servos close, less the mounting angles that have been learned.
+pub(super) fn by_true_angles(model: &Model, inputs: &Inputs, learned: Option<&Learned>) -> Inputs {
+    let mut inputs = *inputs;
+    if let Some(learned) = learned.filter(|_| model.has_servo) {
+        inputs.servo_theta = [0, 1].map(|i| inputs.servo_theta[i] - learned[OFFSETS.start + i]);
+    }
+    inputs
+}
+
 /// Inputs plus an unknown force: torques, N·m, and tip forces, N.
 pub(super) fn with_unknown_force(inputs: &Inputs, force: &Links) -> Inputs {
     let [left, right, x, y] = (*force).into();
@@ -47,7 +56,7 @@ pub(super) fn with_unknown_force(inputs: &Inputs, force: &Links) -> Inputs {
 pub struct FollowedScene<'a> {
     /// Model with its effects.
     pub model: &'a Model,
-    /// Inputs without the unknown force.
+    /// Inputs without the unknown force, with servo references by true angles.
     pub inputs: &'a Inputs,
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
@@ -119,6 +128,11 @@ impl Scene for FollowedScene<'_> {
     #[inline(never)]
     fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
         FollowedScene::by_lengths(self, at, force, alpha)
+    }
+
+    #[inline(never)]
+    fn by_offsets(&self, at: &LinkState, force: &Links) -> Option<Matrix4x2<f64>> {
+        self.model.has_servo.then(|| FollowedScene::by_offsets(self, at, force))
     }
 
     fn mass(&self, theta: &Links) -> Matrix4<f64> {

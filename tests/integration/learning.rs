@@ -74,7 +74,9 @@ impl Pair {
             look(&self.twin);
             let inputs = (self.inputs)(time + H / 2.0);
             self.twin.advance_along(&Signal::held(inputs), H, 1).expect("a step");
-            self.machine.advance(&Inputs { tip_force: self.push, ..inputs }, H, 1).expect("a step");
+            // The machine's servos close on its encoders.
+            let servo_theta = [0, 1].map(|i| inputs.servo_theta[i] - self.offset[i]);
+            self.machine.advance(&Inputs { tip_force: self.push, servo_theta, ..inputs }, H, 1).expect("a step");
             self.step += 1;
         }
     }
@@ -180,19 +182,23 @@ fn a_machine_with_eccentric_encoders_is_learned_within_its_bands() {
     assert!(f64::from(inside) >= 0.88 * f64::from(all), "{inside} of {all}");
 }
 
-/// A mounting angle acts on a machine with servos as a steady torque. The error of the unknown force that compensates it goes on as that force does:
-/// by another transition both angles of 1 mrad were learned as −6 mrad.
+/// Stiff servos close on encoders that are mounted 1 to 2 mrad off and lead the axes to other angles than the references: what is learned of the mounting
+/// angles ends within its bands. Of servos taken to close on true angles the encoders would show mounting angles of 0, whatever they are.
 #[test]
-fn mounting_angles_are_found_under_servos() {
-    let mut model = learning();
-    (model.estimator.sigma0_offset, model.estimator.learn_mass) = (2e-3, 0.0);
-    let servo = &mut model.effects.servo;
-    (servo.enabled, servo.kp, servo.kd) = (true, [10.0; 2], [0.1; 2]);
-    let mut pair = Pair::new(&model, &model, swing);
-    pair.offset = [1e-3; 2];
-    pair.follow(1000, |_| ());
-    let [values, sigma] = pair.learned();
-    assert!(OFFSETS.into_iter().all(|i| (values[i] - 1e-3).abs() < 2e-4 && sigma[i] < 2e-4), "{values} {sigma}");
+fn mounting_angles_of_encoders_on_which_stiff_servos_close_stay_within_their_bands() {
+    for offset in [[1e-3, 2e-3], [-2e-3, 1e-3], [1.5e-3, -1.5e-3], [-1e-3, -2e-3]] {
+        let mut model = learning();
+        model.estimator.sigma0_offset = 2e-3;
+        let servo = &mut model.effects.servo;
+        (servo.enabled, servo.kp, servo.kd) = (true, [20.0; 2], [0.5; 2]);
+        let mut pair = Pair::new(&model, &five_percent_off(&model), swing);
+        pair.offset = offset;
+        pair.follow(2000, |_| ());
+        let [values, sigma] = pair.learned();
+        for (i, offset) in OFFSETS.zip(offset) {
+            assert!((values[i] - offset).abs() < 2.0 * sigma[i], "{offset}: {} {}", values[i], sigma[i]);
+        }
+    }
 }
 
 /// A machine at rest tells neither lengths nor mounting angles: values and bands stay, that of the tip as well.
