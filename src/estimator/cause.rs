@@ -4,16 +4,17 @@
 //! that it leaves free.
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::{Matrix2, SMatrix};
+use nalgebra::Matrix2;
 
 use super::bank::Innovation;
 use super::constants::{
     BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
 };
-use super::error_state::{Error, LOADS, MASSES, Matrix};
+use super::error_state::{Error, MASSES, Matrix};
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
-use super::witness::{DELAY, FAULTS, Faults, OFFSETS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};
+use super::tangent::Pair;
+use super::witness::{ByFaults, DELAY, FAULTS, Faults, OFFSETS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};
 
 /// Explanation of an alarm or a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -98,8 +99,14 @@ impl Causes {
     }
 
     /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
-    /// the errors.
-    pub(super) fn look(&mut self, constants: &Constants, nis: f64, alarm: bool, start: impl FnOnce() -> (Error, Matrix)) {
+    /// the errors; `rates`: those of the estimate on its tangent basis, rad/s.
+    pub(super) fn look(
+        &mut self,
+        constants: &Constants,
+        (nis, alarm): (f64, bool),
+        rates: &Pair,
+        start: impl FnOnce() -> (Error, Matrix),
+    ) {
         let surprises = nis.is_nan() || nis > SURPRISE;
         let begins = match &self.surprise {
             None => alarm || surprises,
@@ -111,14 +118,16 @@ impl Causes {
                 self.last = Some((cause.number() as u8, probability));
             }
             let (error, covariance) = start();
-            self.surprise = Some(Surprise { age: 0.0, confirmed: false, witness: Witness::new(error, covariance) });
+            let mut witness = Witness::new(error, covariance);
+            witness.stand_back(0, &(rates + error.fixed_rows::<2>(2)));
+            self.surprise = Some(Surprise { age: 0.0, confirmed: false, witness });
         }
     }
 
-    /// Measurement update by a sample of encoder i of an axis that turns at the estimate's `rate`, rad/s, before its own.
-    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+    /// Measurement update by a sample of encoder i, before that of the estimate.
+    pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(surprise) = self.judge() {
-            surprise.witness.receive((i, rate), sample);
+            surprise.witness.receive(i, sample);
         }
     }
 
@@ -137,15 +146,15 @@ impl Causes {
         }
     }
 
-    /// Time update by h seconds: `wrong` says whether an alarm is raised or an encoder fails; `parameters` are the accelerations by those that
-    /// may be learned.
+    /// Time update by h seconds: `wrong` says whether an alarm is raised or an encoder fails; `accelerations` are
+    /// those on the tangent basis, rad/s².
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
-        noise: &ProcessNoise,
-        [scale, inertia]: [f64; 2],
+        (noise, [scale, inertia]): (&ProcessNoise, [f64; 2]),
         (wrong, h): (bool, f64),
-        parameters: impl FnOnce() -> SMatrix<f64, 4, LOADS>,
+        accelerations: &Pair,
+        by: impl FnOnce() -> ByFaults,
     ) {
         self.calm = if wrong { 0.0 } else { (self.calm + h).min(f64::MAX) };
         if self.calm > CAUSE_PERSISTS {
@@ -159,7 +168,10 @@ impl Causes {
             return;
         }
         if surprise.age < EVIDENCE_TIME && !step.held {
-            let by = parameters();
+            let by = by();
+            if surprise.age == 0.0 {
+                surprise.witness.stand_back(2, accelerations);
+            }
             surprise.witness.predict(step, (noise, CAUSE_MODEL, [scale, inertia]), &by, h);
             if surprise.age == 0.0 {
                 // The unknown force before the surprise contains the effect of the masses.

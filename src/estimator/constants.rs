@@ -74,7 +74,7 @@ pub(super) const LARGEST_MISFIT: f64 = 4.0;
 /// Largest error of a length that is learned, relative to it: a machine that has been learned can be simulated.
 pub(super) const LARGEST_STRAIN: f64 = 0.05;
 /// Time without a move to a bound after which the values have left their bounds, s. Of an encoder that is mounted ten standard deviations off, values come
-/// back to their bounds 32 times in 0.8 s, each after up to 0.3 s and from more than a tenth away (the machine of `a_value_at_its_bound_is_told_once`).
+/// back to their bounds 32 times in 0.8 s, each after up to 0.3 s and from more than a tenth away (the machine of `a_value_at_its_bound_is_told_once`, mounted 20 mrad off).
 pub(super) const BOUNDS_LEFT_AFTER: f64 = 1.0;
 
 // ---- Propagation.
@@ -334,8 +334,6 @@ pub(super) const DOUBT_TIME: f64 = 0.1;
 pub(super) const EVIDENCE_TIME: f64 = 0.5;
 /// Time for which a cause is told after all is well again, s: as long as a human needs to look.
 pub(super) const CAUSE_PERSISTS: f64 = 1.0;
-/// Time constant by which the rates of late samples follow those of the filter, s: of 0.02, 0.03 and 0.05 s all name late samples.
-pub(super) const RATES_PERSIST: f64 = 0.03;
 /// Least mean of r²/S under the best explanation, by which evidence is divided: neighbouring samples share errors of the model.
 pub(super) const LEAST_SCATTER: f64 = 2.0;
 /// Probability that none of the explanations has.

@@ -24,7 +24,7 @@ use super::hypotheses::{Hypothesis, is_distinguishable};
 use super::parameters::Constants;
 use super::propagation::Propagation;
 use super::tangent::{LinkState, Linkage, Links, MEASURED};
-use super::witness::{DELAY, Faults, Witness, prior_sizes};
+use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
 
 /// Doubt about the assembly of a start.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -83,10 +83,10 @@ impl Doubt {
         }
     }
 
-    /// Receives a sample of encoder i of an axis that turns at `rate`, rad/s, as the estimate has expected it, before its own update.
-    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+    /// Receives a sample of encoder i, as the estimate has expected it, before its own update.
+    pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(branches) = &mut self.branches {
-            branches.witnesses[0].receive((i, rate), sample);
+            branches.witnesses[0].receive(i, sample);
         }
     }
 
@@ -127,7 +127,7 @@ impl Doubt {
         let follow = |witness: &mut Witness, step: &Propagation, [from, to]: [&LinkState; 2], force: &Links| {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
-            let by = scene.by_loads(from, force, &alpha);
+            let by = ByFaults::new(scene, [from, to], force, h);
             witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, h);
         };
         let (before, acts) = (other.motion, other.belief.force);
@@ -167,7 +167,7 @@ impl Branches {
         for (i, reading) in seen.iter().enumerate() {
             if let Some(Reading { angle, noise, age, .. }) = *reading {
                 let rate = other.motion.omega[MEASURED[i]];
-                mirrored.receive((i, rate), &Innovation::new(&other.motion, &frame, i, angle + age * rate, noise));
+                mirrored.receive(i, &Innovation::new(&other.motion, &frame, i, angle + age * rate, noise));
             }
         }
         let Some((_, error, turn)) = other.update(&constants.linkage, readings) else { return Verdict::Right };

@@ -35,6 +35,9 @@ pub trait Scene {
     /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned, by columns.
     fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS>;
 
+    /// Derivatives of the accelerations by a delay of the inputs, rad/s³, from those of a step of h seconds before.
+    fn by_delay(&self, at: &LinkState, force: &Links, h: f64) -> Links;
+
     /// Derivatives of the accelerations, which are `alpha`, by the lengths of links 1 to 4, at held angles and rates; `None` where these are
     /// not learned.
     fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>>;

@@ -70,6 +70,7 @@ pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 use unaided::Unaided;
+use witness::ByFaults;
 
 /// Quality of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -278,7 +279,7 @@ impl Estimator {
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
             let own = expected.nis();
             nis += own;
-            self.watch(constants, frame, (i, sample), own);
+            self.watch(constants, (motion, frame), (i, sample), own);
             let (conditions, change) = self.gate_conditions((i, sample), frame, &models);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
@@ -304,7 +305,7 @@ impl Estimator {
                     // Accelerations do not show what hardly changes.
                     update.seen[i] = encoder.unconfined(&encoder.with_persistent_error(sample, 0.0));
                     if let Some(reading) = &update.seen[i] {
-                        self.doubt.receive((i, sample.rate), &sample.innovation_of(reading));
+                        self.doubt.receive(i, &sample.innovation_of(reading));
                     }
                 }
             } else if conditions.repetition != Fault::None
@@ -323,13 +324,13 @@ impl Estimator {
     }
 
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
-    fn watch(&mut self, constants: &Constants, frame: &Frame, (i, sample): (usize, &Sample), nis: f64) {
+    fn watch(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), (i, sample): (usize, &Sample), nis: f64) {
         let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
-        self.causes.look(constants, nis, self.alarm.is_on(), before);
+        self.causes.look(constants, (nis, self.alarm.is_on()), &frame.basis.tr_mul(&motion.omega), before);
         if self.causes.are_judged()
             && let Some(reading) = self.encoders[i].unconfined(sample)
         {
-            self.causes.receive((i, sample.rate), &sample.innovation_of(&reading));
+            self.causes.receive(i, &sample.innovation_of(&reading));
         }
     }
 
@@ -521,8 +522,9 @@ impl Estimator {
             unaided.predict(&step, &noise, [scale, observable], timing);
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
-        let by_parameters = || scene.by_loads(from, &self.belief.force, &((to.omega - from.omega) / h));
-        self.causes.predict(&step, &noise, [scale, observable], (wrong, h), by_parameters);
+        let by = || ByFaults::new(scene, [from, to], &self.belief.force, h);
+        let accelerations = frame.basis.tr_mul(&(to.omega - from.omega)) / h;
+        self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), &accelerations, by);
         self.held = step.held;
         let about = (&step, [from, to], &self.belief.force);
         if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {

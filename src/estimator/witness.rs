@@ -7,21 +7,25 @@
 //! V ← F V + B      G = H V + D      V ← V − K G      r ~ N(G u, S)
 //! ```
 //!
-//! with B by torques, tip forces and parameters, and D by encoders and clocks. Sums of GᵀG/S and G r/S give the evidence of each
-//! explanation, its size integrated over its prior, so that an explanation with more freedom pays for it.
+//! with B by torques, tip forces, parameters and delays, and D by encoders. Sums of GᵀG/S and G r/S give the evidence of each explanation, its
+//! size integrated over its prior, so that an explanation with more freedom pays for it.
+//!
+//! Samples that are late by a time d show the motion of d seconds ago, which the inputs of then move: B is minus the rate of the accelerations by
+//! the inputs. Where samples begin to be late, V begins with minus the rates and accelerations of the motion.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
 use super::bank::Innovation;
-use super::constants::{LARGEST_NIS, RATES_PERSIST, SIZES, TAKEN_AS_KNOWN};
+use super::constants::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
     ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, reduce, transformed, turned, turned_covariance,
 };
+use super::flow::Scene;
 use super::parameters::Constants;
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
-use super::tangent::Frame;
+use super::tangent::{Frame, LinkState, Links, Pair};
 
 /// First columns of the responses: torques of both motors, force at the tip, offsets of both encoders, delay, parameters.
 pub(super) const TORQUES: usize = 0;
@@ -37,15 +41,28 @@ type Responses = SMatrix<f64, ERRORS, FAULTS>;
 /// A number for each fault.
 pub(super) type Faults = SVector<f64, FAULTS>;
 
+/// Derivatives of the accelerations of the links by faults that the motion depends on.
+pub(super) struct ByFaults {
+    /// By a delay of the inputs, rad/s³.
+    delay: Links,
+    /// By the loads that may be learned.
+    loads: SMatrix<f64, 4, LOADS>,
+}
+
+impl ByFaults {
+    /// In a step of h seconds from a motion to another under an unknown force.
+    pub(super) fn new(scene: &impl Scene, [from, to]: [&LinkState; 2], force: &Links, h: f64) -> Self {
+        let alpha = (to.omega - from.omega) / h;
+        Self { delay: scene.by_delay(from, force, h), loads: scene.by_loads(from, force, &alpha) }
+    }
+}
+
 /// Filter that knows of no fault, and what its innovations say of each.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Witness {
     /// Mean error about the estimate's motion.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     error: Error,
-    /// Error that follows the mean slowly, and so keeps the rates from before an encoder jumps.
-    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    ahead: Error,
     /// Covariance of the error.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     covariance: Matrix,
@@ -69,7 +86,6 @@ impl Witness {
     pub(super) fn new(error: Error, covariance: Matrix) -> Self {
         Self {
             error,
-            ahead: error,
             covariance,
             responses: Responses::zeros(),
             information: SMatrix::zeros(),
@@ -81,7 +97,7 @@ impl Witness {
 
     /// Whether all numbers are finite.
     pub(super) fn is_finite(&self) -> bool {
-        let errors = self.error.iter().chain(&self.ahead).chain(&self.covariance).chain(&self.responses);
+        let errors = self.error.iter().chain(&self.covariance).chain(&self.responses);
         errors.chain(&self.information).chain(&self.told).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
     }
 
@@ -90,23 +106,26 @@ impl Witness {
         self.is_finite() && is_covariance(&self.covariance) && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
     }
 
+    /// Samples are late from now on: the motion that they show stands back by its rates, rad/s, or by its accelerations, rad/s², on the tangent basis.
+    pub(super) fn stand_back(&mut self, first: usize, by: &Pair) {
+        let mut of = self.responses.fixed_view_mut::<2, 1>(first, DELAY);
+        of -= by;
+    }
+
     /// Follows a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         self.error = turned(turn, &(self.error - error));
-        self.ahead = turned(turn, &(self.ahead - error));
         self.covariance = turned_covariance(turn, &self.covariance);
         self.responses = turned(turn, &self.responses);
     }
 
-    /// Measurement update by a sample of encoder i of an axis that turns at the estimate's `rate`, rad/s.
-    pub(super) fn receive(&mut self, (i, rate): (usize, f64), sample: &Innovation) {
+    /// Measurement update by a sample of encoder i.
+    pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         let Innovation { residual, row, noise } = sample;
-        let rate = rate + row[0] * self.ahead[2] + row[1] * self.ahead[3];
         let column = self.covariance * row;
         let (off, variance) = (residual - row.dot(&self.error), row.dot(&column) + noise);
         let mut response: Faults = self.responses.tr_mul(row);
         response[OFFSETS + i] += 1.0;
-        response[DELAY] -= rate;
         let gain = column / variance;
         self.error += gain * off;
         reduce(&mut self.covariance, &column, variance);
@@ -117,18 +136,16 @@ impl Witness {
         self.samples += 1.0;
     }
 
-    /// Time update by h seconds, with the process noise of a model of the bank; `by` are the accelerations by parameters.
+    /// Time update by h seconds, with the process noise of a model of the bank.
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
         (noise, model, [scale, inertia]): (&ProcessNoise, usize, [f64; 2]),
-        by: &SMatrix<f64, 4, LOADS>,
+        by: &ByFaults,
         h: f64,
     ) {
         let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
         self.error = step.f * self.error;
-        self.ahead = step.f * self.ahead;
-        self.ahead += (self.error - self.ahead) * (h / RATES_PERSIST).min(1.0);
         self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
         // Terms of second order in the error of the rates count as noise.
         let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
@@ -145,7 +162,7 @@ impl Witness {
 
     /// Lets the unknown force contain the effect of the masses from the begin of the step on that has just been followed, as it does where masses
     /// have been off before.
-    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &SMatrix<f64, 4, LOADS>) {
+    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &ByFaults) {
         let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * generalised(&step.from, &step.mass, by);
         let mut of = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
         of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
@@ -169,10 +186,12 @@ impl Witness {
 }
 
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
-fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &SMatrix<f64, 4, LOADS>) -> SMatrix<f64, 2, FAULTS> {
+fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &ByFaults) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
     forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));
-    forces.fixed_columns_mut::<LOADS>(PARAMETERS).copy_from(&(at.basis.tr_mul(mass) * by));
+    let inertia = at.basis.tr_mul(mass);
+    forces.set_column(DELAY, &(inertia * by.delay));
+    forces.fixed_columns_mut::<LOADS>(PARAMETERS).copy_from(&(inertia * by.loads));
     forces
 }
 

@@ -99,15 +99,15 @@ impl Following {
     /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
         let Self { simulation: Simulation { model, run, parameters }, constants, estimate } = self;
-        estimate.inputs = *inputs;
+        let before = std::mem::replace(&mut estimate.inputs, *inputs);
         let (turns, from) = (run.turns, run.motion(model));
         let learned = estimate.estimator.learned();
-        let inputs = &by_true_angles(model, inputs, learned.as_ref());
+        let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         let learned = learned.map(|learned| parameters.with_learned(&learned));
         let asked = learned.as_ref().or_else(|| estimate.estimator.asks_for_parameters().then_some(parameters));
         let others = asked.map(Others::new);
-        let scene = FollowedScene { model, inputs, turns: &turns, learned: others.as_ref() };
+        let scene = FollowedScene { model, inputs, before, turns: &turns, learned: others.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
@@ -216,7 +216,7 @@ impl Following {
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let scene = FollowedScene { model, inputs: held, turns: &run.turns, learned: None };
+        let scene = FollowedScene { model, inputs: held, before: held, turns: &run.turns, learned: None };
         let step = parameters.settings.step_size;
         self.estimate.estimator.singularity_probability(&self.constants, &self.motion(), &scene, step)
     }

@@ -230,7 +230,7 @@ mod tests {
             (Model::new(&parameters).expect("a scene"), Linkage::new(&parameters.geometry))
         };
         let (others, (model, linkage), none) = (Others::new(&parameters), made(&known), Links::zeros());
-        let here = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: Some(&others) };
+        let here = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: Some(&others) };
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
         let loads = Scene::by_loads(&here, &at, &none, &alpha);
         let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");
@@ -247,7 +247,7 @@ mod tests {
                 learned[i] += by;
                 let (model, linkage) = made(&learned);
                 let inputs = by_true_angles(&model, &inputs, Some(&learned));
-                let scene = FollowedScene { model: &model, inputs: &inputs, turns: &[0; 4], learned: None };
+                let scene = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: None };
                 let from = linkage.closed(at).expect("a closed loop").0;
                 let end = motion(&scene, &from, &none, h, moved.steps);
                 (scene.acceleration(&at, &none), end, from, linkage.tip(&from.theta))

@@ -58,6 +58,8 @@ pub struct FollowedScene<'a> {
     pub model: &'a Model,
     /// Inputs without the unknown force, with servo references by true angles.
     pub inputs: &'a Inputs,
+    /// Inputs of the step before.
+    pub before: &'a Inputs,
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
     /// Machines that differ by what is learned, where anything is.
@@ -121,6 +123,11 @@ impl Scene for FollowedScene<'_> {
     }
 
     #[inline(never)]
+    fn by_delay(&self, at: &LinkState, force: &Links, h: f64) -> Links {
+        let earlier = FollowedScene { inputs: self.before, ..*self };
+        (earlier.acceleration(at, force) - self.acceleration(at, force)) / h
+    }
+
     fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
         FollowedScene::by_loads(self, at, force, alpha)
     }

@@ -53,7 +53,7 @@ fn linearised_equations_are_differences() {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
-        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4], learned: None };
+        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, before: &inputs, turns: &[0; 4], learned: None };
         let (theta, omega) = motion(&simulation);
         let (state, none) = (LinkState::new(theta, omega), Links::zeros());
         let by_inputs = Linkage::new(&parameters.geometry).posture(&state.theta).by_inputs();
@@ -91,7 +91,7 @@ fn transitions_are_differences() {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
-        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4], learned: None };
+        let scene = FollowedScene { model: simulation.model(), inputs: &inputs, before: &inputs, turns: &[0; 4], learned: None };
         let (theta, omega) = motion(&simulation);
         let state = LinkState::new(theta, omega);
         let linkage = Linkage::new(&simulation.model().mechanism.geometry);
@@ -128,7 +128,8 @@ fn motions_are_those_of_the_unit() {
         let (theta, omega) = motion(&simulation);
         let got = {
             let inputs = default_inputs();
-            let scene = FollowedScene { model: simulation.model(), inputs: &inputs, turns: &[0; 4], learned: None };
+            let scene =
+                FollowedScene { model: simulation.model(), inputs: &inputs, before: &inputs, turns: &[0; 4], learned: None };
             moved_on(&scene, &LinkState::new(theta, omega), &Links::zeros(), 5e-3, 20)
         };
         simulation.advance(&default_inputs(), 5e-3, 1).expect("a step");

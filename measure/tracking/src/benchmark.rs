@@ -61,6 +61,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
     let scenes = [truth.model(), twin.simulation().model()].map(|model| FollowedScene {
         model,
         inputs: &inputs,
+        before: &inputs,
         turns: &turns,
         learned: None,
     });

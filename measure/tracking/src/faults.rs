@@ -139,9 +139,24 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let assembly = &mut told.model.start.assembly;
         *assembly = if *assembly == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
     }
-    let (mut machine, mut twin) = (scenario.machine(), told.twin(encoder));
+    // Samples that are late come from a machine that runs before its twin begins.
+    let (mut machine, mut queue) = (scenario.machine(), VecDeque::new());
+    let lead = if let Failure::Late(by) = failure { (by / h).round() as u64 } else { 0 };
+    for step in 0..lead {
+        let time = step as f64 * h;
+        queue.push_back(MEASURED.map(|link| encoder.read(motion(&machine.state()).0[link], random)));
+        machine.advance(&scenario.acting(time + h / 2.0), h, 1).unwrap_or_else(|error| panic!("the machine: {error}"));
+    }
+    let ahead = lead as f64 * h;
+    let (theta, omega) = motion(&machine.state());
+    for (i, link) in MEASURED.into_iter().enumerate() {
+        let (start, from) = (&mut told.model.start, &scenario.truth.start);
+        start.theta[i] += theta[link] - from.theta[i];
+        start.omega[i] += omega[link] - from.omega[i];
+    }
+    let mut twin = told.twin(encoder);
     let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
-    let (mut held, mut wrong, mut refused, mut stamp, mut queue) = (None, 0.0, 0.0, [-1.0; 2], VecDeque::new());
+    let (mut held, mut wrong, mut refused, mut stamp) = (None, 0.0, 0.0, [-1.0; 2]);
     // A twin that takes no sample of the frozen encoder.
     let mut observer = None;
     let steps = (scenario.duration / h).round() as u64;
@@ -158,10 +173,10 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             Failure::Missing if (onset..onset + 1.0).contains(&time) => measured.time[0] = stamp[0],
             Failure::Swapped => measured.theta.swap(0, 1),
             Failure::Jitter(sigma) => measured.time = [0, 1].map(|_| time + sigma * random.normal()),
-            Failure::Late(by) => {
+            Failure::Late(_) => {
                 // A sample has the stamp of its arrival.
                 queue.push_back(measured.theta);
-                measured.theta = if queue.len() as f64 * h > by + h { queue.pop_front().unwrap_or_default() } else { queue[0] };
+                measured.theta = queue.pop_front().unwrap_or_default();
             }
             _ => (),
         }
@@ -179,7 +194,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         twin.correct(&measured, time);
         let corrected = begin.elapsed();
         refused += f64::from(u8::from(matches!(twin.status(), Status::Faulty(Fault::Late | Fault::Future))));
-        let inputs = scenario.inputs(time);
+        let inputs = scenario.inputs(time + ahead);
         let estimate = twin.state_for(&inputs);
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
         let off = (x - v).hypot(y - w);
@@ -192,7 +207,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             outcome.found = time - onset;
         }
         let macro_steps = (h / 1e-3).round().max(1.0);
-        let middle = time + h / 2.0;
+        let middle = time + ahead + h / 2.0;
         let signal = Signal::held(scenario.inputs(middle));
         let begin = Instant::now();
         let moved = twin.advance_along(&signal, h / macro_steps, macro_steps as u64);
@@ -212,6 +227,16 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     }
     outcome.refused = refused / steps as f64;
     outcome
+}
+
+/// Number of runs that are lost of those with samples late by 8 ms that nobody tells, from a start in the right assembly, while a machine is learned.
+pub fn lost_by_late_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
+    let is_lost = |seed: &u64| {
+        let mut random = Random::new(*seed);
+        let scenario = learned(fast(&mut random));
+        run(&scenario, (&FINE, 1e-3), Failure::Late(8e-3), &mut random).lost
+    };
+    seeds.into_iter().filter(is_lost).count()
 }
 
 /// Time of the dearest sample of a run, and of the median one, s: the fewest of three times each, for other programs run as well.
