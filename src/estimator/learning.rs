@@ -314,9 +314,9 @@ impl Learning {
         }
     }
 
-    /// Follows a correction of the motion that turns its tangent basis, and corrects the values.
-    pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, constants: &Constants) {
-        let (error, values) = (self.mean(own), self.corrected(own, constants));
+    /// Follows a correction of the motion that turns its tangent basis, and of the values.
+    pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, values: Learned) {
+        let error = self.mean(own);
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
             model.error -= error;
             model.cross = turned(turn, &model.cross);

@@ -191,10 +191,12 @@ impl Estimator {
         if used == 0 {
             return favoured.map(|_| motion);
         }
-        if let Some(learning) = &mut self.learning {
+        let learned = self.learning.as_mut().map(|learning| {
             learning.keep_within_bounds(&mut self.belief.bank, constants);
-            constants.learn(&learning.corrected(&self.belief.bank, constants));
-        }
+            let values = learning.corrected(&self.belief.bank, constants);
+            constants.learn(&values);
+            values
+        });
         let constants = &*constants;
         let linkage = &constants.linkage;
         match self.belief.inject_error(linkage, &frame, &mut motion) {
@@ -203,8 +205,8 @@ impl Estimator {
                 self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
                 self.causes.correct(&error, &turn);
                 self.doubt.follow(&error, &turn);
-                if let Some(learning) = &mut self.learning {
-                    learning.correct(&self.belief.bank, &turn, constants);
+                if let Some((learning, values)) = self.learning.as_mut().zip(learned) {
+                    learning.correct(&self.belief.bank, &turn, values);
                 }
                 frame = to;
             }
