@@ -3,6 +3,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use fivebar::effects::NAMES;
 use fivebar::integrator::{State, System, equilibrium};
 use fivebar::observers;
 use fivebar::simulation::angles::{AngleSystem, Angles, angles_of};
@@ -39,9 +40,8 @@ fn counters(simulation: &Simulation) -> Counters {
 #[test]
 fn tangents_of_accelerations_are_derivatives() {
     let loads = Inputs { tau: [0.02, -0.01], tip_force: [0.1, 0.05], servo_theta: [1.4, 1.9], ..default_inputs() };
-    let names = ["gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo"];
-    let alone = names.iter().map(|name| vec![*name]);
-    for effects in alone.chain([vec![], names.to_vec()]) {
+    let alone = NAMES.iter().map(|name| vec![*name]);
+    for effects in alone.chain([vec![], NAMES.to_vec()]) {
         let mut parameters = unequal();
         parameters.effects.gravity.enabled = false;
         for name in &effects {

@@ -1,6 +1,6 @@
 //! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
 
-use fivebar::effects::Inputs;
+use fivebar::effects::{Inputs, NAMES};
 use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
 use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
 use fivebar::mechanism::Assembly;
@@ -44,12 +44,10 @@ fn loaded(effect: &str) -> Parameters {
     parameters
 }
 
-const EFFECTS: [&str; 9] = ["gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo"];
-
 /// The linearised equations of motion are the differences of the accelerations, by angles, rates and torques.
 #[test]
 fn linearised_equations_are_differences() {
-    for effect in EFFECTS {
+    for effect in NAMES {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
@@ -87,7 +85,7 @@ fn linearised_equations_are_differences() {
 /// The variational equations are the differences of the motion, for errors of angles, rates and the unknown force.
 #[test]
 fn transitions_are_differences() {
-    for effect in EFFECTS {
+    for effect in NAMES {
         let parameters = loaded(effect);
         let inputs = Inputs { tau: [0.02, -0.01], ..default_inputs() };
         let simulation = Simulation::new(&parameters, &inputs).expect("a scene");

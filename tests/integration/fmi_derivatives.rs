@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use fivebar::effects::NAMES;
 use fivebar::ffi::*;
 use fivebar::fmi::{Instance, Kind};
 use fivebar::observers;
@@ -183,7 +184,7 @@ pub(super) fn everything(random: &mut ChaCha8Rng, assembly: i32) -> (Scene, [f64
     let tip = scene.start(state);
     let along = (0.2 * real(&tip, "tip.x") + 0.9 * real(&tip, "tip.y")) / 0.2f64.hypot(0.9);
     scene.reals.push(("contact.offset".to_owned(), along + 1e-3));
-    scene.enabled = vec!["gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo"];
+    scene.enabled = NAMES.to_vec();
     (scene, state)
 }
 
