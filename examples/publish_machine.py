@@ -4,14 +4,19 @@ Start the rest first, `fivebar twin --machine none ...`, which prints host and p
 From the root of the repository: target/venv/bin/python examples/publish_machine.py HOST PORT
 """
 
+import argparse
 import json
-import sys
 import time
 
 import paho.mqtt.client as mqtt
 
+parser = argparse.ArgumentParser(description="Publishes samples of a machine's encoders, for the twin to follow.")
+parser.add_argument("host", help="host of the broker")
+parser.add_argument("port", type=int, help="port of the broker")
+options = parser.parse_args()
+
 client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-client.connect(sys.argv[1], int(sys.argv[2]))
+client.connect(options.host, options.port)
 client.loop_start()
 for seq in range(400):
     left, right = 2.7567, 1.345  # rad: read your encoders here
