@@ -520,7 +520,11 @@ impl Estimator {
                 self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
             }
         }
-        for unaided in &mut self.unaided {
+        for (i, unaided) in self.unaided.iter_mut().enumerate() {
+            // Without either encoder nothing says how far an axis has turned.
+            if self.encoders[1 - i].is_silent() {
+                *unaided = Unaided::default();
+            }
             unaided.predict(&step, &noise, [scale, observable], timing);
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);

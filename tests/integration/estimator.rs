@@ -301,6 +301,39 @@ fn bands_are_honest() {
     assert!((1.5..5.4).contains(&nees), "NEES {nees}");
 }
 
+/// Encoders that have been silent while the machine rests, and then show the angles of before, have not failed: the motion that begins thereafter is
+/// followed, within 1 mm of the tip.
+#[test]
+fn encoders_that_were_silent_at_rest_are_believed() {
+    for (quantum, h, exact) in [(1e-4, 1e-3, true), (1e-4, 5e-3, true), (1e-4, 1e-3, false), (1e-4, 5e-3, false)] {
+        let mut parameters = followed_by(Method::Dop853, exact);
+        parameters.start.theta = [2.0, 1.1];
+        (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [quantum; 2]);
+        parameters.effects.servo.enabled = true;
+        (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([20.0; 2], [0.2; 2]);
+        let course = |time: f64| {
+            let by = 0.2 * (1.0 - (4.0 * (time - 1.0).max(0.0)).cos());
+            Inputs { servo_theta: [2.0 + by, 1.1 - by], ..default_inputs() }
+        };
+        let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
+        let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
+        for step in 0..(1.5 / h) as u32 {
+            let time = f64::from(step) * h;
+            if !(0.4..0.95).contains(&time) {
+                let theta = [0, 3].map(|link| (machine.state().angles()[link] / quantum).round() * quantum);
+                following.correct(&Measured { theta, time: [time; 2] }, time);
+            }
+            let [at, by] = [(following.simulation(), following.state_for(&course(time))), (&machine, machine.state())]
+                .map(|(of, state)| fivebar::observers::motion(of.model(), &state).tip);
+            let faults = [0, 1].map(|i| following.estimator().encoder(i).1);
+            assert!(time < 0.1 || (at - by).norm() < 1e-3, "{h} s, exact: {exact}, at {time} s: {at} {by}, {faults:?}");
+            let inputs = course(time + h / 2.0);
+            following.advance_along(&Signal::held(inputs), h, 1).expect("a step");
+            machine.advance(&inputs, h, 1).expect("a step");
+        }
+    }
+}
+
 /// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is called stuck within 0.2 s of its axis being at its fastest, however
 /// coarse its readings and however often they come, with exact geometry and with the unit's start values, and the tip stays within 10 mm by the other encoder
 /// and the servos. One that repeats itself since a servo, stiff or not, holds its axis is no fault.
