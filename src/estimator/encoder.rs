@@ -73,8 +73,8 @@ pub enum Fault {
 pub(super) struct Sample {
     /// Angle, rad.
     pub(super) angle: f64,
-    /// Second difference of the last three valid angles, rad.
-    pub(super) second_difference: f64,
+    /// Mean rate between the two valid samples before it, rad/s; `None` where there are none, or samples between them are missing.
+    pub(super) rate_before: Option<f64>,
     /// Age, s.
     pub(super) age: f64,
     /// Rate of the axis in the motion, rad/s.
@@ -227,10 +227,11 @@ impl Encoder {
     ) -> Option<Sample> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
-        let last_change = self.change;
+        let (rate_before, interval_before) = (self.rate(), self.interval);
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
         let angle = angle - offset;
-        let second_difference = wrapped(self.change - last_change);
+        let is_known = interval_before > 0.0 && interval_before <= SILENT_AFTER_INTERVALS * self.interval;
+        let rate_before = is_known.then_some(rate_before);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let alike = self.samples_within(constants.persistent_time());
         let noise = self.noise(sigma, quantum, rate, persistent * alike);
@@ -239,7 +240,7 @@ impl Encoder {
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
-        Some(Sample { angle, second_difference, age, rate, sigma, quantum, persistent, alike, innovation })
+        Some(Sample { angle, rate_before, age, rate, sigma, quantum, persistent, alike, innovation })
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -376,7 +377,9 @@ impl Encoder {
     /// other encoder.
     pub(super) fn stays_away(&mut self, sample: &Sample, change: f64, witnessed: bool) -> bool {
         let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(change).abs());
-        let moved = if lasting { change.min(sample.second_difference.abs()) } else { change };
+        let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
+        let moved =
+            if lasting { sample.rate_before.map_or(change, |before| change.min(second_difference(before))) } else { change };
         if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
             self.jump = 0.0;
             if lasting {
@@ -528,7 +531,7 @@ mod tests {
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
             let sample = Sample {
                 angle: 0.0,
-                second_difference: 0.0,
+                rate_before: None,
                 age: 0.0,
                 rate,
                 sigma: 0.0,
@@ -565,7 +568,7 @@ mod tests {
             let of = |persistent: f64| {
                 let sample = Sample {
                     angle: last,
-                    second_difference: 0.0,
+                    rate_before: None,
                     age: 0.0,
                     rate: 0.1,
                     sigma: 0.0,
@@ -595,7 +598,7 @@ mod tests {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
                     angle: 0.0,
-                    second_difference,
+                    rate_before: Some(-second_difference / h),
                     age: 0.0,
                     rate: 0.0,
                     sigma: 0.0,

@@ -344,7 +344,7 @@ impl Estimator {
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
         self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], sample, (&self.belief.bank, force), models);
-        let repetition = if away { Fault::None } else { self.unaided[i].fault(&self.encoders[i], sample) };
+        let repetition = if away { Fault::None } else { self.unaided[i].judge(&self.encoders[i], sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
@@ -521,11 +521,7 @@ impl Estimator {
             }
         }
         for (i, unaided) in self.unaided.iter_mut().enumerate() {
-            // Without either encoder nothing says how far an axis has turned.
-            if self.encoders[1 - i].is_silent() {
-                *unaided = Unaided::default();
-            }
-            unaided.predict(&step, &noise, [scale, observable], timing);
+            unaided.predict((&step, &noise), [scale, observable], timing, &self.encoders[1 - i]);
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
         let by = || ByFaults::new(scene, [from, to], &self.belief.force, h);

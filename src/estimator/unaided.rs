@@ -33,7 +33,7 @@ pub(super) struct Unaided {
 
 impl Unaided {
     /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes or the
-    /// other encoder fails or is silent. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
+    /// other encoder fails. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
     pub(super) fn receive(
         &mut self,
         [own, other]: [&Encoder; 2],
@@ -41,7 +41,7 @@ impl Unaided {
         (bank, force): (&Bank, f64),
         models: &[f64; MODELS],
     ) {
-        if !own.repeats() || other.is_silent() || other.fails() {
+        if !own.repeats() || other.fails() {
             self.bank = None;
         } else if self.bank.is_none() && own.fault != Fault::Stuck {
             let mut bank = *bank;
@@ -55,9 +55,9 @@ impl Unaided {
         }
     }
 
-    /// Fault of a reading that repeats once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a push may hold
-    /// the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes.
-    pub(super) fn fault(&mut self, own: &Encoder, sample: &Sample) -> Fault {
+    /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
+    /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes.
+    pub(super) fn judge(&mut self, own: &Encoder, sample: &Sample) -> Fault {
         let Some(bank) = self.bank.as_ref().filter(|_| self.other_changed) else { return Fault::None };
         let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
         innovation.residual -= self.offset;
@@ -91,9 +91,15 @@ impl Unaided {
     }
 
     /// Time update by h seconds, as of the estimate's bank, with an unknown force that changes as in a forecast: one encoder does not tell
-    /// all of it.
-    pub(super) fn predict(&mut self, step: &Propagation, noise: &ProcessNoise, [scale, inertia]: [f64; 2], timing: (f64, f64)) {
-        if step.held {
+    /// all of it. Ends where the other encoder is silent: nothing says how far the axis turns.
+    pub(super) fn predict(
+        &mut self,
+        (step, noise): (&Propagation, &ProcessNoise),
+        [scale, inertia]: [f64; 2],
+        timing: (f64, f64),
+        other: &Encoder,
+    ) {
+        if step.held || other.is_silent() {
             self.bank = None;
         }
         if let Some(bank) = &mut self.bank {
@@ -116,12 +122,14 @@ impl Unaided {
     }
 }
 
-/// Lets the angle of an axis count from a reading that is repeated after `interval` seconds, and its rate from the change before: a persistent error is
-/// one of all these readings. Returns the expected innovation of the reading, rad.
+/// Lets the angle of an axis count from a reading that is repeated after `interval` seconds, and its rate from the change before, unless samples are missing
+/// there: a persistent error is one of all these readings. Returns the expected innovation of the reading, rad.
 fn count_from_reading(bank: &mut Bank, interval: f64, sample: &Sample) -> f64 {
     let noise = sample.single_variance(0.0) / sample.persistent_share();
-    let change = sample.change(-sample.second_difference - sample.rate * interval, interval);
-    bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise, ..change }));
+    if let Some(before) = sample.rate_before {
+        let change = sample.change((before - sample.rate) * interval, interval);
+        bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise, ..change }));
+    }
     let reading = Innovation { noise, ..sample.innovation };
     bank.hold(&reading);
     bank.predict_sample(&reading).mixture_moments().0
