@@ -20,9 +20,9 @@ from typing import Any
 import pytest
 from fmpy.model_description import ModelDescription
 
+from browser import open_browser
 from conftest import REPOSITORY
 from instance import Instance
-from test_page import open_browser
 from made_wheel import build
 
 pytestmark = pytest.mark.page

@@ -2,32 +2,19 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from browser import open_browser
 from fivebar import simulate
 from fivebar.variables import of_unit
 from made_scene import made_scene, write
 
 pytestmark = pytest.mark.full
-
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --window-size=1280,900"
-)
-
-COMMAND_LIMIT = 25
-"""Seconds within which the browser answers a command. Reading commands (GET) are sent four times, by urllib3."""
-
-PROCESS_LIMIT = 15
-"""Seconds within which the browser starts or ends, before it is killed."""
 
 
 @pytest.fixture(scope="module")
@@ -41,46 +28,6 @@ def browser(page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the page open."""
     with open_browser(page.as_uri(), tmp_path) as driver:
         yield driver
-
-
-@contextmanager
-def open_browser(address: str, folder: Path) -> Iterator[Any]:
-    """A browser that has the address open, with its profile in `folder`; at the end it must have had nothing to complain about.
-
-    One that stops answering fails the test within two minutes: four times the limit of a command and the limit of an end.
-    """
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = "/usr/bin/chromium"
-    for flag in (*FLAGS.split(), f"--user-data-dir={folder / 'profile'}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = Service("/usr/bin/chromedriver", popen_kw={"process_group": 0})
-    with killed_after(PROCESS_LIMIT, service):
-        driver = webdriver.Chrome(options=options, service=service)
-    driver.command_executor.client_config.timeout = COMMAND_LIMIT
-    try:
-        driver.get(address)
-        yield driver
-        problems = driver.get_log("browser")
-    finally:
-        # A driver that is killed closes the connection on which it is told to end.
-        with killed_after(PROCESS_LIMIT, service), suppress(ConnectionError):
-            driver.quit()
-    assert problems == []
-
-
-@contextmanager
-def killed_after(seconds: float, service: Any) -> Iterator[None]:
-    """Kills the driver and its browser, which are a process group, if the block takes longer."""
-    timer = threading.Timer(seconds, lambda: os.killpg(service.process.pid, signal.SIGKILL))
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def clock(browser: object) -> float:
@@ -106,11 +53,11 @@ def test_a_browser_that_stops_answering_ends_the_test(page: Path, tmp_path: Path
     """A stopped browser answers no command, not even the one to end; without limits that takes ten minutes."""
     from urllib3.exceptions import HTTPError
 
-    monkeypatch.setitem(globals(), "COMMAND_LIMIT", 2)
+    monkeypatch.setattr("browser.COMMAND_LIMIT", 2)
     began = time.monotonic()
     with pytest.raises(HTTPError), open_browser(page.as_uri(), tmp_path) as driver:
         process = driver.capabilities["goog:processID"]
-        monkeypatch.setitem(globals(), "PROCESS_LIMIT", 3)
+        monkeypatch.setattr("browser.PROCESS_LIMIT", 3)
         os.kill(process, signal.SIGSTOP)
         clock(driver)
     # 15 s for the start, 2 s for a command, 3 s for the end; the rest is for a busy machine.

@@ -10,6 +10,7 @@ import pytest
 
 import hard_cases
 import write_report
+from browser import open_browser
 from conftest import REPOSITORY
 from report import docs, figures, picks, tables
 from report.tables import Marker, Reference
@@ -239,8 +240,6 @@ def test_docs_show_the_table_and_the_picture() -> None:
 @pytest.fixture
 def browser(page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the page open."""
-    from test_page import open_browser
-
     with open_browser(page.as_uri(), tmp_path) as driver:
         yield driver
 

@@ -25,8 +25,8 @@ from fivebar.twin.starter import ENDING, free_port
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from browser import open_browser
 from conftest import REPOSITORY
-from test_page import open_browser
 from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full
