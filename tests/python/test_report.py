@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import hard_cases
+import hard_cases_in_docs
 import write_report
 from browser import open_browser
 from conftest import REPOSITORY
@@ -296,3 +297,101 @@ def test_hard_cases_stand_in_the_column_of_their_setting_or_take_the_line() -> N
     assert [label.get_text() for label in axes.get_yticklabels()] == ["falls   1", "tolerances   6", "same bits   8", "followed   10"]
     assert [(*cell.get_xy(), cell.get_width()) for cell in axes.patches] == [(0, 0, 1), (1, 0, 1), (1, 3, 1), (0, 1, 2), (0, 2, 2)]
     assert "2 runs, i3alp, own settings" in {text.get_text() for text in axes.texts}
+
+
+HARD_CASES = ("item", "case", "method", "setting", "runs", "not met", "ended early", "status", "worst |dE| [mgL]", "worst Phi [m]", "worst Phidot [m/s]")
+HARD_CASES += ("mean sub-steps", "criterion", "verdict")
+
+
+def hard_row(item: int, case: str, column: tuple[str, ...], energy: str = "1.00e-9", **others: str) -> dict[str, str]:
+    """A row of hard-cases.csv."""
+    values = (item, case, *column[:2], 1000, 0, 0, "", energy, "2.0e-16", "3.0e-15", "0.50", "complete, |dE| <= 1e-2 mgL", "pass")
+    return dict(zip(HARD_CASES, map(str, values))) | others
+
+
+def battery() -> list[dict[str, str]]:
+    """A row of every item by every column."""
+    d = hard_cases_in_docs
+    columns = (d.DEFAULT, d.TIGHT, d.EXPLICIT, d.AUTOMATIC, *d.CONSERVING)
+    names = [(1 + i % 7, case) for i, case in enumerate(case for cases in d.BARE.values() for case in cases)]
+    rows = [hard_row(item, case, column) for item, case in [*names, (8, "same bits"), (9, "stops"), (10, "followed")] for column in columns]
+    compared = hard_row(1, "exact crossings", ("rk4", "1 ms"), "2.67e9", verdict="for comparison")
+    fallen = hard_row(6, "steps of load", d.CONSERVING[1], "0.00e0", status="3 x of 5000 steps by the fallback")
+    worse = hard_row(4, "coaxial motors, rest in line", d.DEFAULT, "2.00e-9")
+    replaced = {tuple(row[name] for name in HARD_CASES[1:4]): row for row in (*rows, compared, fallen, worse)}
+    return list(replaced.values())
+
+
+def written(folder: Path, rows: list[dict[str, str]]) -> Path:
+    """The folder of a battery with its table and empty pictures."""
+    folder.mkdir(exist_ok=True)
+    with (folder / "hard-cases.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, HARD_CASES)
+        table.writeheader()
+        table.writerows(rows)
+    for name in hard_cases_in_docs.PICTURES:
+        (folder / f"{name}.svg").write_text("<svg/>", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the pages that commands write into, for which they take the repository's."""
+    for name in (docs.FILE, "docs/notes/automatic.md", hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text((REPOSITORY / name).read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "docs/images").mkdir()
+    monkeypatch.setattr(hard_cases_in_docs, "ROOT", tmp_path)
+    monkeypatch.setattr(write_report, "ROOT", tmp_path)
+    return tmp_path
+
+
+def test_hard_cases_are_written_into_their_pages(copied: Path) -> None:
+    folder = written(copied / "battery", battery())
+    assert hard_cases_in_docs.main([f"--folder={folder}"]) == hard_cases_in_docs.main([f"--folder={folder}"]) == 0
+    page, notes = ((copied / name).read_text(encoding="utf-8") for name in (hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES))
+    # The worst of cases that share a line.
+    assert "| coaxial motors | 2000 | 2.00e-9 | 1.00e-9 | 1.00e-9 |" in page and "leaves at most 2.0e-16 m and 3.0e-15 m/s" in page
+    assert "| steps of load | 1000 | 1.00e-9 | 0 | 1.00e-9 | 1e-2 | 2.0e-16 | 3.0e-15 | 0 / 0 / 0 | 0 / 3 / 0 |" in notes
+    assert "| exact crossings | rk4 | 1 ms | 0 | 0 | 1000 | 2.67e9 |" in notes and "| stops | 1.00e-9 | 1.00e-9 | 1.00e-9 | 1.00e-9 |" in notes
+    assert sorted(file.stem for file in (copied / "docs/images").iterdir()) == sorted(hard_cases_in_docs.PICTURES)
+
+
+def test_the_report_writes_all_that_it_measures_into_the_docs(measured: Path, copied: Path) -> None:
+    given = [f"--hard-cases={written(copied / 'battery', battery())}" if "hard-cases" in option else option for option in options(measured)]
+    assert write_report.main([*given, "--update-docs"]) == 0
+    assert {file.stem for file in (copied / "docs/images").iterdir()} == {"accuracy", "step-times", *hard_cases_in_docs.PICTURES}
+    for name in (docs.FILE, "docs/notes/automatic.md"):
+        assert f"Measured on: {ABOUT}" in (copied / name).read_text(encoding="utf-8")
+    assert "2000 | 2.00e-9" in (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ([row | {"runs": "20"} for row in battery()], "the table is of a sample"),
+        ([row for row in battery() if row["item"] != "10"], "items are missing"),
+        ([*battery(), hard_row(9, "touches", ("dop853", "tight"), verdict="FAIL")], "cases are not met: touches by dop853"),
+    ],
+)
+def test_docs_are_not_written_from_some_hard_cases(
+    copied: Path, rows: list[dict[str, str]], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8")
+    assert hard_cases_in_docs.main([f"--folder={written(copied / 'battery', rows)}"]) == 1
+    assert why in capsys.readouterr().err
+    assert (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8") == before and not any((copied / "docs/images").iterdir())
+
+
+def test_docs_show_the_hard_cases_of_one_run() -> None:
+    """The table of the page has the numbers of those in the notes."""
+    d = hard_cases_in_docs
+    page, notes = ((REPOSITORY / name).read_text(encoding="utf-8") for name in (d.PAGE, d.NOTES))
+    rows = []
+    for name, columns in (("default method", [d.DEFAULT, d.TIGHT]), ("explicit method", [d.EXPLICIT]), ("conserving step", d.CONSERVING)):
+        for line in docs.table_of(notes, d.NOTES, d.marks(name))[2:]:
+            item, case, runs, *cells = (cell.strip() for cell in line.strip("|").split(" | "))
+            violations = dict(zip((d.POSITION, d.VELOCITY), cells[2:4])) if name == "default method" else {}
+            rows += [hard_row(int(item), case, column, energy, runs=runs, **violations) for column, energy in zip(columns, cells) if energy]
+    shown = docs.block(page, d.PAGE, d.marks("bare machine")).strip("\n").splitlines()
+    assert shown == d.bare_machine(rows) and len(shown) > len(d.BARE) and rows[0]["runs"] == str(d.FALLS)

@@ -12,14 +12,11 @@ from report import docs, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = "docs/notes/peers.md"
-AHEAD, ENERGIES = (
-    (f"<!-- {name}: what follows is written by `cargo xtask peers --update-docs`, not by hand -->", f"<!-- {name}: end -->")
-    for name in ("peers", "peers' energies")
-)
-"""The comments around the written text."""
-
 COMMAND = "cargo xtask peers"
 """End of the table's head if all peers were asked for; names of some follow."""
+
+AHEAD, ENERGIES = (docs.marks(name, COMMAND) for name in ("peers", "peers' energies"))
+"""The comments around the written text."""
 
 SECOND = 1
 """After which errors are compared, s."""

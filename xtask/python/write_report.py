@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+import hard_cases_in_docs
 from fivebar.pictures import STYLE, thinned
 from report import docs, figures, more_figures, page, picks, sections
 from report.tables import Measurements, Table, markers, references
@@ -26,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path, required=True, help="the folder of the report; tables are in its data/")
     for name, text in (("bench", "benchmarks"), ("hard-cases", "hard cases"), ("runs", "runs of scenes"), ("peers", "peers")):
         parser.add_argument(f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out")
-    parser.add_argument("--update-docs", action="store_true", help="also write table and picture into docs/accuracy.md")
+    parser.add_argument("--update-docs", action="store_true", help="also write tables and pictures into the docs")
     options = parser.parse_args(arguments)
     data = options.folder / "data"
     m = Measurements.read(data, options.bench, options.hard_cases, options.peers)
@@ -38,10 +39,11 @@ def main(arguments: list[str] | None = None) -> int:
     curves = {scene: curves_of(options.runs / scene, scene, data) for scene in sections.PAPER}
     with plt.rc_context(STYLE):
         write(options.folder / "index.html", m, {scene: found for scene, found in curves.items() if found})
-        if options.update_docs:
-            update_docs(m, options.hard_cases)
+        refused = update_docs(m, options.hard_cases) if options.update_docs else ""
     print(options.folder / "index.html")
-    return 0
+    if refused:
+        print(refused, file=sys.stderr)
+    return 1 if refused else 0
 
 
 def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]]) -> None:
@@ -65,32 +67,25 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
     page.write(path, picks.sentences(found, judged), main_picture, parts)
 
 
-def update_docs(m: Measurements, hard_cases: Path) -> None:
+def update_docs(m: Measurements, hard_cases: Path) -> str:
     """The picture and the short table, where readers meet them first, the ratios, and where there are any the histogram of fixed steps and
-    the pictures of hard cases."""
+    the hard cases; why these are not fit to be shown."""
     found, judged = markers(m.precision), references(m.references)
     save_in_docs(figures.main_picture(found, judged), "accuracy")
     if m.step_times:
         save_in_docs(more_figures.histogram(m.step_times.rows), "step-times")
-    for name in ("hard-cases", "horizon"):
-        if (drawn := hard_cases / f"{name}.svg").is_file():
-            write_in_docs(drawn.read_text(encoding="utf-8"), name)
     head, rows = picks.ratio_table(found, judged)
-    ratios = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1), *("| " + " | ".join(row) + " |" for row in rows)]
-    docs.update(ROOT, picks.short_table(found, judged), ratios, m.precision.about)
+    docs.update(ROOT, picks.short_table(found, judged), docs.markdown(head, rows, left=1), m.precision.about)
+    return hard_cases_in_docs.update(ROOT, hard_cases) if m.hard_cases else ""
 
 
 def save_in_docs(figure: Figure, name: str) -> None:
     """A picture of docs/images/."""
     drawing = io.StringIO()
-    figure.savefig(drawing, format="svg", metadata={"Date": None})
+    with plt.rc_context({"svg.hashsalt": name}):
+        figure.savefig(drawing, format="svg", metadata={"Date": None})
     plt.close(figure)
-    write_in_docs(drawing.getvalue(), name)
-
-
-def write_in_docs(drawing: str, name: str) -> None:
-    """Writes a drawing given as text to docs/images."""
-    (ROOT / f"docs/images/{name}.svg").write_text(page.compact(drawing), encoding="utf-8", newline="\n")
+    docs.picture(ROOT, name, drawing.getvalue())
 
 
 def keep_beside(table: Table, data: Path) -> None:

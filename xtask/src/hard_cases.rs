@@ -3,6 +3,7 @@
 use crate::venv::{self, Packages};
 use crate::{paths, process};
 use anyhow::{Context, Result, ensure};
+use clap::Args;
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
@@ -10,9 +11,34 @@ use std::process::Command;
 /// The crate that holds the battery.
 const CRATE: &str = "hard-cases";
 
+/// How much is done.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Run only a sample of every case
+    #[arg(long)]
+    quick: bool,
+    /// Do not run; for --update-docs, from the last tables
+    #[arg(long, conflicts_with = "quick", requires = "update_docs")]
+    reuse: bool,
+    /// Also write tables and pictures into docs/hard-cases.md and its notes
+    #[arg(long, conflicts_with = "quick")]
+    update_docs: bool,
+}
+
+/// Runs the battery and shows it.
+pub(crate) fn hard_cases(options: &Options) -> Result<()> {
+    if !options.reuse {
+        run(options.quick)?;
+    }
+    if !options.update_docs {
+        return Ok(());
+    }
+    process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases_in_docs.py").arg("--folder").arg(folder()))
+}
+
 /// Runs the battery, `quick` a sample of it, and draws its pictures; fails if a case that is judged does.
-pub(crate) fn hard_cases(quick: bool) -> Result<()> {
-    let out = paths::in_root("target/hard-cases");
+pub(crate) fn run(quick: bool) -> Result<()> {
+    let out = folder();
     fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", paths::short(&out)))?;
     let unoptimised = unoptimised_fingerprint(&out)?;
     let mut battery = battery();
@@ -29,6 +55,11 @@ pub(crate) fn hard_cases(quick: bool) -> Result<()> {
     process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases.py").arg("--folder").arg(&out))?;
     outcome
         .with_context(|| format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md"))))
+}
+
+/// The folder of tables and pictures.
+fn folder() -> PathBuf {
+    paths::in_root("target/hard-cases")
 }
 
 /// The battery's program; its arguments are still to be added.

@@ -81,11 +81,7 @@ enum Command {
     /// Make random calls, legal and illegal, on the packed library, each judged by FMI's table
     Walk(walk::Options),
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
-    HardCases {
-        /// Run only a sample of every case
-        #[arg(long)]
-        quick: bool,
-    },
+    HardCases(hard_cases::Options),
     /// Measure how well machines are followed, print tables of figures beside their targets; half an hour
     Estimator {
         /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes, foreign, geometry, workshop, learning
@@ -173,7 +169,7 @@ fn command(command: Command) -> Result<()> {
         Command::Format { check } => format::format(check),
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
-        Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::HardCases(options) => hard_cases::hard_cases(&options),
         Command::Estimator { only, part, seeds } => estimator::estimator(&only, part, seeds),
         Command::Mujoco(options) => mujoco::mujoco(&options),
         Command::Report(options) => report::report(&options),

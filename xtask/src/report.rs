@@ -20,7 +20,7 @@ pub(crate) struct Options {
     /// Do not measure; draw the last measurements again
     #[arg(long, conflicts_with = "quick")]
     reuse: bool,
-    /// Also write the main table and picture into docs/accuracy.md
+    /// Also write tables and pictures into the docs: accuracy, ratios, times of steps, hard cases
     #[arg(long, conflicts_with = "quick")]
     update_docs: bool,
 }
@@ -55,7 +55,7 @@ fn measure(quick: bool) -> Result<()> {
         run::run(scene, None)?;
     }
     // A case that is not met belongs on the page above all; so does the absence of valgrind, which counts instructions.
-    for outcome in [hard_cases::hard_cases(quick), bench::bench(quick)] {
+    for outcome in [hard_cases::run(quick), bench::bench(quick)] {
         if let Err(error) = outcome {
             eprintln!("the page will mention it: {error:#}");
         }

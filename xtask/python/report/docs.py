@@ -1,12 +1,21 @@
-"""The main table and picture in docs/accuracy.md, and the table of ratios in docs/notes/automatic.md, between comments."""
+"""Tables and pictures that a command writes into the docs, tables between comments; of the report the main table in docs/accuracy.md and that of
+ratios in docs/notes/automatic.md."""
 
 from pathlib import Path
 
-BEGIN = "<!-- accuracy: what follows is written by `cargo xtask report --update-docs`, not by hand -->"
-END = "<!-- accuracy: end -->"
+from report.page import compact
 
-RATIOS = ("<!-- ratios: what follows is written by `cargo xtask report --update-docs`, not by hand -->", "<!-- ratios: end -->")
-"""Marks of the table of ratios in docs/notes/automatic.md."""
+
+def marks(name: str, command: str) -> tuple[str, str]:
+    """The comments around a written text."""
+    return f"<!-- {name}: what follows is written by `{command} --update-docs`, not by hand -->", f"<!-- {name}: end -->"
+
+
+BEGIN, END = marks("accuracy", "cargo xtask report")
+"""Marks of the main table."""
+
+RATIOS = marks("ratios", "cargo xtask report")
+"""Marks of the table of ratios."""
 
 FILE, PICTURE = "docs/accuracy.md", "images/accuracy.svg"
 """The page of the main table, and where it sees the picture."""
@@ -22,15 +31,26 @@ def block(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
     return text.split(begin)[1].split(end)[0]
 
 
-def table_of(text: str, name: str) -> list[str]:
+def table_of(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> list[str]:
     """The lines of the table between the comments."""
-    return [line for line in block(text, name).splitlines() if line.startswith("|")]
+    return [line for line in block(text, name, marks).splitlines() if line.startswith("|")]
 
 
 def update(root: Path, table: list[str], ratios: list[str], about: str) -> None:
     """Writes the table and the link to the picture into their page, and the ratios into theirs."""
     write(root, FILE, (BEGIN, END), [f"![{CAPTION}]({PICTURE})", "", *table, "", f"Measured on: {about}"])
     write(root, "docs/notes/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
+
+
+def markdown(head: list[str], lines: list[list[str]], left: int) -> list[str]:
+    """Lines of Markdown of a table whose columns are set flush right, but for the first `left`."""
+    rule = ["---"] * left + ["---:"] * (len(head) - left)
+    return [f"| {' | '.join(line)} |" for line in (head, rule, *lines)]
+
+
+def picture(root: Path, name: str, drawing: str) -> None:
+    """Writes an SVG, given as text, to docs/images."""
+    (root / f"docs/images/{name}.svg").write_text(compact(drawing), encoding="utf-8", newline="\n")
 
 
 def write(root: Path, name: str, marks: tuple[str, str], lines: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from report import docs
 from report.tables import Marker, Reference, by_kind
 
 WANTED = tuple(10.0**-n for n in range(2, 13))
@@ -104,11 +105,8 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
     """Lines of Markdown: wanted accuracy by one scene of each kind."""
     shown = one_of_each_kind(references)
     head = ["tip error below", *(f"{r.kind}: {r.scene}" for r in shown)]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
-    for wanted in SHORT:
-        cells = [answer(pick(markers, reference, wanted)) for reference in shown]
-        lines.append("| " + " | ".join([f"{power(wanted)} m", *cells]) + " |")
-    return lines
+    lines = [[f"{power(wanted)} m", *(answer(pick(markers, reference, wanted)) for reference in shown)] for wanted in SHORT]
+    return docs.markdown(head, lines, left=len(head))
 
 
 def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
