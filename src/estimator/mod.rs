@@ -378,8 +378,8 @@ impl Estimator {
             return None;
         }
         let axes = [(0, left), (1, right)].map(|(i, sample)| {
-            let (expected, rate) = (motion.theta[MEASURED[i]], self.encoders[i].rate());
-            Pair::new(expected + wrapped(sample.angle - expected) + sample.age * rate, rate)
+            let rate = self.encoders[i].rate();
+            Pair::new(sample.angle + sample.age * rate, rate)
         });
         let anew = self.hypotheses.restart(constants, motion, axes)?;
         let Parameters { sigma, quantum, .. } = constants.parameters;
@@ -581,7 +581,12 @@ impl Estimator {
         self.encoders[i].has_received()
     }
 
-    /// Whether the last samples have reinitialised the estimate.
+    /// Whether samples of both encoders have been believed for long enough that the estimate has settled on them.
+    pub fn is_settled(&self) -> bool {
+        self.encoders.iter().all(|encoder| encoder.is_settled() && encoder.fault == Fault::None)
+    }
+
+    /// Whether the last samples have reinitialised the estimate, with the angles that they read.
     pub fn has_restarted(&self) -> bool {
         self.restarted
     }

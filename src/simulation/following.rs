@@ -1,5 +1,7 @@
 //! A simulation that follows a measured machine: a run, and the estimator that corrects it.
 
+use std::f64::consts::TAU;
+
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -11,7 +13,7 @@ use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
 use crate::estimator::error_state::{DRY, LENGTHS, Learned, MASSES};
-use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, Measured, Status};
+use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, MEASURED, Measured, Status};
 use crate::mechanism::SceneError;
 
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
@@ -28,6 +30,8 @@ pub struct Estimate {
     estimator: Estimator,
     /// Inputs set by the master; the run holds them plus the estimated unknown force.
     inputs: Inputs,
+    /// Whole turns of the motors' links beyond their readings, while both encoders are believed.
+    beyond: [i64; 2],
     /// Faults reported so far, for each encoder a bit per kind.
     reported: [u8; 2],
 }
@@ -50,7 +54,7 @@ impl Following {
         let simulation = Simulation::new(parameters, inputs)?;
         let constants = constants_of(parameters);
         let estimator = Estimator::new(&constants);
-        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
+        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, beyond: [0; 2], reported: [0; 2] } })
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
@@ -71,10 +75,18 @@ impl Following {
 
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
-        let Self { simulation, constants, estimate: Estimate { estimator, inputs, .. } } = self;
+        let Self { simulation, constants, estimate: Estimate { estimator, inputs, beyond, .. } } = self;
         let Simulation { model, run, parameters } = simulation;
         let (before, at) = (estimator.learned(), run.motion(model));
         let corrected = estimator.correct(constants, &at, measured, now);
+        for (i, link) in MEASURED.into_iter().enumerate() {
+            if corrected.is_some() && estimator.has_restarted() {
+                // An estimate that was lost has counted turns of its own.
+                run.turns[link] = beyond[i];
+            } else if estimator.is_settled() {
+                beyond[i] = run.turns[link].saturating_add(((at.theta[link] - measured.theta[i]) / TAU).round() as i64);
+            }
+        }
         if let Some(motion) = corrected.or_else(|| (estimator.learned() != before).then_some(at)) {
             let learned = estimator.learned();
             let inputs = by_true_angles(model, inputs, learned.as_ref());

@@ -338,6 +338,35 @@ fn encoders_that_were_silent_at_rest_are_believed() {
     }
 }
 
+/// An estimate that readings of noise have thrown off begins anew with as many turns as before, since servos act on angles, not on directions: its motors are
+/// as far as the readings, within 2 mrad, the standard deviation of a mounting angle, and no torque is missing that is not small beside the servos' 1 N·m.
+#[test]
+fn an_estimate_that_was_lost_keeps_its_turns() {
+    let mut parameters = followed_by(Method::Dop853, false);
+    parameters.start.theta = [2.0, 1.1];
+    (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [1e-4; 2]);
+    parameters.effects.servo.enabled = true;
+    (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([20.0; 2], [0.5; 2]);
+    let held = Inputs { servo_theta: [2.0, 1.1], ..default_inputs() };
+    for seed in 0..8_u32 {
+        let mut following = Following::new(&parameters, &held).expect("a scene");
+        // The golden ratio's multiples are spread evenly.
+        let noise = |step: u32, i: u32| 40.0 * (f64::from(7919 * seed + 2 * step + i) * 0.618_033_988_75).fract() - 20.0;
+        for step in 0..1000_u32 {
+            let time = 1e-3 * f64::from(step);
+            let theta = if (300..500).contains(&step) { [noise(step, 0), noise(step, 1)] } else { [2.0, 1.1] };
+            following.correct(&Measured { theta, time: [time; 2] }, time);
+            following.advance_along(&Signal::held(held), 1e-3, 1).expect("a step");
+        }
+        let (angles, torques) = (following.state_for(&held).angles(), following.motor_torques().expect("torques").0);
+        let off = [angles[0] - 2.0, angles[3] - 1.1];
+        assert!(
+            off.iter().all(|off| off.abs() < 2e-3) && torques.iter().all(|torque| torque.abs() < 0.1),
+            "{seed}: {off:?}, {torques:?}"
+        );
+    }
+}
+
 /// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is called stuck within 0.2 s of its axis being at its fastest, however
 /// coarse its readings and however often they come, with exact geometry and with the unit's start values, and the tip stays within 10 mm by the other encoder
 /// and the servos. One that repeats itself since a servo, stiff or not, holds its axis is no fault.
