@@ -10,6 +10,7 @@ import pytest
 
 import hard_cases
 import hard_cases_in_docs
+import step_times_in_docs
 import write_report
 from browser import open_browser
 from conftest import REPOSITORY
@@ -85,6 +86,9 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder / "bench", "effects", ["case", "instructions", "ns", "ratio"], rows)
     times = [[step, 1000, up, count] for step in (0.001, 0.004) for up, count in ((501.2, 900), (1000.0, 90), (1e5, 1))]
     write(folder / "bench", "step-times", ["step [s]", "solver.maxWork", "up to [ns]", "steps"], times)
+    work = ["step [s]", "solver.maxWork", "steps", "median", "99.99 %", "most iterations", "rescued", "by the fallback", "ended"]
+    steps = step_times_in_docs.STEPS
+    write(folder / "bench", "step-work", work, [[0.001, 400_000, steps, 2, 8, 618, 166, 0, 0], [0.001, 0, 500_000, 2, 8, 12, 0, 0, 104]])
     return folder
 
 
@@ -337,12 +341,12 @@ def written(folder: Path, rows: list[dict[str, str]]) -> Path:
 @pytest.fixture
 def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the pages that commands write into, for which they take the repository's."""
-    for name in (docs.FILE, "docs/notes/automatic.md", hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES):
+    for name in (docs.FILE, "docs/notes/automatic.md", step_times_in_docs.NOTES, hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text((REPOSITORY / name).read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "docs/images").mkdir()
-    monkeypatch.setattr(hard_cases_in_docs, "ROOT", tmp_path)
-    monkeypatch.setattr(write_report, "ROOT", tmp_path)
+    for script in (hard_cases_in_docs, step_times_in_docs, write_report):
+        monkeypatch.setattr(script, "ROOT", tmp_path)
     return tmp_path
 
 
@@ -357,6 +361,19 @@ def test_hard_cases_are_written_into_their_pages(copied: Path) -> None:
     assert sorted(file.stem for file in (copied / "docs/images").iterdir()) == sorted(hard_cases_in_docs.PICTURES)
 
 
+def test_times_and_work_of_steps_are_written_into_their_notes(measured: Path, copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert step_times_in_docs.main([f"--folder={measured / 'bench'}"]) == 0
+    notes = (copied / step_times_in_docs.NOTES).read_text(encoding="utf-8")
+    lines = ["| 1 ms | 400,000 | 2 | 8 | 618 | 16.6 | 0 | 0 |", "| 1 ms | 0 | 2 | 8 | 12 | 0 | 0 | 208 |"]
+    assert docs.table_of(notes, step_times_in_docs.NOTES, step_times_in_docs.MARKS)[2:] == lines
+    assert (copied / "docs/images/step-times.svg").is_file()
+    work = (measured / "bench/step-work.csv").read_text(encoding="utf-8").replace(str(step_times_in_docs.STEPS), "100000")
+    (copied / "step-work.csv").write_text(work, encoding="utf-8")
+    (copied / "step-times.csv").write_text((measured / "bench/step-times.csv").read_text(encoding="utf-8"), encoding="utf-8")
+    assert step_times_in_docs.main([f"--folder={copied}"]) == 1 and "of a sample" in capsys.readouterr().err
+    assert (copied / step_times_in_docs.NOTES).read_text(encoding="utf-8") == notes
+
+
 def test_the_report_writes_all_that_it_measures_into_the_docs(measured: Path, copied: Path) -> None:
     given = [f"--hard-cases={written(copied / 'battery', battery())}" if "hard-cases" in option else option for option in options(measured)]
     assert write_report.main([*given, "--update-docs"]) == 0
@@ -364,6 +381,7 @@ def test_the_report_writes_all_that_it_measures_into_the_docs(measured: Path, co
     for name in (docs.FILE, "docs/notes/automatic.md"):
         assert f"Measured on: {ABOUT}" in (copied / name).read_text(encoding="utf-8")
     assert "2000 | 2.00e-9" in (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8")
+    assert "| 618 | 16.6 |" in (copied / step_times_in_docs.NOTES).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

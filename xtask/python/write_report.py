@@ -4,18 +4,17 @@ python write_report.py --folder target/report --bench target/bench --hard-cases 
 """
 
 import argparse
-import io
 import shutil
 import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 import hard_cases_in_docs
+import step_times_in_docs
 from fivebar.pictures import STYLE, thinned
-from report import docs, figures, more_figures, page, picks, sections
+from report import docs, figures, page, picks, sections
 from report.tables import Measurements, Table, markers, references
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     curves = {scene: curves_of(options.runs / scene, scene, data) for scene in sections.PAPER}
     with plt.rc_context(STYLE):
         write(options.folder / "index.html", m, {scene: found for scene, found in curves.items() if found})
-        refused = update_docs(m, options.hard_cases) if options.update_docs else ""
+        refused = update_docs(m, options.bench, options.hard_cases) if options.update_docs else ""
     print(options.folder / "index.html")
     if refused:
         print(refused, file=sys.stderr)
@@ -67,25 +66,18 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
     page.write(path, picks.sentences(found, judged), main_picture, parts)
 
 
-def update_docs(m: Measurements, hard_cases: Path) -> str:
-    """The picture and the short table, where readers meet them first, the ratios, and where there are any the histogram of fixed steps and
-    the hard cases; why these are not fit to be shown."""
+def update_docs(m: Measurements, bench: Path, hard_cases: Path) -> str:
+    """The picture and the short table, where readers meet them first, the ratios, and where there are any the fixed steps and the hard
+    cases; why these are not fit to be shown."""
     found, judged = markers(m.precision), references(m.references)
-    save_in_docs(figures.main_picture(found, judged), "accuracy")
-    if m.step_times:
-        save_in_docs(more_figures.histogram(m.step_times.rows), "step-times")
+    docs.figure(ROOT, "accuracy", figures.main_picture(found, judged))
     head, rows = picks.ratio_table(found, judged)
     docs.update(ROOT, picks.short_table(found, judged), docs.markdown(head, rows, left=1), m.precision.about)
-    return hard_cases_in_docs.update(ROOT, hard_cases) if m.hard_cases else ""
-
-
-def save_in_docs(figure: Figure, name: str) -> None:
-    """A picture of docs/images/."""
-    drawing = io.StringIO()
-    with plt.rc_context({"svg.hashsalt": name}):
-        figure.savefig(drawing, format="svg", metadata={"Date": None})
-    plt.close(figure)
-    docs.picture(ROOT, name, drawing.getvalue())
+    refused = (
+        step_times_in_docs.update(ROOT, bench) if m.step_times else "",
+        hard_cases_in_docs.update(ROOT, hard_cases) if m.hard_cases else "",
+    )
+    return "\n".join(filter(None, refused))
 
 
 def keep_beside(table: Table, data: Path) -> None:

@@ -5,13 +5,46 @@ use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
 use crate::{hard_cases, paths, process};
 use anyhow::Result;
+use clap::Args;
 use std::process::Command;
 
 /// The crate that holds the benchmarks.
 const CRATE: &str = "benches";
 
+/// How much is done.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Few repeats, scenes of at most 2 s, a sample of the falls
+    #[arg(long)]
+    quick: bool,
+    /// Only hold instructions against the ceilings of measure/benches/ceilings.csv; needs valgrind, like the whole command
+    #[arg(long, conflicts_with = "quick")]
+    check: bool,
+    /// Do not measure; for --update-docs, from the last tables
+    #[arg(long, conflicts_with_all = ["quick", "check"], requires = "update_docs")]
+    reuse: bool,
+    /// Also write times and work of strictly fixed steps into the docs
+    #[arg(long, conflicts_with_all = ["quick", "check"])]
+    update_docs: bool,
+}
+
+/// Measures, or checks.
+pub(crate) fn bench(options: &Options) -> Result<()> {
+    if options.check {
+        return process::run(&mut instructions());
+    }
+    if !options.reuse {
+        measure(options.quick)?;
+    }
+    if !options.update_docs {
+        return Ok(());
+    }
+    let mut python = venv::python(Packages::Usual)?;
+    process::run(python.arg("xtask/python/step_times_in_docs.py").arg("--folder").arg(paths::in_root("target/bench")))
+}
+
 /// Measures everything, `quick` with few repeats.
-pub(crate) fn bench(quick: bool) -> Result<()> {
+pub(crate) fn measure(quick: bool) -> Result<()> {
     for (mut program, task) in [(benches(), "run"), (hard_cases::battery(), "falls")] {
         program.args([task, "--out"]).arg(paths::in_root("target/bench"));
         if quick {

@@ -101,14 +101,7 @@ enum Command {
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
     Peers(peers::Options),
     /// Measure times and instructions, write tables to target/bench/
-    Bench {
-        /// Few repeats, scenes of at most 2 s, a sample of the falls
-        #[arg(long)]
-        quick: bool,
-        /// Only hold instructions against the ceilings of measure/benches/ceilings.csv; needs valgrind, like the whole command
-        #[arg(long, conflicts_with = "quick")]
-        check: bool,
-    },
+    Bench(bench::Options),
     /// Measure the cost of the effects of each scene against the bare mechanism, write target/run/prices.csv
     Prices {
         /// An item of solver.method, for all scenes [default: the method of each]
@@ -174,8 +167,7 @@ fn command(command: Command) -> Result<()> {
         Command::Mujoco(options) => mujoco::mujoco(&options),
         Command::Report(options) => report::report(&options),
         Command::Peers(options) => peers::peers(&options),
-        Command::Bench { check: true, .. } => process::run(&mut bench::instructions()),
-        Command::Bench { quick, .. } => bench::bench(quick),
+        Command::Bench(options) => bench::bench(&options),
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
         Command::Page => page::page(),

@@ -55,7 +55,7 @@ fn measure(quick: bool) -> Result<()> {
         run::run(scene, None)?;
     }
     // A case that is not met belongs on the page above all; so does the absence of valgrind, which counts instructions.
-    for outcome in [hard_cases::run(quick), bench::bench(quick)] {
+    for outcome in [hard_cases::run(quick), bench::measure(quick)] {
         if let Err(error) = outcome {
             eprintln!("the page will mention it: {error:#}");
         }

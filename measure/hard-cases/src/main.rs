@@ -37,7 +37,7 @@ enum Task {
         #[arg(long)]
         unoptimised: Option<PathBuf>,
     },
-    /// Time the falls by the explicit method, and each step of them by the conserving one; falls.csv and step-times.csv go to a folder
+    /// Time the falls by the explicit method, and each step of them by the conserving one; falls.csv, step-times.csv and step-work.csv go to a folder
     Falls {
         /// The folder
         #[arg(long)]
@@ -130,6 +130,7 @@ impl Task {
                 println!("\nstep times of i3alpConserving\n");
                 step_times::write_markdown(&times, io::stdout())?;
                 step_times::write_csv(&times, file(&out, "step-times.csv")?)?;
+                step_times::write_work(&times, file(&out, "step-work.csv")?)?;
                 Ok(rows.iter().all(|row| row.falls.verdict == Verdict::Pass))
             }
             Self::Seeds { out, seeds, falls } => {

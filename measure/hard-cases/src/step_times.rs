@@ -125,6 +125,28 @@ pub fn write_markdown(all: &[StepTimes], mut to: impl Write) -> io::Result<()> {
     report::markdown_table(header, all.iter().flat_map(StepTimes::rows), &mut to)
 }
 
+/// Iterations of every setting, and how many steps needed more than a first guess, which no clock changes.
+pub fn write_work(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
+    let header =
+        ["step [s]", "solver.maxWork", "steps", "median", "99.99 %", "most iterations", "rescued", "by the fallback", "ended"];
+    let rows = all.iter().map(|found| {
+        let [median, rare, most] = [0.5, 0.9999, 1.0].map(|part| quantile(&found.iterations, part).to_string());
+        let [rescued, fallbacks, ended] = found.rescued.map(|count| count.to_string());
+        [
+            found.step.to_string(),
+            found.max_work.to_string(),
+            found.count().to_string(),
+            median,
+            rare,
+            most,
+            rescued,
+            fallbacks,
+            ended,
+        ]
+    });
+    report::csv_table(header, rows, to)
+}
+
 /// The histogram: upper end of each bin and the steps in it, of every setting.
 pub fn write_csv(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
     let header = ["step [s]", "solver.maxWork", "up to [ns]", "steps"];
@@ -160,5 +182,9 @@ mod tests {
         let mut table = Vec::new();
         write_markdown(&all, &mut table).expect("a table");
         assert_eq!(String::from_utf8(table).expect("text").lines().count(), 2 + all.len() * PARTS.len());
+        let mut work = Vec::new();
+        write_work(&all, &mut work).expect("a table");
+        let work = String::from_utf8(work).expect("text");
+        assert!(work.lines().count() == 1 + all.len() && work.contains("\n0.001,400000,100000,2,"), "{work}");
     }
 }

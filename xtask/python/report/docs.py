@@ -1,7 +1,11 @@
 """Tables and pictures that a command writes into the docs, tables between comments; of the report the main table in docs/accuracy.md and that of
 ratios in docs/notes/automatic.md."""
 
+import io
 from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
 
 from report.page import compact
 
@@ -46,6 +50,15 @@ def markdown(head: list[str], lines: list[list[str]], left: int) -> list[str]:
     """Lines of Markdown of a table whose columns are set flush right, but for the first `left`."""
     rule = ["---"] * left + ["---:"] * (len(head) - left)
     return [f"| {' | '.join(line)} |" for line in (head, rule, *lines)]
+
+
+def figure(root: Path, name: str, drawn: Figure) -> None:
+    """Writes a figure to docs/images, and closes it."""
+    drawing = io.StringIO()
+    with plt.rc_context({"svg.hashsalt": name}):
+        drawn.savefig(drawing, format="svg", metadata={"Date": None})
+    plt.close(drawn)
+    picture(root, name, drawing.getvalue())
 
 
 def picture(root: Path, name: str, drawing: str) -> None:
