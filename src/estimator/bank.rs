@@ -11,7 +11,7 @@ use super::constants::{
     TAKEN_AS_KNOWN,
 };
 use super::error_state::{
-    ERRORS, Error, FORCE, Matrix, is_covariance, isolate_force, reduce, transformed, turned, turned_covariance,
+    ERRORS, Error, FORCE, Matrix, is_covariance, isolate_force, reduce, transformed, turn_covariance, turn_errors,
 };
 use super::propagation::ProcessNoise;
 use super::stored;
@@ -110,8 +110,8 @@ impl Bank {
     /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
     pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
         for member in self.active_members() {
-            member.error = turned(turn, &member.error);
-            member.covariance = turned_covariance(turn, &member.covariance);
+            turn_errors(turn, &mut member.error);
+            turn_covariance(turn, &mut member.covariance);
         }
     }
 

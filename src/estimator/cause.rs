@@ -168,15 +168,8 @@ impl Causes {
             return;
         }
         if surprise.age < EVIDENCE_TIME && !step.held {
-            let by = by();
-            if surprise.age == 0.0 {
-                surprise.witness.stand_back(2, accelerations);
-            }
-            surprise.witness.predict(step, (noise, CAUSE_MODEL, [scale, inertia]), &by, h);
-            if surprise.age == 0.0 {
-                // The unknown force before the surprise contains the effect of the masses.
-                surprise.witness.contain_masses(step, &by);
-            }
+            let first = (surprise.age == 0.0).then_some(accelerations);
+            surprise.witness.predict(step, (noise, CAUSE_MODEL, [scale, inertia]), &by(), first, h);
             surprise.age += h;
         } else {
             surprise.age = EVIDENCE_TIME;

@@ -128,7 +128,7 @@ impl Doubt {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
             let by = ByFaults::new(scene, [from, to], force, h);
-            witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, h);
+            witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, None, h);
         };
         let (before, acts) = (other.motion, other.belief.force);
         let Some(beside) = other.propagate(constants, scene, &acts, None, h) else {

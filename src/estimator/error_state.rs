@@ -44,20 +44,20 @@ pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> 
     product
 }
 
-/// Errors, by columns, whose angles, rates and force change alike.
-pub(super) fn turned<const C: usize>(turn: &Matrix2<f64>, errors: &SMatrix<f64, ERRORS, C>) -> SMatrix<f64, ERRORS, C> {
-    let mut turned = *errors;
+/// Turns the tangent basis of errors, by columns: their angles, rates and force change alike.
+pub(super) fn turn_errors<const C: usize>(turn: &Matrix2<f64>, errors: &mut SMatrix<f64, ERRORS, C>) {
     for pair in (0..ERRORS).step_by(2) {
-        turned.fixed_rows_mut::<2>(pair).copy_from(&(turn * errors.fixed_rows::<2>(pair)));
+        let mut errors = errors.fixed_rows_mut::<2>(pair);
+        errors.copy_from(&(turn * &errors));
     }
-    turned
 }
 
-/// Covariance of errors whose angles, rates and force change alike, symmetric to the bit.
-pub(super) fn turned_covariance(turn: &Matrix2<f64>, covariance: &Matrix) -> Matrix {
-    let mut turned = turned(turn, &turned(turn, covariance).transpose());
-    turned.fill_upper_triangle_with_lower_triangle();
-    turned
+/// Turns the tangent basis of a covariance, symmetric to the bit.
+pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
+    turn_errors(turn, covariance);
+    covariance.transpose_mut();
+    turn_errors(turn, covariance);
+    covariance.fill_upper_triangle_with_lower_triangle();
 }
 
 /// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.

@@ -135,8 +135,12 @@ impl<const P: usize> Point<P> {
         let mut d_alpha = near.by_angle * d_theta + near.by_rate * d_omega;
         let mut pushed = d_alpha.fixed_columns_mut::<2>(4);
         pushed += near.by_torque;
-        let by_learned = [*omega, near.by_angle * theta + near.by_rate * omega + learned];
-        Self { state: LinkState { theta: state.omega, omega: near.alpha }, d_theta: *d_omega, d_omega: d_alpha, by_learned }
+        Self {
+            state: LinkState { theta: state.omega, omega: near.alpha },
+            d_theta: *d_omega,
+            d_omega: d_alpha,
+            by_learned: [*omega, near.by_angle * theta + near.by_rate * omega + learned],
+        }
     }
 }
 

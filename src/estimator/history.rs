@@ -8,7 +8,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::constants::{LARGEST_INVERSE, LEAST_TURN};
-use super::error_state::{Error, Matrix, turned};
+use super::error_state::{Error, Matrix, turn_errors};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 
@@ -74,7 +74,7 @@ impl History {
         let Some(back) = turn.try_inverse().filter(|_| turn.determinant().abs() >= LEAST_TURN) else { return self.clear() };
         for axis in self.0.iter_mut().flat_map(|past| &mut past.axes) {
             axis.angle += axis.row.dot(error);
-            axis.row = turned(&back.transpose(), &axis.row);
+            turn_errors(&back.transpose(), &mut axis.row);
         }
     }
 

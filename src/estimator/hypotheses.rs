@@ -23,7 +23,7 @@ use super::constants::{
     SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
 use super::encoder::{Reading, Sample};
-use super::error_state::{Error, FORCE, Matrix, turned};
+use super::error_state::{Error, FORCE, Matrix, turn_errors};
 use super::flow::{self, Scene};
 use super::parameters::Constants;
 use super::propagation::Propagation;
@@ -358,7 +358,8 @@ impl Hypothesis {
         // Equal errors of the motors on the other tangent basis.
         let [from, to] = [motion, &mirrored].map(|of| constants.linkage.frame(&of.theta).motors());
         let turn = to.try_inverse().filter(|_| to.determinant().abs() >= LEAST_MOTOR_DETERMINANT)? * from;
-        let mut f = turned(&turn, &Matrix::identity());
+        let mut f = Matrix::identity();
+        turn_errors(&turn, &mut f);
         f.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&Matrix2::identity());
         let mut belief = Belief { force: Links::zeros(), ..self.belief };
         belief.bank.transform(&f);

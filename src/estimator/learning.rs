@@ -22,7 +22,8 @@ use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY,
 };
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance, reduce_of, turned,
+    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance, reduce_of,
+    turn_errors,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
@@ -225,10 +226,10 @@ impl Learning {
             self.at_bound = 0;
         }
         let stay = persistence(h, switch_time);
-        let [by_angle, by_rate] = flow.by_learned.map(|by_learned| step.to.basis.tr_mul(&by_learned));
         let mut psi = Moving::zeros();
-        psi.fixed_rows_mut::<2>(0).copy_from(&by_angle);
-        psi.fixed_rows_mut::<2>(2).copy_from(&by_rate);
+        for (i, by_learned) in flow.by_learned.iter().enumerate() {
+            psi.fixed_rows_mut::<2>(2 * i).copy_from(&step.to.basis.tr_mul(by_learned));
+        }
         if !self.geometry {
             psi.fixed_columns_mut::<GEOMETRY>(LOADS).fill(0.0);
         }
@@ -319,7 +320,7 @@ impl Learning {
         let error = self.mean(own);
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
             model.error -= error;
-            model.cross = turned(turn, &model.cross);
+            turn_errors(turn, &mut model.cross);
         }
         self.values = values;
     }
@@ -355,14 +356,14 @@ impl Moments {
 
     /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
     fn step(&mut self, f: &Matrix, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
-        let pushed = psi * self.covariance;
-        self.cross = f * self.cross;
-        let mut half = self.cross;
-        let mut rows = half.fixed_rows_mut::<FORCE>(0);
-        rows += pushed * 0.5;
+        let Self { error, cross, covariance } = &*self;
+        let (moved, pushed, mut half) = (psi * error, psi * covariance, f * cross);
+        self.cross = half;
         let mut rows = self.cross.fixed_rows_mut::<FORCE>(0);
         rows += pushed;
-        (psi * self.error, half * psi.transpose())
+        let mut rows = half.fixed_rows_mut::<FORCE>(0);
+        rows += pushed * 0.5;
+        (moved, half * psi.transpose())
     }
 
     /// Whether stored moments are possible beside the covariance of motion and force.

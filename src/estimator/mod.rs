@@ -313,12 +313,13 @@ impl Estimator {
             } else if conditions.repetition != Fault::None
                 && let Some(bank) = self.unaided[i].bank(i, frame)
             {
-                self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
-                self.belief.bank = bank;
                 if conditions.repetition == Fault::Stuck {
                     self.unaided[i] = Unaided::default();
                     self.learn_anew(constants);
+                } else if let Some(learning) = &mut self.learning {
+                    learning.hold(&self.belief.bank);
                 }
+                self.belief.bank = bank;
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };

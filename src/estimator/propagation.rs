@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Matrix4};
 
 use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
-use super::error_state::{FORCE, Matrix, turned};
+use super::error_state::{FORCE, Matrix, turn_errors};
 use super::flow::Flow;
 use super::tangent::{Frame, LinkState, Links, wrapped};
 
@@ -49,7 +49,11 @@ impl Propagation {
     /// Transition of a motion close to this one between its own tangent spaces.
     pub(super) fn transferred(&self, from: &Frame, to: &Frame) -> Self {
         let (onto, back) = (from.basis_map_to(&self.from), self.to.basis_map_to(to));
-        Self { from: *from, to: *to, f: turned(&back, &turned(&onto.transpose(), &self.f.transpose()).transpose()), ..*self }
+        let mut f = self.f.transpose();
+        turn_errors(&onto.transpose(), &mut f);
+        f.transpose_mut();
+        turn_errors(&back, &mut f);
+        Self { from: *from, to: *to, f, ..*self }
     }
 
     /// Inertia torques of links that accelerate by `alpha`, rad/s², in the mean over the tangent directions, N·m. Link by link: in a fast passage
@@ -102,7 +106,8 @@ impl ProcessNoise {
 
 /// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.
 fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matrix {
-    let mut f = turned(&from.basis_map_to(to), &Matrix::identity());
+    let mut f = Matrix::identity();
+    turn_errors(&from.basis_map_to(to), &mut f);
     f.fixed_rows_mut::<2>(0).copy_from(&to.basis.tr_mul(&flow.d_theta));
     f.fixed_rows_mut::<2>(2).copy_from(&to.basis.tr_mul(&flow.d_omega));
     if P > 0 {
@@ -114,7 +119,8 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matri
 /// Transition matrix without knowledge of the forces: angles follow the rates.
 fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     let turn = from.basis_map_to(to);
-    let mut f = turned(&turn, &Matrix::identity());
+    let mut f = Matrix::identity();
+    turn_errors(&turn, &mut f);
     f.fixed_view_mut::<2, 2>(0, 2).copy_from(&(turn * h));
     f
 }

@@ -19,7 +19,7 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 use super::bank::Innovation;
 use super::constants::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
-    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, reduce, transformed, turned, turned_covariance,
+    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, reduce, transformed, turn_covariance, turn_errors,
 };
 use super::flow::Scene;
 use super::parameters::Constants;
@@ -114,9 +114,10 @@ impl Witness {
 
     /// Follows a correction of the motion by an error that turns its tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
-        self.error = turned(turn, &(self.error - error));
-        self.covariance = turned_covariance(turn, &self.covariance);
-        self.responses = turned(turn, &self.responses);
+        self.error -= error;
+        turn_errors(turn, &mut self.error);
+        turn_covariance(turn, &mut self.covariance);
+        turn_errors(turn, &mut self.responses);
     }
 
     /// Measurement update by a sample of encoder i.
@@ -136,12 +137,14 @@ impl Witness {
         self.samples += 1.0;
     }
 
-    /// Time update by h seconds, with the process noise of a model of the bank.
+    /// Time update by h seconds, with the process noise of a model of the bank; in the `first` step with the accelerations on the tangent basis,
+    /// rad/s².
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
         (noise, model, [scale, inertia]): (&ProcessNoise, usize, [f64; 2]),
         by: &ByFaults,
+        first: Option<&Pair>,
         h: f64,
     ) {
         let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
@@ -152,20 +155,19 @@ impl Witness {
         for k in 2..4 {
             self.covariance[(k, k)] += bend * bend;
         }
-        let mut moved = step.f * self.responses;
+        if let Some(accelerations) = first {
+            self.stand_back(2, accelerations);
+        }
+        self.responses = step.f * self.responses;
         // Generalised forces of each fault act as the unknown force does, which stays as it is.
-        let forces = generalised(&step.from, &step.mass, by);
-        let mut acted = moved.fixed_rows_mut::<FORCE>(0);
-        acted += step.f.fixed_view::<FORCE, 2>(0, FORCE) * forces;
-        self.responses = moved;
-    }
-
-    /// Lets the unknown force contain the effect of the masses from the begin of the step on that has just been followed, as it does where masses
-    /// have been off before.
-    pub(super) fn contain_masses(&mut self, step: &Propagation, by: &ByFaults) {
-        let before = step.f.fixed_view::<2, 2>(FORCE, FORCE) * generalised(&step.from, &step.mass, by);
-        let mut of = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
-        of -= before.fixed_columns::<4>(PARAMETERS + MASSES.start);
+        let effects = step.f.fixed_columns::<2>(FORCE) * generalised(&step.from, &step.mass, by);
+        let mut acted = self.responses.fixed_rows_mut::<FORCE>(0);
+        acted += effects.fixed_rows::<FORCE>(0);
+        if first.is_some() {
+            // The unknown force before the first step contains the effect of the masses at its begin.
+            let mut contained = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
+            contained -= effects.fixed_view::<2, 4>(FORCE, PARAMETERS + MASSES.start);
+        }
     }
 
     /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.

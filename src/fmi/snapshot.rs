@@ -73,6 +73,14 @@ impl Scene {
         }
     }
 
+    /// Parameters in force, as the master has set them.
+    pub(super) fn parameters(&self) -> &Parameters {
+        match self {
+            Self::Ready(simulation) => simulation.parameters(),
+            Self::Following(following) => following.parameters(),
+        }
+    }
+
     /// The scene with its estimator, where a machine is followed.
     pub(super) fn following(&self) -> Option<&Following> {
         if let Self::Following(following) = self { Some(following) } else { None }

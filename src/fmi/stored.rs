@@ -76,7 +76,7 @@ impl Snapshot {
 
     fn serialised(&self) -> io::Result<Vec<u8>> {
         let (simulation, following) = (self.scene.as_ref().map(Scene::simulation), self.scene.as_ref().and_then(Scene::following));
-        let in_force = simulation.map_or(&self.parameters, Simulation::parameters);
+        let in_force = self.scene.as_ref().map_or(&self.parameters, Scene::parameters);
         // Room for a state without an estimate.
         let mut content = Vec::with_capacity(1024);
         // Behind a pointer the writer is not inlined into some hundred fields.

@@ -19,6 +19,9 @@ use crate::mechanism::SceneError;
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
 #[derive(Clone, Debug)]
 pub struct Following {
+    /// Parameters as the master has set them.
+    parameters: Parameters,
+    /// Simulation of the machine as it has been learned.
     simulation: Simulation,
     constants: Constants,
     estimate: Estimate,
@@ -54,29 +57,31 @@ impl Following {
         let simulation = Simulation::new(parameters, inputs)?;
         let constants = constants_of(parameters);
         let estimator = Estimator::new(&constants);
-        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, beyond: [0; 2], reported: [0; 2] } })
+        let estimate = Estimate { estimator, inputs: *inputs, beyond: [0; 2], reported: [0; 2] };
+        Ok(Self { parameters: parameters.clone(), simulation, constants, estimate })
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
-        let mut model = Model::new(parameters)?;
+        check_bounds(parameters)?;
+        let mut machine = parameters.clone();
         let mut constants = constants_of(parameters);
         if let Some(learned) = estimate.estimator.learned() {
-            model = Model::within_bounds(&parameters.with_learned(&learned))?;
+            machine.learn(parameters, &learned);
             constants.learn(&learned);
         }
-        let simulation = Simulation::continued(parameters, model, run)?;
+        let simulation = Simulation::continued(&machine, Model::within_bounds(&machine)?, run)?;
         estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
         }
-        Ok(Self { simulation, constants, estimate })
+        Ok(Self { parameters: parameters.clone(), simulation, constants, estimate })
     }
 
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
-        let Self { simulation, constants, estimate: Estimate { estimator, inputs, beyond, .. } } = self;
-        let Simulation { model, run, parameters } = simulation;
+        let Self { parameters, simulation, constants, estimate: Estimate { estimator, inputs, beyond, .. } } = self;
+        let Simulation { model, run, parameters: machine } = simulation;
         let (before, at) = (estimator.learned(), run.motion(model));
         let corrected = estimator.correct(constants, &at, measured, now);
         for (i, link) in MEASURED.into_iter().enumerate() {
@@ -87,12 +92,15 @@ impl Following {
                 beyond[i] = run.turns[link].saturating_add(((at.theta[link] - measured.theta[i]) / TAU).round() as i64);
             }
         }
-        if let Some(motion) = corrected.or_else(|| (estimator.learned() != before).then_some(at)) {
-            let learned = estimator.learned();
+        let learned = estimator.learned();
+        if let Some(motion) = corrected.or_else(|| (learned != before).then_some(at)) {
             let inputs = by_true_angles(model, inputs, learned.as_ref());
             let inputs = with_unknown_force(&inputs, &estimator.belief().force);
             // A machine that has been learned within its bounds can be simulated.
-            let learned = learned.and_then(|learned| Model::within_bounds(&parameters.with_learned(&learned)).ok());
+            let learned = learned.and_then(|learned| {
+                machine.learn(parameters, &learned);
+                Model::within_bounds(machine).ok()
+            });
             run.resume_from([model, learned.as_ref().unwrap_or(model)], &motion, &inputs);
             if let Some(learned) = learned {
                 // The method stays.
@@ -110,21 +118,19 @@ impl Following {
 
     /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
-        let Self { simulation: Simulation { model, run, parameters }, constants, estimate } = self;
+        let Self { simulation: Simulation { model, run, parameters: machine }, constants, estimate, .. } = self;
         let before = std::mem::replace(&mut estimate.inputs, *inputs);
         let (turns, from) = (run.turns, run.motion(model));
         let learned = estimate.estimator.learned();
         let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
-        let learned = learned.map(|learned| parameters.with_learned(&learned));
-        let asked = learned.as_ref().or_else(|| estimate.estimator.asks_for_parameters().then_some(parameters));
-        let others = asked.map(Others::new);
+        let others = estimate.estimator.asks_for_parameters().then(|| Others::new(machine));
         let scene = FollowedScene { model, inputs, before, turns: &turns, learned: others.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
 
-    /// Simulation whose inputs include the unknown force.
+    /// Simulation of the machine as it has been learned, whose inputs include the unknown force.
     pub fn simulation(&self) -> &Simulation {
         &self.simulation
     }
@@ -134,9 +140,9 @@ impl Following {
         &self.estimate
     }
 
-    /// Parameters in force.
+    /// Parameters in force, as the master has set them.
     pub fn parameters(&self) -> &Parameters {
-        self.simulation.parameters()
+        &self.parameters
     }
 
     /// Present state, with the q̈ and λ that belong to `inputs`, with servo references by true angles, plus the unknown force.
@@ -149,22 +155,18 @@ impl Following {
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller keeps a copy.
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
-        let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters().clone() };
+        let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters.clone() };
         check_bounds(&tuned)?;
         self.estimate.estimator.begin_anew_where_tuned(&self.constants, tuned.prior().as_ref());
-        let learned = |parameters: &Parameters| match self.estimate.estimator.learned() {
-            Some(learned) => parameters.with_learned(&learned),
-            None => parameters.clone(),
-        };
-        self.simulation.parameters = learned(&self.simulation.parameters);
-        self.simulation
-            .tune_within_bounds(Parameters { effects: learned(&tuned).effects, ..self.simulation.parameters.clone() })?;
+        let mut machine = tuned.clone();
         // A payload that joins changes the masses.
         self.constants = constants_of(&tuned);
         if let Some(learned) = self.estimate.estimator.learned() {
+            machine.learn(&tuned, &learned);
             self.constants.learn(&learned);
         }
-        self.simulation.parameters = tuned;
+        self.simulation.tune_within_bounds(machine)?;
+        self.parameters = tuned;
         Ok(())
     }
 

@@ -46,23 +46,20 @@ impl Parameters {
         })
     }
 
-    /// The parameters with learned values.
-    pub(super) fn with_learned(&self, learned: &Learned) -> Self {
-        let mut parameters = self.clone();
-        for (link, factor) in parameters.geometry.links.iter_mut().zip(learned.iter()) {
+    /// Becomes `told`, parameters of the same scene, with learned values.
+    pub(super) fn learn(&mut self, told: &Self, learned: &Learned) {
+        self.geometry = told.geometry;
+        for (link, factor) in self.geometry.links.iter_mut().zip(learned.iter()) {
             let factor = libm::exp(*factor);
             (link.mass, link.inertia) = (link.mass * factor, link.inertia * factor);
         }
-        set_lengths(&mut parameters.geometry, |i, length| length + learned[LENGTHS.start + i]);
-        let effects = &mut parameters.effects;
+        set_lengths(&mut self.geometry, |i, length| length + learned[LENGTHS.start + i]);
+        let effects = &mut self.effects;
         effects.payload.mass = learned[PAYLOAD];
         effects.viscous.b = std::array::from_fn(|joint| learned[VISCOUS.start + joint]);
         let factor = libm::exp(learned[DRY]);
-        for joint in 0..JOINTS {
-            effects.friction.coulomb[joint] *= factor;
-            effects.friction.breakaway[joint] *= factor;
-        }
-        parameters
+        effects.friction.coulomb = told.effects.friction.coulomb.map(|torque| torque * factor);
+        effects.friction.breakaway = told.effects.friction.breakaway.map(|torque| torque * factor);
     }
 }
 
@@ -226,8 +223,9 @@ mod tests {
         let (parameters, inputs, at) = scene();
         let known = parameters.known();
         let made = |learned: &Learned| {
-            let parameters = parameters.with_learned(learned);
-            (Model::new(&parameters).expect("a scene"), Linkage::new(&parameters.geometry))
+            let mut machine = parameters.clone();
+            machine.learn(&parameters, learned);
+            (Model::new(&machine).expect("a scene"), Linkage::new(&machine.geometry))
         };
         let (others, (model, linkage), none) = (Others::new(&parameters), made(&known), Links::zeros());
         let here = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: Some(&others) };
