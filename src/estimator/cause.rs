@@ -100,7 +100,7 @@ impl Causes {
 
     /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
     /// the errors; `rates`: those of the estimate on its tangent basis, rad/s.
-    pub(super) fn look(
+    pub(super) fn begin_where_surprised(
         &mut self,
         constants: &Constants,
         (nis, alarm): (f64, bool),
@@ -114,7 +114,7 @@ impl Causes {
         };
         if begins {
             if let Some(surprise) = self.confirmed() {
-                let (cause, probability) = surprise.told(constants, None);
+                let (cause, probability) = surprise.most_probable(constants, None);
                 self.last = Some((cause.number() as u8, probability));
             }
             let (error, covariance) = start();
@@ -177,9 +177,9 @@ impl Causes {
     }
 
     /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
-    pub(super) fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
+    pub(super) fn most_probable(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
         match (self.confirmed(), self.last) {
-            (Some(surprise), _) => surprise.told(constants, away),
+            (Some(surprise), _) => surprise.most_probable(constants, away),
             (None, Some((cause, probability))) if self.calm < CAUSE_PERSISTS => (Cause::ALL[usize::from(cause)], probability),
             _ => (Cause::None, 1.0),
         }
@@ -199,7 +199,7 @@ impl Surprise {
     }
 
     /// Most probable cause and its probability.
-    fn told(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
+    fn most_probable(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
         let probabilities = self.probabilities(constants, away);
         let best = (1..Cause::ALL.len()).fold(0, |best, k| if probabilities[k] > probabilities[best] { k } else { best });
         (Cause::ALL[best], probabilities[best])

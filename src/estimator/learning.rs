@@ -104,16 +104,6 @@ impl Learning {
         (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), count)
     }
 
-    /// Values that the next correction leads to.
-    pub(super) fn corrected(&self, own: &Bank, constants: &Constants) -> Learned {
-        let error = self.mean(own);
-        // Round-off, and a bound that another one has led beyond.
-        Learned::from_fn(|i, _| {
-            let [least, most] = bounds(i, constants);
-            (self.values[i] + error[i]).clamp(least, most)
-        })
-    }
-
     /// Parameters that have been moved to a bound since the last call, with the bounds: each once, and again only after all values have been within theirs.
     pub(super) fn take_bounds(&mut self, constants: &Constants) -> impl Iterator<Item = (usize, [f64; 2])> {
         let news = self.at_bound & !std::mem::replace(&mut self.told, self.at_bound);
@@ -178,8 +168,8 @@ impl Learning {
         all
     }
 
-    /// Holds learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
-    pub(super) fn hold(&mut self, own: &Bank) {
+    /// Pauses learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
+    pub(super) fn pause(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
         self.models = [Moments { covariance, ..Moments::ZERO }; MODELS];
         self.geometry = false;
@@ -292,9 +282,9 @@ impl Learning {
         }
     }
 
-    /// Keeps the values within their bounds, before a correction: mean errors that would lead beyond are moved to the bound in each model, with all
-    /// that they are correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
-    pub(super) fn keep_within_bounds(&mut self, own: &mut Bank, constants: &Constants) {
+    /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
+    /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
+    pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
         for i in 0..LEARNED {
             let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
             let [least, most] = bounds(i, constants);
@@ -313,6 +303,12 @@ impl Learning {
                 }
             }
         }
+        let error = self.mean(own);
+        // Round-off, and a bound that another one has led beyond.
+        Learned::from_fn(|i, _| {
+            let [least, most] = bounds(i, constants);
+            (self.values[i] + error[i]).clamp(least, most)
+        })
     }
 
     /// Follows a correction of the motion that turns its tangent basis, and of the values.

@@ -192,8 +192,7 @@ impl Estimator {
             return favoured.map(|_| motion);
         }
         let learned = self.learning.as_mut().map(|learning| {
-            learning.keep_within_bounds(&mut self.belief.bank, constants);
-            let values = learning.corrected(&self.belief.bank, constants);
+            let values = learning.corrected(&mut self.belief.bank, constants);
             constants.learn(&values);
             values
         });
@@ -317,7 +316,7 @@ impl Estimator {
                     self.unaided[i] = Unaided::default();
                     self.learn_anew(constants);
                 } else if let Some(learning) = &mut self.learning {
-                    learning.hold(&self.belief.bank);
+                    learning.pause(&self.belief.bank);
                 }
                 self.belief.bank = bank;
             }
@@ -329,7 +328,7 @@ impl Estimator {
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
     fn watch(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), (i, sample): (usize, &Sample), nis: f64) {
         let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
-        self.causes.look(constants, (nis, self.alarm.is_on()), &frame.basis.tr_mul(&motion.omega), before);
+        self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), &frame.basis.tr_mul(&motion.omega), before);
         if self.causes.are_judged()
             && let Some(reading) = self.encoders[i].unconfined(sample)
         {
@@ -440,7 +439,7 @@ impl Estimator {
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
-        self.learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
+        self.learning.iter_mut().for_each(|learning| learning.pause(&self.belief.bank));
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
         self.begin_anew_at(constants, motion)
     }
@@ -517,7 +516,7 @@ impl Estimator {
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
             }
             (learning, _) => {
-                learning.iter_mut().for_each(|learning| learning.hold(&self.belief.bank));
+                learning.iter_mut().for_each(|learning| learning.pause(&self.belief.bank));
                 self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
             }
         }
@@ -621,7 +620,7 @@ impl Estimator {
         let is_missing = |encoder: &Encoder| encoder.is_silent() && !self.is_coasting();
         match first(&|encoder| matches!(encoder.fault, Fault::Stuck | Fault::Invalid) || is_missing(encoder)) {
             Some(i) => (Cause::Encoder(i), 1.0),
-            None => self.causes.told(constants, first(&Encoder::is_away)),
+            None => self.causes.most_probable(constants, first(&Encoder::is_away)),
         }
     }
 

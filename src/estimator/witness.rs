@@ -69,12 +69,12 @@ pub(super) struct Witness {
     /// Responses V.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     responses: Responses,
-    /// Sum of GᵀG/S.
+    /// Information, the sum of GᵀG/S.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     information: SMatrix<f64, FAULTS, FAULTS>,
-    /// Sums of G r/S.
+    /// Score, the sums of G r/S.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
-    told: Faults,
+    score: Faults,
     /// Sum of r²/S.
     pub(super) squares: f64,
     /// Number of samples.
@@ -89,7 +89,7 @@ impl Witness {
             covariance,
             responses: Responses::zeros(),
             information: SMatrix::zeros(),
-            told: Faults::zeros(),
+            score: Faults::zeros(),
             squares: 0.0,
             samples: 0.0,
         }
@@ -98,7 +98,7 @@ impl Witness {
     /// Whether all numbers are finite.
     pub(super) fn is_finite(&self) -> bool {
         let errors = self.error.iter().chain(&self.covariance).chain(&self.responses);
-        errors.chain(&self.information).chain(&self.told).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
+        errors.chain(&self.information).chain(&self.score).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
     }
 
     /// Whether stored values are possible.
@@ -132,7 +132,7 @@ impl Witness {
         reduce(&mut self.covariance, &column, variance);
         self.responses -= gain * response.transpose();
         self.information += response * (response / variance).transpose();
-        self.told += response * (off / variance);
+        self.score += response * (off / variance);
         self.squares += (off * off / variance).min(LARGEST_NIS);
         self.samples += 1.0;
     }
@@ -179,10 +179,10 @@ impl Witness {
             let mut into = free.column_mut(k);
             into += column;
         }
-        let told = scaled(&self.told);
+        let score = scaled(&self.score);
         // Round-off alone keeps the matrix from being positive definite.
         free.cholesky().map_or((0.0, 0.0), |factor| {
-            (told.dot(&factor.solve(&told)), 2.0 * factor.l_dirty().diagonal().iter().map(|x| libm::log(*x)).sum::<f64>())
+            (score.dot(&factor.solve(&score)), 2.0 * factor.l_dirty().diagonal().iter().map(|x| libm::log(*x)).sum::<f64>())
         })
     }
 }
