@@ -10,13 +10,14 @@
 //! ½ [ (X' − X)/c + ln D' − ln D ]        c = max(1, min(X, X')/n)
 //! ```
 //!
-//! with a dash in the other assembly, after n samples.
+//! with a dash in the other assembly, after n samples. Next to the readings' noise the process noise of both witnesses is small: by a larger one r²/S
+//! would be smaller in the assembly whose motors it moves more.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::bank::Innovation;
-use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, NEITHER_FITS, START_ODDS};
+use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
 use super::encoder::Reading;
 use super::error_state::{Error, Matrix};
 use super::flow::Scene;
@@ -128,7 +129,8 @@ impl Doubt {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
             let by = ByFaults::new(scene, [from, to], force, h);
-            witness.predict(step, (&step.noise(h), DOUBT_MODEL, [constants.torque_scale(), inertia]), &by, None, h);
+            let scales = [DOUBT_NOISE * constants.torque_scale(), DOUBT_NOISE * inertia];
+            witness.predict(step, (&step.noise(h), DOUBT_MODEL, scales), &by, None, h);
         };
         let (before, acts) = (other.motion, other.belief.force);
         let Some(beside) = other.propagate(constants, scene, &acts, None, h) else {

@@ -41,6 +41,10 @@ enum Failure {
     Jump(f64),
     /// Is silent for a second.
     Missing,
+    /// Both encoders are silent for 0.3 s.
+    Silence,
+    /// A fifth of the samples of each encoder are missing, all the time.
+    DropOuts,
     /// The encoders are exchanged.
     Swapped,
     /// Stamps are off by normal noise, s.
@@ -68,7 +72,7 @@ struct Outcome {
     /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
     /// instant of the failure.
     visible: bool,
-    /// Whether an encoder was called stuck before the onset, or at the other encoder.
+    /// Whether an encoder was called stuck that was not: before the onset, the other one, or one that misses samples.
     early: bool,
     /// Part of the samples after which some had been refused for their stamp.
     refused: f64,
@@ -133,7 +137,7 @@ pub fn haptic(random: &mut Random) -> Scenario {
 /// A run with a failure from some instant on.
 fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, random: &mut Random) -> Outcome {
     let onset = random.between(0.5, 1.2);
-    let onset = if let Failure::Nothing = failure { f64::INFINITY } else { onset };
+    let onset = if let Failure::Nothing | Failure::DropOuts = failure { f64::INFINITY } else { onset };
     let mut told = scenario.clone();
     if let Failure::Assembly = failure {
         let assembly = &mut told.model.start.assembly;
@@ -156,7 +160,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     }
     let mut twin = told.twin(encoder);
     let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
-    let (mut held, mut wrong, mut refused, mut stamp) = (None, 0.0, 0.0, [-1.0; 2]);
+    let (mut held, mut wrong, mut refused, mut stamp) = (None, 0.0, 0.0, Measured::default().time);
     // A twin that takes no sample of the frozen encoder.
     let mut observer = None;
     let steps = (scenario.duration / h).round() as u64;
@@ -171,6 +175,14 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             Failure::Zero if failing => measured.theta[0] = 0.0,
             Failure::Jump(by) if failing => measured.theta[0] += by,
             Failure::Missing if (onset..onset + 1.0).contains(&time) => measured.time[0] = stamp[0],
+            Failure::Silence if (onset..onset + 0.3).contains(&time) => measured.time = stamp,
+            Failure::DropOuts => {
+                for (time, before) in measured.time.iter_mut().zip(stamp) {
+                    if random.between(0.0, 1.0) < 0.2 {
+                        *time = before;
+                    }
+                }
+            }
             Failure::Swapped => measured.theta.swap(0, 1),
             Failure::Jitter(sigma) => measured.time = [0, 1].map(|_| time + sigma * random.normal()),
             Failure::Late(_) => {
@@ -202,7 +214,8 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         outcome.silent |= wrong >= SILENT.2;
         outcome.lost = off > SILENT.0;
         let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);
-        outcome.early |= second || first && !failing;
+        let sound = matches!(failure, Failure::Silence | Failure::DropOuts);
+        outcome.early |= second || first && (sound || !failing);
         if failing && twin.status() != Status::Following && outcome.found.is_infinite() {
             outcome.found = time - onset;
         }
@@ -231,10 +244,20 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
 
 /// Number of runs that are lost of those with samples late by 8 ms that nobody tells, from a start in the right assembly, while a machine is learned.
 pub fn lost_by_late_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
+    lost(|random| learned(fast(random)), Failure::Late(8e-3), seeds)
+}
+
+/// Number of runs without a failure that are lost where stiff servos swing a machine, from a start in the right assembly.
+pub fn lost_in_stiff_swings(seeds: impl IntoIterator<Item = u64>) -> usize {
+    lost(stiff, Failure::Nothing, seeds)
+}
+
+/// Number of runs by 16 bits that are lost.
+fn lost(scene: Scene, failure: Failure, seeds: impl IntoIterator<Item = u64>) -> usize {
     let is_lost = |seed: &u64| {
         let mut random = Random::new(*seed);
-        let scenario = learned(fast(&mut random));
-        run(&scenario, (&FINE, 1e-3), Failure::Late(8e-3), &mut random).lost
+        let scenario = scene(&mut random);
+        run(&scenario, (&FINE, 1e-3), failure, &mut random).lost
     };
     seeds.into_iter().filter(is_lost).count()
 }
@@ -262,7 +285,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const MEDIUM: Encoder = bits("14 bit", 14);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 70] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 79] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -309,7 +332,16 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("late by 8 ms, sines, learned", |random| learned(fast(random)), Failure::Late(8e-3), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
+        ("silence, swing", swing, Failure::Silence, FINE, 1e-3),
+        ("silence, pick, start values", |random| by_start_values(pick(random)), Failure::Silence, FINE, 5e-3),
+        ("silence, pick, start values", |random| by_start_values(pick(random)), Failure::Silence, COARSE, 5e-3),
+        ("silence, pick, learned", |random| learned(pick(random)), Failure::Silence, FINE, 5e-3),
+        ("drop-outs, fall", falling, Failure::DropOuts, FINE, 1e-3),
+        ("drop-outs, pick, start values", |random| by_start_values(pick(random)), Failure::DropOuts, FINE, 5e-3),
+        ("drop-outs, push, start values", |random| by_start_values(push(random)), Failure::DropOuts, COARSE, 5e-3),
+        ("drop-outs, swing, learned", |random| learned(swing(random)), Failure::DropOuts, FINE, 1e-3),
         ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),
+        ("nothing, stiff swing", stiff, Failure::Nothing, FINE, 1e-3),
         ("nothing, stiff swing", stiff, Failure::Nothing, COARSE, 1e-3),
         ("nothing, fall", falling, Failure::Nothing, FINE, 1e-3),
         ("nothing, pick", pick, Failure::Nothing, FINE, 1e-3),

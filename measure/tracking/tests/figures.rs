@@ -32,6 +32,12 @@ fn late_samples_leave_a_right_start() {
     assert_eq!(faults::lost_by_late_samples([43, 58, 94, 110].map(|seed| 1_327_900_000 + seed)), 0);
 }
 
+/// A right start of a slow swing by stiff servos is not left: these five are where the doubt has all the process noise of the quietest model.
+#[test]
+fn stiff_swings_leave_a_right_start() {
+    assert_eq!(faults::lost_in_stiff_swings([7, 8, 24, 50, 93].map(|seed| 1_457_900_000 + seed)), 0);
+}
+
 /// Machines whose masses are 5 % off, that carry an unknown payload or are pushed, are not lost.
 #[test]
 fn machines_are_not_lost() {
