@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, SMatrix, Vector4};
 use super::bank::{Bank, Member};
 use super::belief::Belief;
 use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
-use super::error_state::{FORCE, LEARNED};
+use super::error_state::{FORCE, GEOMETRY};
 use super::hypotheses::Hypothesis;
 use super::learning::Learning;
 use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
@@ -34,8 +34,10 @@ impl Estimator {
         let own = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>, points: Option<[Links; 2]>| {
             let frame = constants.linkage.frame(&motion.theta);
             let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, belief));
-            let added =
-                mixed(&belief.bank, &by_geometry(constants, &frame, (belief, learning), (&frame.basis, &frame.links_by_learned())));
+            let added = mixed(
+                &belief.bank,
+                &by_geometry(constants, &frame, (belief, learning), (&frame.basis, &frame.links_by_geometry())),
+            );
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
         let known = own(motion, &self.belief, self.learning.as_deref(), self.forecast.sigmas(motion));
@@ -119,13 +121,13 @@ fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) ->
 }
 
 /// Second moments, in each model, that errors of lengths and encoders add to those of a quantity which errors of the motion move by the first of two
-/// derivatives, and learned parameters by the second. Lengths and mounting angles that are not learned persist while encoders hold the motors as far as
-/// possible, as further errors of encoders do at any time.
+/// derivatives, and lengths and mounting angles by the second. Those that are not learned persist while encoders hold the motors as far as possible, as
+/// further errors of encoders do at any time.
 fn by_geometry<const R: usize>(
     constants: &Constants,
     frame: &Frame,
     (belief, learning): (&Belief, Option<&Learning>),
-    (by_error, by_learned): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, LEARNED>),
+    (by_error, by_parameters): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, GEOMETRY>),
 ) -> [SMatrix<f64, R, R>; MODELS] {
     let parameters = &constants.parameters;
     if learning.is_none() && parameters.persistent_errors() == [0.0; 2] {
@@ -133,20 +135,20 @@ fn by_geometry<const R: usize>(
     }
     let by_encoders = by_error * frame.holding();
     let further = by_encoders * by_encoders.transpose() * parameters.eccentricity_variance();
-    let while_held = by_learned + by_error * frame.held_by_learned();
+    let while_held = by_parameters + by_error * frame.held_by_geometry();
     let added = learning.map_or_else(
         || {
             let moved = while_held * SMatrix::from_diagonal(&parameters.sigma_of_geometry());
             [moved * moved.transpose(); MODELS]
         },
-        |learning| learning.added_moments(&belief.bank, by_error, [by_learned, &while_held]),
+        |learning| learning.added_moments(&belief.bank, by_error, [by_parameters, &while_held]),
     );
     added.map(|added| added + further)
 }
 
 /// Second moments, in each model, that errors of lengths and encoders add to those of the tip, m².
 fn tip_by_geometry(constants: &Constants, frame: &Frame, belief: (&Belief, Option<&Learning>)) -> [Matrix2<f64>; MODELS] {
-    by_geometry(constants, frame, belief, (&frame.tip(), &frame.tip_by_learned()))
+    by_geometry(constants, frame, belief, (&frame.tip(), &frame.tip_by_geometry()))
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².

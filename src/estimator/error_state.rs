@@ -22,6 +22,8 @@ pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
 pub const LEARNED: usize = 18;
 /// Number of loads, the first: masses, payload and friction.
 pub const LOADS: usize = 11;
+/// Number of lengths and mounting angles, behind the loads.
+pub const GEOMETRY: usize = LEARNED - LOADS;
 /// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
 pub const MASSES: Range<usize> = 0..4;
 /// Mass of the payload, kg.

@@ -1,9 +1,9 @@
 //! Effect of uncertain lengths and mounting angles of the encoders on motor angles and tip: a persistent error, or parameters that are learned.
 
-use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix};
+use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix, SVector};
 
 use super::constants::{MOTOR_REGULARIZATION, NEAR_VERTEX};
-use super::error_state::{LEARNED, LENGTHS, Learned, OFFSETS};
+use super::error_state::GEOMETRY;
 use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
 
 /// Lengths of the closed loop: four links and the base.
@@ -36,36 +36,29 @@ impl Frame {
         moved
     }
 
-    /// Derivatives of the angles of links 1 to 4 by the learned parameters, with the tangent coordinates held.
-    pub(crate) fn links_by_learned(&self) -> SMatrix<f64, 4, LEARNED> {
-        let mut by_learned = SMatrix::<f64, 4, LEARNED>::zeros();
-        by_learned.fixed_columns_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&self.turned_by_lengths());
-        by_learned
+    /// Derivatives of the angles of links 1 to 4 by lengths and mounting angles, with the tangent coordinates held.
+    pub(crate) fn links_by_geometry(&self) -> SMatrix<f64, 4, GEOMETRY> {
+        self.turned_by_lengths().fixed_resize(0.0)
     }
 
-    /// Derivatives of both readings by the learned parameters.
-    pub(crate) fn readings_by_learned(&self) -> [Learned; 2] {
-        let turned = self.turned_by_lengths();
+    /// Derivatives of both readings by lengths and mounting angles.
+    pub(crate) fn readings_by_geometry(&self) -> [SVector<f64, GEOMETRY>; 2] {
+        let turned = self.links_by_geometry();
         [0, 1].map(|i| {
-            let mut row = Learned::zeros();
-            row.fixed_rows_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&turned.row(MEASURED[i]).transpose());
-            row[OFFSETS.start + i] = 1.0;
+            let mut row = turned.row(MEASURED[i]).transpose();
+            row[LENGTH_COUNT + i] = 1.0;
             row
         })
     }
 
-    /// Derivatives of the tip by the learned parameters, m.
-    pub(crate) fn tip_by_learned(&self) -> SMatrix<f64, 2, LEARNED> {
-        let mut by_learned = SMatrix::<f64, 2, LEARNED>::zeros();
-        let moved = self.tip_by_lengths(&self.turned_by_lengths());
-        by_learned.fixed_columns_mut::<LENGTH_COUNT>(LENGTHS.start).copy_from(&moved);
-        by_learned
+    /// Derivatives of the tip by lengths and mounting angles, m.
+    pub(crate) fn tip_by_geometry(&self) -> SMatrix<f64, 2, GEOMETRY> {
+        self.tip_by_lengths(&self.turned_by_lengths()).fixed_resize(0.0)
     }
 
-    /// Tangent coordinates by the learned parameters while encoders hold the motors as far as possible.
-    pub(super) fn held_by_learned(&self) -> SMatrix<f64, 2, LEARNED> {
-        let [left, right] = self.readings_by_learned();
-        self.holding() * -SMatrix::<f64, LEARNED, 2>::from_columns(&[left, right]).transpose()
+    /// Tangent coordinates by lengths and mounting angles while encoders hold the motors as far as possible.
+    pub(super) fn held_by_geometry(&self) -> SMatrix<f64, 2, GEOMETRY> {
+        self.holding() * -SMatrix::from_columns(&self.readings_by_geometry()).transpose()
     }
 
     /// Turns of the links by the length of each link and of the base: −J⁺ of the closure gap, damped next to a vertex, where J⁺ grows without

@@ -22,21 +22,22 @@ use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY,
 };
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance, reduce_of,
-    turn_errors,
+    DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance,
+    reduce_of, turn_errors,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::Frame;
+use crate::vector::Vector;
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
 /// Derivatives Ψ of the errors of the motion by the parameters.
 type Moving = SMatrix<f64, FORCE, LEARNED>;
-/// Number of lengths and mounting angles, the last parameters.
-const GEOMETRY: usize = LEARNED - LOADS;
+/// Derivatives of a reading by lengths and mounting angles.
+pub(super) type Shown = SVector<f64, GEOMETRY>;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
@@ -115,29 +116,29 @@ impl Learning {
         self.geometry
     }
 
-    /// Second moments, in each model, that errors of the parameters add to those of a quantity which errors of the motion move by `by_error`. Parameters
-    /// move it by the first of two derivatives, and by the second while lengths and mounting angles are not learned: encoders hold the motors.
+    /// Second moments, in each model, that errors of lengths and mounting angles add to those of a quantity which errors of the motion move by `by_error`.
+    /// They move it by the first of two derivatives, and by the second while they are not learned: encoders hold the motors.
     pub(super) fn added_moments<const R: usize>(
         &self,
         own: &Bank,
         by_error: &SMatrix<f64, R, 2>,
-        [by_learned, while_held]: [&SMatrix<f64, R, LEARNED>; 2],
+        [by_parameters, while_held]: [&SMatrix<f64, R, GEOMETRY>; 2],
     ) -> [SMatrix<f64, R, R>; MODELS] {
-        let by_learned = if self.geometry { by_learned } else { while_held };
+        let by_parameters = if self.geometry { by_parameters } else { while_held };
         std::array::from_fn(|j| {
             let (Moments { error, cross, covariance }, member) = (&self.models[j], &own.members[j]);
-            let (off, added) = (by_error * member.error.fixed_rows::<2>(0), by_learned * error);
-            let both = by_error * cross.fixed_rows::<2>(0) * by_learned.transpose() + off * added.transpose();
-            both + both.transpose() + by_learned * covariance * by_learned.transpose() + added * added.transpose()
+            let (off, added) = (by_error * member.error.fixed_rows::<2>(0), by_parameters * error.fixed_rows::<GEOMETRY>(LOADS));
+            let both = by_error * cross.fixed_view::<2, GEOMETRY>(0, LOADS) * by_parameters.transpose() + off * added.transpose();
+            let within = covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
+            both + both.transpose() + by_parameters * within * by_parameters.transpose() + added * added.transpose()
         })
     }
 
-    /// Variance of what the parameters add to a sample that shows them so, rad².
-    pub(super) fn variance(&self, own: &Bank, row: &Learned) -> f64 {
-        let shown = row.fixed_rows::<GEOMETRY>(LOADS);
+    /// Variance of what lengths and mounting angles add to a sample that shows them by `row`, rad².
+    pub(super) fn variance(&self, own: &Bank, row: &Shown) -> f64 {
         let of = |model: &Moments| {
             let within = model.covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
-            shown.dot(&(within * shown)) + row.dot(&model.error).powi(2)
+            row.dot(&(within * row)) + row.dot(&model.error.fixed_rows::<GEOMETRY>(LOADS)).powi(2)
         };
         self.models
             .iter()
@@ -178,13 +179,13 @@ impl Learning {
     /// Begins to learn lengths and mounting angles: encoders have held the motors, so that their errors are in the angles as well.
     pub(super) fn begin_geometry(&mut self, own: &mut Bank, frame: &Frame) {
         if !std::mem::replace(&mut self.geometry, true) {
-            let by_learned = frame.held_by_learned();
+            let held = frame.held_by_geometry();
             for (model, member) in self.models.iter_mut().zip(&mut own.members) {
-                let cross = by_learned * model.covariance;
+                let cross = held * model.covariance.fixed_rows::<GEOMETRY>(LOADS);
                 let mut angles = model.cross.fixed_rows_mut::<2>(0);
                 angles += cross;
                 let mut angles = member.covariance.fixed_view_mut::<2, 2>(0, 0);
-                angles += cross * by_learned.transpose();
+                angles += cross.fixed_columns::<GEOMETRY>(LOADS) * held.transpose();
                 member.covariance.fill_upper_triangle_with_lower_triangle();
             }
         }
@@ -247,22 +248,23 @@ impl Learning {
         });
     }
 
-    /// Completes the expectation of a sample by what it shows of the parameters, by `row`; returns its covariance with them in each model.
-    /// Lengths and mounting angles that are not learned at present are part of its noise.
-    pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Learned) -> [Learned; MODELS] {
-        let row = if self.geometry { *row } else { Learned::zeros() };
-        let shown = row.fixed_rows::<GEOMETRY>(LOADS);
+    /// Completes the expectation of a sample by what it shows of lengths and mounting angles, by `row`; returns its covariance with the parameters in
+    /// each model. Lengths and mounting angles that are not learned at present are part of its noise.
+    pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Shown) -> [Learned; MODELS] {
+        let row = if self.geometry { *row } else { Shown::zeros() };
+        // Without delay a sample shows angles alone.
+        let own = sample.row.fixed_rows::<2>(0);
         let mut columns = [Learned::zeros(); MODELS];
         for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
             if expected.weights[j] == 0.0 {
                 continue;
             }
-            let by_errors = model.cross.fixed_columns::<GEOMETRY>(LOADS) * shown;
-            let by_parameters = model.covariance.fixed_columns::<GEOMETRY>(LOADS) * shown;
-            *residual -= row.dot(&model.error);
-            *variance += 2.0 * sample.row.dot(&by_errors) + row.dot(&by_parameters);
+            let by_errors = model.cross.fixed_columns::<GEOMETRY>(LOADS) * row;
+            let by_parameters = model.covariance.fixed_columns::<GEOMETRY>(LOADS) * row;
+            *residual -= row.dot(&model.error.fixed_rows::<GEOMETRY>(LOADS));
+            *variance += 2.0 * sample.row.dot(&by_errors) + row.dot(&by_parameters.fixed_rows::<GEOMETRY>(LOADS));
             *of_errors += by_errors;
-            columns[j] = model.cross.tr_mul(&sample.row) + by_parameters;
+            columns[j] = model.cross.fixed_rows::<2>(0).tr_mul(&own) + by_parameters;
         }
         columns
     }
@@ -277,7 +279,7 @@ impl Learning {
             }
             let gain = column / *variance;
             model.error.rows_mut(0, considered).axpy(*residual, &gain.rows(0, considered), 1.0);
-            model.cross.ger(-1.0, own, &gain, 1.0);
+            model.cross -= own * gain.transpose();
             reduce_of(&mut model.covariance, column, *variance, considered);
         }
     }
@@ -285,10 +287,10 @@ impl Learning {
     /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
+        let mut error = self.mean(own);
         for i in 0..LEARNED {
-            let error: f64 = self.models.iter().zip(&own.members).map(|(model, member)| member.weight * model.error[i]).sum();
             let [least, most] = bounds(i, constants);
-            let value = self.values[i] + error;
+            let value = self.values[i] + error[i];
             let beyond = value.clamp(least, most) - value;
             if beyond != 0.0 {
                 // A payload or a friction of 0 is that of a machine without.
@@ -301,9 +303,9 @@ impl Learning {
                     *error += covariance.column(i) * part;
                     member.error += cross.column(i) * part;
                 }
+                error = self.mean(own);
             }
         }
-        let error = self.mean(own);
         // Round-off, and a bound that another one has led beyond.
         Learned::from_fn(|i, _| {
             let [least, most] = bounds(i, constants);
@@ -378,10 +380,9 @@ fn combine<const R: usize>(
     (part, other): (f64, &SMatrix<f64, R, LEARNED>),
     (x, y): (&SVector<f64, R>, &Learned),
 ) {
-    for (k, (column, other)) in matrix.data.0.iter_mut().zip(&other.data.0).enumerate() {
-        for i in 0..R {
-            column[i] = column[i] * own + other[i] * part + x[i] * y[k];
-        }
+    let [x] = x.data.0.map(Vector::from);
+    for ((column, other), y) in matrix.data.0.iter_mut().zip(&other.data.0).zip(y) {
+        *column = (own * Vector::from(*column) + part * Vector::from(*other) + *y * x).into();
     }
 }
 

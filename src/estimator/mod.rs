@@ -65,7 +65,7 @@ use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, Hypothesis};
-use learning::Learning;
+use learning::{Learning, Shown};
 pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
@@ -162,7 +162,7 @@ impl Estimator {
     fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let mut motion = *motion;
         let mut frame = constants.linkage.frame(&motion.theta);
-        let mut rows = self.rows_by_learned(&frame);
+        let mut rows = self.rows_by_geometry(&frame);
         let systematic = self.systematic_errors(constants, &frame, rows.as_ref());
         let mut samples =
             [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
@@ -183,7 +183,7 @@ impl Estimator {
         let favoured = self.hypotheses.favoured(&constants.linkage, &self.belief, &samples);
         if let Some(other) = favoured {
             frame = self.take_over(other, constants, &mut motion);
-            rows = self.rows_by_learned(&frame);
+            rows = self.rows_by_geometry(&frame);
             samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
         }
         let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), rows.as_ref(), &samples);
@@ -237,13 +237,13 @@ impl Estimator {
         Some(motion)
     }
 
-    /// Derivatives of both readings by the learned parameters; `None` where nothing is learned.
-    fn rows_by_learned(&self, frame: &Frame) -> Option<[Learned; 2]> {
-        self.learning.is_some().then(|| frame.readings_by_learned())
+    /// Derivatives of both readings by lengths and mounting angles; `None` where nothing is learned.
+    fn rows_by_geometry(&self, frame: &Frame) -> Option<[Shown; 2]> {
+        self.learning.is_some().then(|| frame.readings_by_geometry())
     }
 
     /// Variance, rad², and known part, rad, of the persistent error of each encoder.
-    fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Learned; 2]>) -> [(f64, f64); 2] {
+    fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Shown; 2]>) -> [(f64, f64); 2] {
         match self.learning.as_ref().zip(rows) {
             Some((learning, rows)) => {
                 let (values, further) = (learning.values(), constants.parameters.eccentricity_variance());
@@ -258,7 +258,7 @@ impl Estimator {
         &mut self,
         constants: &Constants,
         (motion, frame): (&LinkState, &Frame),
-        rows: Option<&[Learned; 2]>,
+        rows: Option<&[Shown; 2]>,
         samples: &[Option<Sample>; 2],
     ) -> Update {
         if self.are_exchanged((motion, frame), samples) {

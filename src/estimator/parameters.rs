@@ -1,7 +1,9 @@
 //! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
 
+use nalgebra::SVector;
+
 use super::constants::{PERSISTENT_TIMES, UNKNOWN_FORCE};
-use super::error_state::{LENGTHS, Learned, OFFSETS};
+use super::error_state::{GEOMETRY, LENGTHS, Learned};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::Linkage;
@@ -74,12 +76,9 @@ impl Parameters {
         [self.sigma0_length, libm::hypot(self.sigma0_offset, self.sigma0_eccentricity)]
     }
 
-    /// Standard deviations of lengths, m, and mounting angles, rad, before any sample, among those of all that may be learned.
-    pub(super) fn sigma_of_geometry(&self) -> Learned {
-        let mut sigma = Learned::zeros();
-        sigma.fixed_rows_mut::<LENGTH_COUNT>(LENGTHS.start).fill(self.sigma0_length);
-        sigma.fixed_rows_mut::<2>(OFFSETS.start).fill(self.sigma0_offset);
-        sigma
+    /// Standard deviations of lengths, m, and mounting angles, rad, before any sample.
+    pub(super) fn sigma_of_geometry(&self) -> SVector<f64, GEOMETRY> {
+        SVector::from_fn(|i, _| if i < LENGTH_COUNT { self.sigma0_length } else { self.sigma0_offset })
     }
 
     /// Refuses delays that the history does not reach, or that learning does not take; `step_size` is the macro step, s.

@@ -3,7 +3,8 @@
 
 use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
-use super::{FollowedScene, Inputs, Model, Parameters};
+use super::linearised::by_torques;
+use super::{FollowedScene, Inputs, Parameters};
 use crate::dynamics::angles::{Inertia, Weight, angles, in_link_order};
 use crate::effects::friction::Friction;
 use crate::effects::payload::CARRIER;
@@ -11,7 +12,7 @@ use crate::effects::{ForceLaw, JOINT_LINKS, JOINTS};
 use crate::estimator::error_state::{DRY, LENGTHS, LOADS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
 use crate::estimator::{LinkState, Links, MEASURED, Prior, Scene, set_lengths};
 use crate::mechanism::placement::by_legs;
-use crate::mechanism::{Link, Mechanism, SceneError};
+use crate::mechanism::{Link, Mechanism};
 
 /// Difference of lengths by which derivatives are taken, m: round-off of accelerations over it is 1e-8 of their derivatives in machines of 0.1 m.
 const LONGER: f64 = 1e-8;
@@ -81,20 +82,6 @@ impl<'a> Others<'a> {
         Self { parameters, bodies: Self::bodies(parameters), friction }
     }
 
-    /// Models in which one link is longer by [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close
-    /// the loop alone.
-    fn longer(&self) -> Option<impl Iterator<Item = Result<Model, SceneError>>> {
-        let mut other = self.parameters.clone();
-        let learns = other.estimator.learn_enabled && other.estimator.sigma0_length > 0.0;
-        learns.then(|| {
-            (0..4).map(move |i| {
-                other.geometry = self.parameters.geometry;
-                other.geometry.links[i].length += LONGER;
-                Model::within_bounds(&other)
-            })
-        })
-    }
-
     /// Proximal links, distal links, and a payload of 1 kg.
     fn bodies(parameters: &Parameters) -> [(Inertia, Weight); 3] {
         let of = |link: fn(usize, &Link) -> Link| {
@@ -114,21 +101,25 @@ impl<'a> Others<'a> {
 }
 
 impl FollowedScene<'_> {
-    /// Derivatives of the accelerations, which are `alpha`, by lengths of links: differences to those of machines with longer links.
+    /// Derivatives of the accelerations, which are `alpha`, by lengths of links: differences to those of machines in which one link is longer by
+    /// [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close the loop alone.
     pub(super) fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
-        let mut by_lengths = Matrix4::zeros();
-        for (mut column, model) in by_lengths.column_iter_mut().zip(self.learned?.longer()?) {
-            let model = &model.ok()?;
-            column.copy_from(&((FollowedScene { model, ..*self }.acceleration(at, force) - alpha) / LONGER));
-        }
-        Some(by_lengths)
+        let Parameters { geometry, effects, estimator, .. } = self.learned?.parameters;
+        (estimator.learn_enabled && estimator.sigma0_length > 0.0).then(|| {
+            let mut longer = self.model.clone();
+            Matrix4::from_columns(&[0, 1, 2, 3].map(|i| {
+                let mut geometry = *geometry;
+                geometry.links[i].length += LONGER;
+                longer.lengthen(&effects.with_added_masses(&geometry));
+                (FollowedScene { model: &longer, ..*self }.acceleration(at, force) - alpha) / LONGER
+            }))
+        })
     }
 
     /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned: the equations solved for the torques that each
     /// adds, less what its masses need to move.
     pub(super) fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
-        let mut by_loads = SMatrix::zeros();
-        let Some(Others { bodies, friction, .. }) = self.learned else { return by_loads };
+        let Some(Others { bodies, friction, .. }) = self.learned else { return SMatrix::zeros() };
         self.at(at, force, |_, equations, pose, motion| {
             let (alpha, rates) = (angles(by_legs((*alpha).into())), angles(by_legs(at.omega.into())));
             let missing = bodies.each_ref().map(|(inertia, weight)| {
@@ -136,10 +127,8 @@ impl FollowedScene<'_> {
                 in_link_order(&(held - inertia.mass_times(pose, &alpha)))
             });
             let [proximal, distal, payload] = missing;
-            let mut set = |i: usize, torques: [f64; 4]| {
-                let solved = equations.by_torques(&angles(by_legs(torques)));
-                by_loads.set_column(i, &Links::from(in_link_order(&solved)));
-            };
+            let mut added = SMatrix::<f64, 4, LOADS>::zeros();
+            let mut set = |i: usize, torques: [f64; 4]| added.set_column(i, &torques.into());
             set(MASSES.start, [proximal[0], 0.0, 0.0, 0.0]);
             set(MASSES.start + 1, [distal[0], distal[1], 0.0, 0.0]);
             set(MASSES.start + 2, [0.0, 0.0, distal[2], distal[3]]);
@@ -153,20 +142,20 @@ impl FollowedScene<'_> {
             if let Some(friction) = friction {
                 set(DRY, on_links(friction.torques(&motion.joints)));
             }
-        });
-        by_loads
+            by_torques(equations, &added)
+        })
     }
 
     /// Derivatives of the accelerations by the mounting angles of the encoders: those by servo references, with the sign changed.
     pub(super) fn by_offsets(&self, at: &LinkState, force: &Links) -> Matrix4x2<f64> {
         self.at(at, force, |_, equations, _, motion| {
-            Matrix4x2::from_columns(&[[-1.0, 0.0], [0.0, -1.0]].map(|servo_theta| {
+            let torques = [[-1.0, 0.0], [0.0, -1.0]].map(|servo_theta| {
                 let change = Inputs { servo_theta, ..Inputs::default() };
                 let by_effects =
                     self.model.effects.iter().map(|effect| on_links(effect.torques_by_inputs(&motion.joints, &change)));
-                let torques: Links = by_effects.map(Links::from).sum();
-                Links::from(in_link_order(&equations.by_torques(&angles(by_legs(torques.into())))))
-            }))
+                by_effects.map(Links::from).sum()
+            });
+            by_torques(equations, &Matrix4x2::from_columns(&torques))
         })
     }
 }
@@ -191,6 +180,7 @@ mod tests {
     use crate::estimator::Linkage;
     use crate::estimator::error_state::LEARNED;
     use crate::estimator::flow::{flow, motion};
+    use crate::simulation::Model;
     use crate::simulation::bindings::{default_inputs, default_parameters};
     use crate::simulation::linearised::by_true_angles;
 
@@ -235,8 +225,8 @@ mod tests {
         let offsets = Scene::by_offsets(&here, &at, &none).expect("servos");
         let (h, least, frame) = (2e-3, 4, linkage.frame(&at.theta));
         let moved = flow::<LEARNED>(&linkage, &here, (&at, &frame), &none, (h, least));
-        let links = frame.links_by_learned();
-        let (readings, tip) = (frame.readings_by_learned(), frame.tip_by_learned());
+        let links = frame.links_by_geometry();
+        let (readings, tip) = (frame.readings_by_geometry(), frame.tip_by_geometry());
         for i in 0..LEARNED {
             let is_length = LENGTHS.contains(&i);
             let step = if i == PAYLOAD || VISCOUS.contains(&i) || is_length { 1e-6 } else { 1e-5 };
@@ -272,16 +262,17 @@ mod tests {
             close(by_angle, ahead.1.theta, behind.1.theta, (size, tolerance));
             close(by_rate, ahead.1.omega, behind.1.omega, (size, tolerance));
             if is_length {
-                close(links.column(i).into(), ahead.2.theta, behind.2.theta, (10.0, 1e-6));
-                let off = tip.column(i) - (ahead.3 - behind.3) / (2.0 * step);
+                let k = i - LOADS;
+                close(links.column(k).into(), ahead.2.theta, behind.2.theta, (10.0, 1e-6));
+                let off = tip.column(k) - (ahead.3 - behind.3) / (2.0 * step);
                 assert!(off.amax() < 1e-6, "{off}");
                 for (row, link) in readings.iter().zip(MEASURED) {
-                    assert_eq!(row[i], links[(link, i)]);
+                    assert_eq!(row[k], links[(link, k)]);
                 }
             }
         }
         for (row, own) in readings.iter().zip([0, 1]) {
-            assert!(OFFSETS.enumerate().all(|(k, i)| row[i] == f64::from(u8::from(k == own))));
+            assert!(OFFSETS.enumerate().all(|(k, i)| row[i - LOADS] == f64::from(u8::from(k == own))));
         }
     }
 

@@ -90,6 +90,12 @@ fn columns(of: &[Angles; 4]) -> Matrix4<f64> {
     Matrix4::from_columns(&LINK_INDICES.map(|i| links(&of[i])))
 }
 
+/// Accelerations of links 1 to 4 by torques on them, N·m, by columns.
+pub(super) fn by_torques<const C: usize>(equations: &Equations<'_>, torques: &SMatrix<f64, 4, C>) -> SMatrix<f64, 4, C> {
+    let solved = |k: usize| links(&equations.by_torques(&angles(by_legs(torques.column(k).into_owned().into()))));
+    SMatrix::from_columns(&std::array::from_fn::<_, C, _>(solved))
+}
+
 /// Values of links 1 to 4.
 fn links(x: &Angles) -> Links {
     in_link_order(x).into()
@@ -109,15 +115,11 @@ impl Scene for FollowedScene<'_> {
             let (alpha, lambda) = equations.solve(five_bar.torques_and_power(pose, &motion).0);
             let near = equations.linearised((&alpha, &lambda), five_bar.slopes_of_torques(pose, motion, at.omega.into()));
             let [by_angle, by_rate] = near.columns();
-            let by_torque = [0, 1].map(|k| {
-                let torque = angles(by_legs(torques.column(k).into_owned().into()));
-                links(&near.change([&Angles::ZERO; 2], &torque).0)
-            });
             Linearised {
                 alpha: links(&alpha),
                 by_angle: columns(&by_angle),
                 by_rate: columns(&by_rate),
-                by_torque: Matrix4x2::from_columns(&by_torque),
+                by_torque: by_torques(equations, torques),
             }
         })
     }

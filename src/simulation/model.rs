@@ -106,6 +106,12 @@ impl Model {
         Ok(model)
     }
 
+    /// Takes over other lengths, added masses included, as far as the equations of motion in the link angles have them.
+    pub(super) fn lengthen(&mut self, geometry: &Geometry) {
+        self.mechanism = Mechanism::new(geometry);
+        (self.inertia, self.weight_torques) = (Inertia::new(&self.mechanism), Weight::new(&self.mechanism, &self.weight));
+    }
+
     /// Notes the properties of the active effects that methods ask for in every step.
     fn note_properties(&mut self) {
         let any = |property: &dyn Fn(&Effect) -> bool| self.effects.iter().any(property);
