@@ -68,13 +68,24 @@ pub enum Fault {
     Stuck,
 }
 
+/// Mean rate of an axis between two samples, rad/s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MeanRate {
+    /// By the samples.
+    pub(super) measured: f64,
+    /// Its standard deviation by stamps that err.
+    pub(super) sigma: f64,
+    /// In the motion.
+    pub(super) expected: f64,
+}
+
 /// New, valid sample of an encoder, about a motion.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
     /// Angle, rad.
     pub(super) angle: f64,
-    /// Mean rate between the two valid samples before it, rad/s; `None` where there are none, or samples between them are missing.
-    pub(super) rate_before: Option<f64>,
+    /// Mean rate between the two valid samples before it; `None` where there are none, or samples between them are missing.
+    pub(super) before: Option<MeanRate>,
     /// Age, s.
     pub(super) age: f64,
     /// Rate of the axis in the motion, rad/s.
@@ -175,6 +186,8 @@ pub struct Encoder {
     repeated: bool,
     /// Difference of the last two valid samples, rad.
     change: f64,
+    /// Rate of the axis in the motion after the last valid sample, rad/s.
+    axis_rate: f64,
     /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
     /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
@@ -203,6 +216,7 @@ impl Encoder {
         valid_time: NEVER,
         repeated: false,
         change: 0.0,
+        axis_rate: 0.0,
         rejected_in_a_row: 0,
         jump: 0.0,
         believed_for: 0.0,
@@ -227,11 +241,10 @@ impl Encoder {
     ) -> Option<Sample> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
-        let (rate_before, interval_before) = (self.rate(), self.interval);
+        let before = *self;
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
         let angle = angle - offset;
-        let is_known = interval_before > 0.0 && interval_before <= SILENT_AFTER_INTERVALS * self.interval;
-        let rate_before = is_known.then_some(rate_before);
+        let before = self.mean_rate_before(&before, rate);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let alike = self.samples_within(constants.persistent_time());
         let noise = self.noise(sigma, quantum, rate, persistent * alike);
@@ -240,7 +253,20 @@ impl Encoder {
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
-        Some(Sample { angle, rate_before, age, rate, sigma, quantum, persistent, alike, innovation })
+        Some(Sample { angle, before, age, rate, sigma, quantum, persistent, alike, innovation })
+    }
+
+    /// Mean rate between the last two samples of the encoder as it was `before` its last one, at which the axis turns at `rate`, rad/s; `None` where there are
+    /// none, or samples are missing.
+    fn mean_rate_before(&self, before: &Self, rate: f64) -> Option<MeanRate> {
+        let is_known = before.interval > 0.0 && before.interval <= SILENT_AFTER_INTERVALS * self.interval;
+        is_known.then(|| {
+            let measured = before.rate();
+            let sigma = std::f64::consts::SQRT_2 * self.timing / before.interval * measured.abs();
+            // Three samples are so near in time that an acceleration hardly changes.
+            let gained = (rate - before.axis_rate) / self.interval * before.interval;
+            MeanRate { measured, sigma, expected: before.axis_rate - gained / 2.0 }
+        })
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -298,8 +324,11 @@ impl Encoder {
         Some(if used <= rounded { 0.0 } else { used })
     }
 
-    /// Time update by h seconds.
-    pub(super) fn step(&mut self, h: f64) {
+    /// Time update by h seconds, from a motion in which the axis turns at `rate`, rad/s.
+    pub(super) fn step(&mut self, rate: f64, h: f64) {
+        if self.time_since_sample == 0.0 {
+            self.axis_rate = rate;
+        }
         self.time_since_sample += h;
         self.believed_for += h;
         self.time_since_arrival += h;
@@ -324,7 +353,7 @@ impl Encoder {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.jump];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.axis_rate, self.jump];
         let durations =
             [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
@@ -379,7 +408,7 @@ impl Encoder {
         let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(change).abs());
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
         let moved =
-            if lasting { sample.rate_before.map_or(change, |before| change.min(second_difference(before))) } else { change };
+            if lasting { sample.before.map_or(change, |before| change.min(second_difference(before.measured))) } else { change };
         if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
             self.jump = 0.0;
             if lasting {
@@ -437,14 +466,19 @@ impl Encoder {
         false
     }
 
-    /// Information of a sample for filters that know no quantiser: an unchanged reading confines the axis to the quantisation interval; a
-    /// changed one locates it at the edge between two intervals; neither better than the persistent error allows.
+    /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
+    /// reading confines it to the interval, and a changed one locates it at the edge between two intervals; neither better than the persistent error allows.
+    /// Where it turns faster, samples share a quantisation error while it turns by nearly an integer number of intervals.
     pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
         let &Sample { angle, age, rate, sigma, quantum, persistent, alike, .. } = sample;
-        if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
+        if self.is_dithered(sigma, quantum) {
             return sample.reading();
         }
         let passed = rate * self.interval;
+        if passed.abs() > quantum / 2.0 || self.change.abs() > SINGLE_EDGE * quantum {
+            let noise = self.noise(sigma, quantum, self.beat(quantum, rate), persistent * alike);
+            return Reading { noise, ..sample.reading() };
+        }
         let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + persistent * alike;
         if self.repeated {
             Reading { angle, noise, age, dead_zone: quantum / 2.0 }
@@ -468,6 +502,12 @@ impl Encoder {
     /// Number of samples within a time, s, at least one.
     fn samples_within(&self, time: f64) -> f64 {
         if self.interval > 0.0 { (time / self.interval).max(1.0) } else { 1.0 }
+    }
+
+    /// Rate, rad/s, beyond that of the nearest integer number of quantisation intervals per sample: an axis that turns by such a number repeats its error.
+    fn beat(&self, quantum: f64, rate: f64) -> f64 {
+        let single = quantum / self.interval;
+        rate - (rate / single).round() * single
     }
 
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
@@ -494,12 +534,9 @@ impl Encoder {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        // An axis that turns by nearly an integer number of intervals per sample repeats its error as long as the reading changes by that
-        // number; any other change locates an edge.
-        let turned = rate * self.interval;
-        let whole = (turned / quantum).round() * quantum;
-        let correlated_samples = self.correlated_samples(quantum, (turned - whole) / self.interval);
-        let repeats = (wrapped(self.change) - whole).abs() < quantum / 2.0;
+        // The error is repeated as long as the reading changes as the axis turns; any other change locates an edge.
+        let correlated_samples = self.correlated_samples(quantum, self.beat(quantum, rate));
+        let repeats = (wrapped(self.change) - rate * self.interval).abs() < quantum / 2.0;
         let repeated = if repeats { correlated_samples } else { 1.0 };
         expected.with_interval(
             quantum,
@@ -519,8 +556,9 @@ mod tests {
     fn whole_steps_repeat() {
         let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0].into());
         let known = (0.5 * quantum).powi(2);
-        // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals.
-        let variance = |steps: f64| {
+        // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals, and of the reading as filters without intervals
+        // take it.
+        let variances = |steps: f64| {
             let mut encoder = Encoder::NEW;
             for k in 0..3 {
                 let time = h * f64::from(k);
@@ -529,24 +567,20 @@ mod tests {
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
-            let sample = Sample {
-                angle: 0.0,
-                rate_before: None,
-                age: 0.0,
-                rate,
-                sigma: 0.0,
-                quantum,
-                persistent: 0.0,
-                alike: 1.0,
-                innovation,
-            };
+            let sample =
+                Sample { angle: 0.0, before: None, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, alike: 1.0, innovation };
             let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
-            encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known
+            let reading = encoder.confined_to_interval(&sample);
+            (encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known, reading.noise)
         };
+        let variance = |steps: f64| variances(steps).0;
         let rest = variance(0.0);
         for steps in [1.0, -1.0, 3.0] {
             // Tolerance: round-off of the difference of nearly equal variances.
             assert!((variance(steps) / rest - 1.0).abs() < 1e-6, "{steps} steps: {}, at rest {rest}", variance(steps));
+            // One error for 0.3 s counts once in 300 samples.
+            let once = 300.0 * quantum * quantum / 12.0;
+            assert!((variances(steps).1 / once - 1.0).abs() < 1e-6, "{steps} steps: {}, not {once}", variances(steps).1);
         }
         // Readings of 0, 1, 3 and 0, 2, 5 intervals: the last change differs from that of the rate.
         for steps in [1.4, 2.4] {
@@ -554,29 +588,38 @@ mod tests {
         }
     }
 
+    /// The rate before a sample is compared with that which an accelerating axis had then, not with the one it has now.
+    #[test]
+    fn rates_of_before_are_compared() {
+        let (alpha, times) = (1e3, [0.0, 1e-3, 1.8e-3]);
+        let (mut encoder, mut before) = (Encoder::NEW, Encoder::NEW);
+        for time in times {
+            before = encoder;
+            assert!(encoder.receive(alpha / 2.0 * time * time, time, time, 0.0).is_some());
+            encoder.step(alpha * time, 1e-3);
+        }
+        let rate = alpha * times[2];
+        assert!(encoder.mean_rate_before(&Encoder { interval: 1.0, ..before }, rate).is_none(), "samples are missing");
+        let mean = encoder.mean_rate_before(&before, rate).expect("two samples before");
+        // Tolerance: round-off.
+        assert!((mean.measured - 0.5).abs() < 1e-12 && (mean.expected - mean.measured).abs() < 1e-12, "{mean:?}");
+    }
+
     /// Neither a reading that repeats nor one that passes an edge tells more of an axis than its mounting angle is known.
     #[test]
     fn edges_are_no_better_known_than_the_geometry() {
-        let (h, quantum, offset) = (1e-3, 1e-4, 2e-3);
+        // The axis turns by a tenth of an interval a sample.
+        let (h, quantum, rate, offset) = (1e-3, 1e-4, 0.01, 2e-3);
         for last in [0.0, quantum] {
             let mut encoder = Encoder::NEW;
             for (k, angle) in [0.0, 0.0, last].into_iter().enumerate() {
                 assert!(encoder.receive(angle, h * k as f64, h * k as f64, 0.0).is_some());
             }
-            let noise = encoder.noise(0.0, quantum, 0.1, offset * offset);
+            let noise = encoder.noise(0.0, quantum, rate, offset * offset);
             let innovation = Innovation { residual: 0.0, row: Error::zeros(), noise };
             let of = |persistent: f64| {
-                let sample = Sample {
-                    angle: last,
-                    rate_before: None,
-                    age: 0.0,
-                    rate: 0.1,
-                    sigma: 0.0,
-                    quantum,
-                    persistent,
-                    alike: 300.0,
-                    innovation,
-                };
+                let sample =
+                    Sample { angle: last, before: None, age: 0.0, rate, sigma: 0.0, quantum, persistent, alike: 300.0, innovation };
                 encoder.confined_to_interval(&sample).noise
             };
             // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
@@ -598,7 +641,7 @@ mod tests {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
                     angle: 0.0,
-                    rate_before: Some(-second_difference / h),
+                    before: Some(MeanRate { measured: -second_difference / h, sigma: 0.0, expected: 0.0 }),
                     age: 0.0,
                     rate: 0.0,
                     sigma: 0.0,
@@ -632,7 +675,7 @@ mod tests {
             for k in 0..steps {
                 let now = h * f64::from(k);
                 used += u32::from(encoder.receive(f64::from(k), now - error(k), now, 0.0).is_some());
-                encoder.step(h);
+                encoder.step(0.0, h);
                 silent += u32::from(k > 1 && encoder.is_silent());
             }
             assert!(encoder.is_sound());

@@ -533,7 +533,7 @@ impl Estimator {
             self.hypotheses.doubt_side(odds);
         }
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
-        self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
+        self.encoders.iter_mut().zip(MEASURED).for_each(|(encoder, link)| encoder.step(from.omega[link], h));
         self.alarm.step(h, inertia);
     }
 

@@ -7,7 +7,7 @@ use nalgebra::Matrix2;
 
 use super::bank::{Bank, Innovation};
 use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
-use super::encoder::{Encoder, Fault, Sample};
+use super::encoder::{Encoder, Fault, MeanRate, Sample};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
 use super::tangent::Frame;
@@ -126,9 +126,10 @@ impl Unaided {
 /// there: a persistent error is one of all these readings. Returns the expected innovation of the reading, rad.
 fn count_from_reading(bank: &mut Bank, interval: f64, sample: &Sample) -> f64 {
     let noise = sample.single_variance(0.0) / sample.persistent_share();
-    if let Some(before) = sample.rate_before {
-        let change = sample.change((before - sample.rate) * interval, interval);
-        bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise, ..change }));
+    if let Some(MeanRate { measured, sigma, expected }) = sample.before {
+        let change = sample.change((measured - expected) * interval, interval);
+        let of_stamps = (sigma * interval).powi(2);
+        bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise + of_stamps, ..change }));
     }
     let reading = Innovation { noise, ..sample.innovation };
     bank.hold(&reading);

@@ -10,7 +10,8 @@ use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Following, Method, Signal};
 
 use crate::machine::{
-    COARSE, Encoder, FINE, Plan, Random, Scenario, by_start_values, desk, five_percent, learned, motion, no_inputs, start_off, tip,
+    COARSE, Encoder, FINE, MEDIUM, Plan, Random, Scenario, by_start_values, desk, five_percent, learned, motion, no_inputs,
+    start_off, tip,
 };
 use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median};
@@ -57,6 +58,14 @@ enum Failure {
     Nothing,
 }
 
+impl Failure {
+    /// Whether both encoders read what is true, so that none is stuck.
+    fn leaves_encoders_sound(self) -> bool {
+        use Failure::{Assembly, DropOuts, Jitter, Late, Nothing, Silence};
+        matches!(self, Silence | DropOuts | Jitter(_) | Late(_) | Assembly | Nothing)
+    }
+}
+
 /// Maker of a scene's machine and twin.
 type Scene = fn(&mut Random) -> Scenario;
 
@@ -72,7 +81,7 @@ struct Outcome {
     /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
     /// instant of the failure.
     visible: bool,
-    /// Whether an encoder was called stuck that was not: before the onset, the other one, or one that misses samples.
+    /// Whether an encoder was called stuck that was not: before the onset, the other one, or one that misses samples or has stamps that err.
     early: bool,
     /// Part of the samples after which some had been refused for their stamp.
     refused: f64,
@@ -95,6 +104,12 @@ pub fn swing(random: &mut Random) -> Scenario {
 /// Servos of 20 N·m/rad, otherwise as [`swing`].
 pub fn stiff(random: &mut Random) -> Scenario {
     swing_by(random, 20.0)
+}
+
+/// A scene whose machine and twin start in minus.
+fn in_minus(mut scenario: Scenario) -> Scenario {
+    (scenario.model.start.assembly, scenario.truth.start.assembly) = (Assembly::Minus, Assembly::Minus);
+    scenario
 }
 
 fn swing_by(random: &mut Random, gain: f64) -> Scenario {
@@ -214,8 +229,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         outcome.silent |= wrong >= SILENT.2;
         outcome.lost = off > SILENT.0;
         let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);
-        let sound = matches!(failure, Failure::Silence | Failure::DropOuts);
-        outcome.early |= second || first && (sound || !failing);
+        outcome.early |= second || first && (failure.leaves_encoders_sound() || !failing);
         if failing && twin.status() != Status::Following && outcome.found.is_infinite() {
             outcome.found = time - onset;
         }
@@ -244,22 +258,41 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
 
 /// Number of runs that are lost of those with samples late by 8 ms that nobody tells, from a start in the right assembly, while a machine is learned.
 pub fn lost_by_late_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
-    lost(|random| learned(fast(random)), Failure::Late(8e-3), seeds)
+    count(|random| learned(fast(random)), Failure::Late(8e-3), &FINE, seeds, |outcome| outcome.lost)
 }
 
-/// Number of runs without a failure that are lost where stiff servos swing a machine, from a start in the right assembly.
-pub fn lost_in_stiff_swings(seeds: impl IntoIterator<Item = u64>) -> usize {
-    lost(stiff, Failure::Nothing, seeds)
+/// Number of runs without a failure that are lost where stiff servos swing a machine, from a start in the right assembly: by 16 bits in plus, by 14 bits in
+/// minus.
+pub fn lost_in_stiff_swings(plus: impl IntoIterator<Item = u64>, minus: impl IntoIterator<Item = u64>) -> [usize; 2] {
+    let lost = |outcome: &Outcome| outcome.lost;
+    let in_minus = |random: &mut Random| in_minus(stiff(random));
+    [count(stiff, Failure::Nothing, &FINE, plus, lost), count(in_minus, Failure::Nothing, &MEDIUM, minus, lost)]
 }
 
-/// Number of runs by 16 bits that are lost.
-fn lost(scene: Scene, failure: Failure, seeds: impl IntoIterator<Item = u64>) -> usize {
-    let is_lost = |seed: &u64| {
-        let mut random = Random::new(*seed);
+/// Number of runs whose stamps jitter by 0.3 ms while a machine is learned in which a good encoder is called stuck.
+pub fn stuck_by_jitter(seeds: impl IntoIterator<Item = u64>) -> usize {
+    count(|random| learned(fast(random)), Failure::Jitter(3e-4), &FINE, seeds, |outcome| outcome.early)
+}
+
+/// Number of falls by the unit's start values in which an encoder that freezes is believed in silence.
+pub fn silent_in_falls(seeds: impl IntoIterator<Item = u64>) -> usize {
+    count(|random| by_start_values(falling(random)), Failure::Frozen, &FINE, seeds, |outcome| outcome.silent)
+}
+
+/// Number of runs at 1 kHz of some kind.
+fn count(
+    scene: Scene,
+    failure: Failure,
+    encoder: &Encoder,
+    seeds: impl IntoIterator<Item = u64>,
+    is_of_kind: fn(&Outcome) -> bool,
+) -> usize {
+    let outcome = |seed| {
+        let mut random = Random::new(seed);
         let scenario = scene(&mut random);
-        run(&scenario, (&FINE, 1e-3), failure, &mut random).lost
+        run(&scenario, (encoder, 1e-3), failure, &mut random)
     };
-    seeds.into_iter().filter(is_lost).count()
+    seeds.into_iter().map(outcome).filter(is_of_kind).count()
 }
 
 /// Time of the dearest sample of a run, and of the median one, s: the fewest of three times each, for other programs run as well.
@@ -282,10 +315,9 @@ const fn bits(name: &'static str, bits: u32) -> Encoder {
 
 /// Failures, each in its scenes by its encoders.
 pub fn table(runs: u64, first: u64) -> Table {
-    const MEDIUM: Encoder = bits("14 bit", 14);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 79] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 83] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -329,6 +361,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("missing, swing, learned", |random| learned(swing(random)), Failure::Missing, FINE, 1e-3),
         ("missing, fall, learned", |random| learned(falling(random)), Failure::Missing, FINE, 1e-3),
         ("jitter of 0.3 ms, sines, learned", |random| learned(fast(random)), Failure::Jitter(3e-4), FINE, 1e-3),
+        ("jitter of 0.3 ms, pick, start values", |random| by_start_values(pick(random)), Failure::Jitter(3e-4), FINE, 1e-3),
         ("late by 8 ms, sines, learned", |random| learned(fast(random)), Failure::Late(8e-3), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
@@ -343,6 +376,9 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),
         ("nothing, stiff swing", stiff, Failure::Nothing, FINE, 1e-3),
         ("nothing, stiff swing", stiff, Failure::Nothing, COARSE, 1e-3),
+        ("nothing, stiff swing", stiff, Failure::Nothing, MEDIUM, 1e-3),
+        ("nothing, stiff swing in minus", |random| in_minus(stiff(random)), Failure::Nothing, FINE, 1e-3),
+        ("nothing, stiff swing in minus", |random| in_minus(stiff(random)), Failure::Nothing, MEDIUM, 1e-3),
         ("nothing, fall", falling, Failure::Nothing, FINE, 1e-3),
         ("nothing, pick", pick, Failure::Nothing, FINE, 1e-3),
         ("nothing, pick", pick, Failure::Nothing, COARSE, 1e-3),
@@ -386,13 +422,9 @@ pub fn table(runs: u64, first: u64) -> Table {
             count(&|o| o.early),
         );
         let label = format!("{name}, {}, {} ms", encoder.name, 1e3 * h);
-        table.push(if let Failure::Nothing = failure {
-            Figure::at_most(
-                format!("{label}: wrong in silence, or stuck in error"),
-                count(&|o| o.silent || o.early) as f64,
-                0.0,
-                remark,
-            )
+        table.push(if failure.leaves_encoders_sound() {
+            let label = format!("{label}: wrong in silence, or stuck in error");
+            Figure::at_most(label, count(&|o| o.silent || o.early) as f64, 0.0, remark)
         } else {
             Figure::told(format!("{label}: wrong in silence"), silent as f64, remark)
         });

@@ -48,6 +48,8 @@ pub struct Encoder {
 
 /// 0.1 degrees.
 pub const COARSE: Encoder = Encoder { name: "0.1 deg", sigma: 0.0, quantum: 0.1 * std::f64::consts::PI / 180.0 };
+/// 14 bits.
+pub const MEDIUM: Encoder = Encoder { name: "14 bit", sigma: 0.0, quantum: std::f64::consts::TAU / 16384.0 };
 /// 16 bits.
 pub const FINE: Encoder = Encoder { name: "16 bit", sigma: 0.0, quantum: std::f64::consts::TAU / 65536.0 };
 

@@ -5,7 +5,7 @@ use fivebar::mechanism::Assembly;
 
 use crate::faults::{SILENT, haptic, is_wrong_in_silence, stiff, swing};
 use crate::geometry::{Scene, as_built};
-use crate::machine::{COARSE, Encoder, FINE, Instant, Random, Scenario, follow};
+use crate::machine::{COARSE, Encoder, FINE, Instant, MEDIUM, Random, Scenario, follow};
 use crate::quality::{driven, fall, friction, pick, push, sines};
 use crate::report::{Figure, Table, quantile};
 
@@ -52,7 +52,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
 
 /// Right and wrong starts in both assemblies, scene by scene.
 pub fn table(runs: u64, first: u64) -> Table {
-    let rows: [(&str, Scene, Encoder, f64, &[Assembly]); 16] = [
+    let rows: [(&str, Scene, Encoder, f64, &[Assembly]); 17] = [
         ("pick", pick, FINE, 1e-3, &BOTH),
         ("pick", pick, COARSE, 5e-3, &BOTH),
         ("sines", |random| sines(random, LONGEST), FINE, 1e-3, &BOTH),
@@ -64,6 +64,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("swing", swing, FINE, 1e-3, &BOTH),
         ("swing", swing, COARSE, 1e-3, &BOTH),
         ("stiff swing", stiff, FINE, 1e-3, &BOTH),
+        ("stiff swing", stiff, MEDIUM, 1e-3, &BOTH),
         // In the other assembly its machine starts behind the wall.
         ("haptic", haptic, FINE, 1e-3, &[Assembly::Plus]),
         ("pick, as built", |random| as_built(pick, random), FINE, 1e-3, &BOTH),
