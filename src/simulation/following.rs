@@ -6,7 +6,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bindings::check_bounds;
-use super::learned::Others;
+use super::learned::Perturbed;
 use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
@@ -124,8 +124,8 @@ impl Following {
         let learned = estimate.estimator.learned();
         let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
-        let others = estimate.estimator.asks_for_parameters().then(|| Others::new(machine));
-        let scene = FollowedScene { model, inputs, before, turns: &turns, learned: others.as_ref() };
+        let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine));
+        let scene = FollowedScene { model, inputs, before, turns: &turns, learned: perturbed.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }

@@ -64,9 +64,9 @@ impl Parameters {
     }
 }
 
-/// Machines that differ from a scene's by what is learned.
+/// Perturbed machines: each differs from that of a scene by one parameter that is learned.
 #[derive(Clone, Debug)]
-pub struct Others<'a> {
+pub struct Perturbed<'a> {
     /// Parameters of the scene.
     parameters: &'a Parameters,
     /// Bodies whose masses are learned, each as if alone.
@@ -75,7 +75,7 @@ pub struct Others<'a> {
     friction: Option<Friction>,
 }
 
-impl<'a> Others<'a> {
+impl<'a> Perturbed<'a> {
     /// Machines beside that of a scene.
     pub(super) fn new(parameters: &'a Parameters) -> Self {
         let friction = Friction::new(&parameters.effects.friction, &Mechanism::new(&parameters.geometry)).ok();
@@ -119,7 +119,7 @@ impl FollowedScene<'_> {
     /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned: the equations solved for the torques that each
     /// adds, less what its masses need to move.
     pub(super) fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
-        let Some(Others { bodies, friction, .. }) = self.learned else { return SMatrix::zeros() };
+        let Some(Perturbed { bodies, friction, .. }) = self.learned else { return SMatrix::zeros() };
         self.at(at, force, |_, equations, pose, motion| {
             let (alpha, rates) = (angles(by_legs((*alpha).into())), angles(by_legs(at.omega.into())));
             let missing = bodies.each_ref().map(|(inertia, weight)| {
@@ -217,8 +217,8 @@ mod tests {
             machine.learn(&parameters, learned);
             (Model::new(&machine).expect("a scene"), Linkage::new(&machine.geometry))
         };
-        let (others, (model, linkage), none) = (Others::new(&parameters), made(&known), Links::zeros());
-        let here = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: Some(&others) };
+        let (perturbed, (model, linkage), none) = (Perturbed::new(&parameters), made(&known), Links::zeros());
+        let here = FollowedScene { model: &model, inputs: &inputs, before: &inputs, turns: &[0; 4], learned: Some(&perturbed) };
         let alpha = here.linearised(&at, &none, &Matrix4x2::zeros()).alpha;
         let loads = Scene::by_loads(&here, &at, &none, &alpha);
         let lengths = Scene::by_lengths(&here, &at, &none, &alpha).expect("lengths are learned");

@@ -4,7 +4,7 @@ use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
 use super::Inputs;
 use super::five_bar::FiveBar;
-use super::learned::Others;
+use super::learned::Perturbed;
 use super::model::Model;
 use crate::dynamics::angles::{Angles, Closure, Equations, LINK_INDICES, angles, in_link_order};
 use crate::effects::Motion;
@@ -63,7 +63,7 @@ pub struct FollowedScene<'a> {
     /// Whole turns of links 1 to 4 that the angles leave out.
     pub turns: &'a [i64; 4],
     /// Machines that differ by what is learned, where anything is.
-    pub learned: Option<&'a Others<'a>>,
+    pub learned: Option<&'a Perturbed<'a>>,
 }
 
 impl FollowedScene<'_> {

@@ -34,7 +34,7 @@ pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 use bindings::check_bounds;
 pub use following::{Estimate, Following};
-pub use learned::Others;
+pub use learned::Perturbed;
 pub use linearised::FollowedScene;
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
