@@ -77,6 +77,8 @@ pub(super) struct MeanRate {
     pub(super) sigma: f64,
     /// In the motion.
     pub(super) expected: f64,
+    /// Time between the samples, s.
+    pub(super) interval: f64,
 }
 
 /// New, valid sample of an encoder, about a motion.
@@ -192,7 +194,7 @@ pub struct Encoder {
     rejected_in_a_row: u32,
     /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
     jump: f64,
-    /// Macro steps' time since the encoder was silent or a sample was rejected, or since the estimate began anew, s.
+    /// Macro steps' time since the encoder was absent or a sample was rejected, or since the estimate began anew, s.
     believed_for: f64,
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
@@ -265,7 +267,7 @@ impl Encoder {
             let sigma = std::f64::consts::SQRT_2 * self.timing / before.interval * measured.abs();
             // Three samples are so near in time that an acceleration hardly changes.
             let gained = (rate - before.axis_rate) / self.interval * before.interval;
-            MeanRate { measured, sigma, expected: before.axis_rate - gained / 2.0 }
+            MeanRate { measured, sigma, expected: before.axis_rate - gained / 2.0, interval: before.interval }
         })
     }
 
@@ -278,7 +280,7 @@ impl Encoder {
         if time.is_finite() {
             self.time = time;
         }
-        let (was_stuck, returns) = (self.fault == Fault::Stuck, self.is_silent());
+        let (was_stuck, returns) = (self.fault == Fault::Stuck, self.is_absent());
         let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
         // Stamps that are off by less than a sample's period are no reason to refuse a sample.
         let period = if self.arrival_interval > 0.0 { self.arrival_interval } else { f64::INFINITY };
@@ -351,6 +353,11 @@ impl Encoder {
         self.time_since_sample > SILENT_AFTER_INTERVALS * if interval > 0.0 { interval } else { UNKNOWN_INTERVAL }
     }
 
+    /// Whether the encoder has been silent for so long that the estimate may have left it: longer than where single samples are lost.
+    pub(super) fn is_absent(&self) -> bool {
+        self.is_silent() && self.time_since_sample > SETTLING_TIME
+    }
+
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
         let numbers = [self.time, self.angle, self.valid_time, self.change, self.axis_rate, self.jump];
@@ -377,7 +384,7 @@ impl Encoder {
 
     /// Whether samples have arrived and have been believed for long enough that the estimate has settled on them.
     pub(super) fn is_settled(&self) -> bool {
-        self.believed_for >= SETTLING_TIME && !self.is_silent()
+        self.believed_for >= SETTLING_TIME && !self.is_absent()
     }
 
     /// Counts the time anew for which samples are believed, as an estimate begins anew.
@@ -468,7 +475,7 @@ impl Encoder {
 
     /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
     /// reading confines it to the interval, and a changed one locates it at the edge between two intervals; neither better than the persistent error allows.
-    /// Where it turns faster, samples share a quantisation error while it turns by nearly an integer number of intervals.
+    /// Where it turns faster, the reading has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals.
     pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
         let &Sample { angle, age, rate, sigma, quantum, persistent, alike, .. } = sample;
         if self.is_dithered(sigma, quantum) {
@@ -641,7 +648,7 @@ mod tests {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
                     angle: 0.0,
-                    before: Some(MeanRate { measured: -second_difference / h, sigma: 0.0, expected: 0.0 }),
+                    before: Some(MeanRate { measured: -second_difference / h, sigma: 0.0, expected: 0.0, interval: h }),
                     age: 0.0,
                     rate: 0.0,
                     sigma: 0.0,

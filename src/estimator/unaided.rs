@@ -49,7 +49,7 @@ impl Unaided {
             *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false };
             if sample.persistent > 0.0 {
                 self.shared = sample.single_variance(sample.persistent);
-                self.offset = count_from_reading(&mut bank, own.interval(), sample);
+                self.offset = count_from_reading(&mut bank, sample);
             }
             self.bank = Some(bank);
         }
@@ -91,7 +91,7 @@ impl Unaided {
     }
 
     /// Time update by h seconds, as of the estimate's bank, with an unknown force that changes as in a forecast: one encoder does not tell
-    /// all of it. Ends where the other encoder is silent: nothing says how far the axis turns.
+    /// all of it. Ends where the other encoder is absent: nothing says how far the axis turns.
     pub(super) fn predict(
         &mut self,
         (step, noise): (&Propagation, &ProcessNoise),
@@ -99,7 +99,7 @@ impl Unaided {
         timing: (f64, f64),
         other: &Encoder,
     ) {
-        if step.held || other.is_silent() {
+        if step.held || other.is_absent() {
             self.bank = None;
         }
         if let Some(bank) = &mut self.bank {
@@ -122,11 +122,11 @@ impl Unaided {
     }
 }
 
-/// Lets the angle of an axis count from a reading that is repeated after `interval` seconds, and its rate from the change before, unless samples are missing
-/// there: a persistent error is one of all these readings. Returns the expected innovation of the reading, rad.
-fn count_from_reading(bank: &mut Bank, interval: f64, sample: &Sample) -> f64 {
+/// Lets the angle of an axis count from a reading that is repeated, and its rate from the change before, unless samples are missing there: a persistent error is
+/// one of all these readings. Returns the expected innovation of the reading, rad.
+fn count_from_reading(bank: &mut Bank, sample: &Sample) -> f64 {
     let noise = sample.single_variance(0.0) / sample.persistent_share();
-    if let Some(MeanRate { measured, sigma, expected }) = sample.before {
+    if let Some(MeanRate { measured, sigma, expected, interval }) = sample.before {
         let change = sample.change((measured - expected) * interval, interval);
         let of_stamps = (sigma * interval).powi(2);
         bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise + of_stamps, ..change }));

@@ -32,25 +32,31 @@ fn late_samples_leave_a_right_start() {
     assert_eq!(faults::lost_by_late_samples([43, 58, 94, 110].map(|seed| 1_327_900_000 + seed)), 0);
 }
 
-/// A right start of a slow swing by stiff servos is not left: the first five are where the doubt has all the process noise of the quietest model, the others
-/// where an axis that turns by nearly one quantisation interval per sample counts as passing an edge with each.
+/// A right start of a slow swing by stiff servos is not left: the first five are left where the doubt has all the process noise of the quietest model, two of the
+/// others where an axis that turns by nearly one quantisation interval per sample counts as passing an edge with each.
 #[test]
 fn stiff_swings_leave_a_right_start() {
     let [plus, minus] = [[7, 8, 24, 50, 93], [0, 1, 2, 3, 4]].map(|of| of.map(|seed| 1_457_900_000 + seed));
     assert_eq!(faults::lost_in_stiff_swings(plus, minus), [0, 0]);
 }
 
-/// A good encoder whose stamps jitter is not called stuck: these five are where a rate counts from the change of a reading as if its time were exact.
+/// A good encoder whose stamps jitter is not called stuck: these five are called so where a rate is taken from the change of a reading as if its time were exact.
 #[test]
 fn jitter_makes_no_encoder_stuck() {
     assert_eq!(faults::stuck_by_jitter([4, 5, 7, 13, 35].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
-/// An encoder that freezes in a fall as its axis turns back is told: these three are where the rate before the first repeated reading is taken for the rate
-/// at it.
+/// An encoder that freezes in a fall as its axis turns back is told: these three are believed where the rate before the first repeated reading is taken for the
+/// rate at it.
 #[test]
 fn encoders_that_freeze_as_an_axis_turns_back_are_told() {
     assert_eq!(faults::silent_in_falls([11, 38, 149].map(|seed| 1_467_900_000 + seed)), 0);
+}
+
+/// A reading that jumps is told where single samples are lost on the way: these are believed where one lost sample counts as a silence.
+#[test]
+fn lost_samples_hide_no_jump() {
+    assert_eq!(faults::silent_with_lost_samples((0..4).map(|seed| 1_477_900_000 + seed)), 0);
 }
 
 /// Machines whose masses are 5 % off, that carry an unknown payload or are pushed, are not lost.
