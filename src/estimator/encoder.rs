@@ -190,6 +190,8 @@ pub struct Encoder {
     change: f64,
     /// Rate of the axis in the motion after the last valid sample, rad/s.
     axis_rate: f64,
+    /// Whether the encoder is stuck, until a valid reading has changed.
+    stuck: bool,
     /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
     /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
@@ -219,6 +221,7 @@ impl Encoder {
         repeated: false,
         change: 0.0,
         axis_rate: 0.0,
+        stuck: false,
         rejected_in_a_row: 0,
         jump: 0.0,
         believed_for: 0.0,
@@ -280,7 +283,7 @@ impl Encoder {
         if time.is_finite() {
             self.time = time;
         }
-        let (was_stuck, returns) = (self.fault == Fault::Stuck, self.is_absent());
+        let returns = self.is_absent();
         let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
         // Stamps that are off by less than a sample's period are no reason to refuse a sample.
         let period = if self.arrival_interval > 0.0 { self.arrival_interval } else { f64::INFINITY };
@@ -298,7 +301,8 @@ impl Encoder {
             return None;
         }
         self.repeated = has_sample && self.angle.to_bits() == angle.to_bits();
-        if was_stuck && self.repeated {
+        self.stuck &= self.repeated;
+        if self.stuck {
             self.fault = Fault::Stuck;
         }
         self.change = if has_sample { angle - self.angle } else { 0.0 };
@@ -392,9 +396,9 @@ impl Encoder {
         self.believed_for = 0.0;
     }
 
-    /// Whether the encoder fails: samples have been rejected in a row, or are not valid.
+    /// Whether the encoder fails: it is stuck, or samples have been rejected in a row. A sample that is refused for its stamp is lost.
     pub(super) fn fails(&self) -> bool {
-        self.fault > Fault::Rejected || self.rejected_in_a_row > 1
+        self.stuck || self.rejected_in_a_row > 1
     }
 
     /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
@@ -460,6 +464,7 @@ impl Encoder {
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
+        self.stuck = self.fault == Fault::Stuck;
         // A force that has moved an axis so far moves it on; the next sample tells.
         if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && jumps() {
             self.jump = residual;
@@ -700,6 +705,17 @@ mod tests {
         // Beyond a period: the first two are exact.
         assert_eq!(received(&|k| if k < 2 { 0.0 } else { 1.5e-3 }).1, 2);
         assert_eq!(received(&|k| if k < 2 { 0.0 } else { -1.5e-3 }).1, 2);
+    }
+
+    /// An encoder that is stuck stays so where a sample is refused for its stamp, until a reading changes.
+    #[test]
+    fn refused_samples_free_no_encoder() {
+        let mut encoder = Encoder::NEW;
+        assert!(encoder.receive(2.0, 0.0, 0.0, 0.0).is_some());
+        encoder.stuck = true;
+        assert!(encoder.receive(2.0, 5.0, 1.0, 0.0).is_none() && encoder.fault == Fault::Future && encoder.fails());
+        assert!(encoder.receive(2.0, 1.1, 1.1, 0.0).is_some() && encoder.fault == Fault::Stuck);
+        assert!(encoder.receive(2.1, 1.2, 1.2, 0.0).is_some() && encoder.fault == Fault::None && !encoder.fails());
     }
 
     /// Invalid samples change neither sampling interval nor difference, wherever their time is.

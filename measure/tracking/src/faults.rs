@@ -48,8 +48,8 @@ enum Failure {
     Lossy(f64, &'static Failure),
     /// The encoders are exchanged.
     Swapped,
-    /// Stamps are off by normal noise, s.
-    Jitter(f64),
+    /// Stamps are off by normal noise, s, beside another failure.
+    Jitter(f64, &'static Failure),
     /// Stamps are late by a constant, s.
     Late(f64),
     /// The twin starts in the other assembly.
@@ -63,8 +63,8 @@ impl Failure {
     fn leaves_encoders_sound(self) -> bool {
         use Failure::{Assembly, Jitter, Late, Lossy, Missing, Nothing, Silence};
         match self {
-            Lossy(_, other) => other.leaves_encoders_sound(),
-            other => matches!(other, Silence | Missing | Jitter(_) | Late(_) | Assembly | Nothing),
+            Lossy(_, other) | Jitter(_, other) => other.leaves_encoders_sound(),
+            other => matches!(other, Silence | Missing | Late(_) | Assembly | Nothing),
         }
     }
 }
@@ -155,7 +155,11 @@ pub fn haptic(random: &mut Random) -> Scenario {
 /// A run with a failure from some instant on.
 fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, random: &mut Random) -> Outcome {
     let onset = random.between(0.5, 1.2);
-    let (failure, lost) = if let Failure::Lossy(part, other) = failure { (*other, part) } else { (failure, 0.0) };
+    let (failure, lost, jitter) = match failure {
+        Failure::Lossy(part, other) => (*other, part, 0.0),
+        Failure::Jitter(sigma, other) => (*other, 0.0, sigma),
+        other => (other, 0.0, 0.0),
+    };
     let onset = if let Failure::Nothing = failure { f64::INFINITY } else { onset };
     let mut told = scenario.clone();
     if let Failure::Assembly = failure {
@@ -196,13 +200,15 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             Failure::Missing if (onset..onset + 1.0).contains(&time) => measured.time[0] = stamp[0],
             Failure::Silence if (onset..onset + 0.3).contains(&time) => measured.time = stamp,
             Failure::Swapped => measured.theta.swap(0, 1),
-            Failure::Jitter(sigma) => measured.time = [0, 1].map(|_| time + sigma * random.normal()),
             Failure::Late(_) => {
                 // A sample has the stamp of its arrival.
                 queue.push_back(measured.theta);
                 measured.theta = queue.pop_front().unwrap_or_default();
             }
             _ => (),
+        }
+        if jitter > 0.0 {
+            measured.time = [0, 1].map(|_| time + jitter * random.normal());
         }
         for (time, before) in measured.time.iter_mut().zip(stamp) {
             if lost > 0.0 && random.between(0.0, 1.0) < lost {
@@ -273,7 +279,7 @@ pub fn lost_in_stiff_swings(plus: impl IntoIterator<Item = u64>, minus: impl Int
 
 /// Number of runs whose stamps jitter by 0.3 ms while a machine is learned in which a good encoder is called stuck.
 pub fn stuck_by_jitter(seeds: impl IntoIterator<Item = u64>) -> usize {
-    count(|random| learned(fast(random)), Failure::Jitter(3e-4), &FINE, seeds, |outcome| outcome.early)
+    count(|random| learned(fast(random)), Failure::Jitter(3e-4, &Failure::Nothing), &FINE, seeds, |outcome| outcome.early)
 }
 
 /// Number of falls by the unit's start values in which an encoder that freezes is believed in silence.
@@ -322,10 +328,11 @@ const fn bits(name: &'static str, bits: u32) -> Encoder {
 
 /// Failures, each in its scenes by its encoders.
 pub fn table(runs: u64, first: u64) -> Table {
+    const JITTER: Failure = Failure::Jitter(3e-4, &Failure::Nothing);
     const FIFTH: Failure = Failure::Lossy(0.2, &Failure::Nothing);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 87] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 91] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -341,8 +348,8 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("wrong assembly, sines", fast, Failure::Assembly, FINE, 1e-3),
         ("wrong assembly, pick", pick, Failure::Assembly, FINE, 1e-3),
         ("wrong assembly, fall", falling, Failure::Assembly, FINE, 1e-3),
-        ("jitter of 0.3 ms, swing", swing, Failure::Jitter(3e-4), FINE, 1e-3),
-        ("jitter of 0.3 ms, sines", fast, Failure::Jitter(3e-4), FINE, 1e-3),
+        ("jitter of 0.3 ms, swing", swing, JITTER, FINE, 1e-3),
+        ("jitter of 0.3 ms, sines", fast, JITTER, FINE, 1e-3),
         ("late by 8 ms, sines", fast, Failure::Late(8e-3), FINE, 1e-3),
         ("zero, swing", swing, Failure::Zero, FINE, 1e-3),
         ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), FINE, 1e-3),
@@ -368,8 +375,8 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("swapped, swing, learned", |random| learned(swing(random)), Failure::Swapped, FINE, 1e-3),
         ("missing, swing, learned", |random| learned(swing(random)), Failure::Missing, FINE, 1e-3),
         ("missing, fall, learned", |random| learned(falling(random)), Failure::Missing, FINE, 1e-3),
-        ("jitter of 0.3 ms, sines, learned", |random| learned(fast(random)), Failure::Jitter(3e-4), FINE, 1e-3),
-        ("jitter of 0.3 ms, pick, start values", |random| by_start_values(pick(random)), Failure::Jitter(3e-4), FINE, 1e-3),
+        ("jitter of 0.3 ms, sines, learned", |random| learned(fast(random)), JITTER, FINE, 1e-3),
+        ("jitter of 0.3 ms, pick, start values", |random| by_start_values(pick(random)), JITTER, FINE, 1e-3),
         ("late by 8 ms, sines, learned", |random| learned(fast(random)), Failure::Late(8e-3), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
@@ -397,6 +404,22 @@ pub fn table(runs: u64, first: u64) -> Table {
             1e-3,
         ),
         ("frozen, drop-outs, swing, learned", |random| learned(swing(random)), Failure::Lossy(0.2, &Failure::Frozen), COARSE, 5e-3),
+        ("frozen, jitter of 0.3 ms, swing", swing, Failure::Jitter(3e-4, &Failure::Frozen), COARSE, 1e-3),
+        (
+            "frozen, jitter of 0.3 ms, fall, start values",
+            |random| by_start_values(falling(random)),
+            Failure::Jitter(3e-4, &Failure::Frozen),
+            FINE,
+            1e-3,
+        ),
+        ("off by 0.1 rad, jitter of 0.3 ms, swing", swing, Failure::Jitter(3e-4, &Failure::Jump(0.1)), FINE, 1e-3),
+        (
+            "off by 0.1 rad, jitter of 0.3 ms, swing, start values",
+            |random| by_start_values(swing(random)),
+            Failure::Jitter(3e-4, &Failure::Jump(0.1)),
+            FINE,
+            1e-3,
+        ),
         ("nothing, swing", swing, Failure::Nothing, FINE, 1e-3),
         ("nothing, stiff swing", stiff, Failure::Nothing, FINE, 1e-3),
         ("nothing, stiff swing", stiff, Failure::Nothing, COARSE, 1e-3),
