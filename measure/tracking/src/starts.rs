@@ -38,15 +38,15 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
     let done = follow(&told, encoder, h, random, |&Instant { time, twin, tip_error, .. }| {
         silent = if is_wrong_in_silence(twin, time, tip_error) { silent + h } else { 0.0 };
         outcome.silent |= silent >= SILENT.2;
-        if twin.status() == Status::TwoBranches {
+        let undoubted = twin.status() != Status::TwoBranches;
+        if !undoubted {
             outcome.doubted = time;
-        } else if tip_error > SILENT.0 {
-            astray += h;
         }
+        astray = if undoubted && tip_error > SILENT.0 { astray + h } else { 0.0 };
+        outcome.astray |= astray > ASTRAY;
         outcome.lost = tip_error > SILENT.0;
     });
     outcome.lost |= done.is_err();
-    outcome.astray = astray > ASTRAY;
     outcome
 }
 
