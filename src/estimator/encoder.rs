@@ -480,7 +480,7 @@ impl Encoder {
 
     /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
     /// reading confines it to the interval, and a changed one locates it at the edge between two intervals; neither better than the persistent error allows.
-    /// Where it turns faster, the reading has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals.
+    /// The reading of a faster axis has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals per sample.
     pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
         let &Sample { angle, age, rate, sigma, quantum, persistent, alike, .. } = sample;
         if self.is_dithered(sigma, quantum) {
