@@ -107,7 +107,7 @@ impl Estimator {
 }
 
 /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 by the errors of a belief.
-fn sigmas(frame: &Frame, belief: &Belief) -> [Links; 2] {
+pub(super) fn sigmas(frame: &Frame, belief: &Belief) -> [Links; 2] {
     let covariance = belief.bank.covariance();
     [0, 2].map(|first| {
         let variances = frame.basis * covariance.fixed_view::<2, 2>(first, first) * frame.basis.transpose();

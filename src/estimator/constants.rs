@@ -55,7 +55,7 @@ pub(super) const NEGLIGIBLE_PROBABILITY: f64 = 1e-12;
 /// variances outgrow their errors in a fall, stay below: with a turn's variance the CRPS of bands 0.5 s ahead is 45 mm in place of 14 mm.
 pub(super) const LARGEST_ANGLE_VARIANCES: [f64; MODELS] = [0.3, 0.3, ANYWHERE, ANYWHERE];
 /// Variance of an angle that is evenly distributed over a turn, rad².
-const ANYWHERE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+pub(super) const ANYWHERE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 /// Largest variance of rates, rad²/s².
 pub(super) const LARGEST_RATE_VARIANCE: f64 = 1e4;
 /// Largest number of instants at which a forecast looks for a singularity: the longest horizon, 10 s, every millisecond. They take 0.3 s.
@@ -155,6 +155,10 @@ pub(super) const LONGEST_CHANCE: f64 = 0.1;
 /// pushes by 0.1° and the start values are missed in place of four (tables `faults`, `--part 10 --seeds` 1280000000 and 1300000000, and `detection`,
 /// `--seeds 8020000000`).
 pub(super) const LARGEST_CHANCE: f64 = 20.0;
+/// Least persistent error of an encoder that is used alone, rad: errors of the model stay in its readings that both together would reveal.
+pub(super) const ERROR_ALONE: f64 = 1e-3;
+/// Standard deviation of an angle beyond which one encoder alone does not follow the machine, rad: errors are no longer linear in what it shows.
+pub(super) const LARGEST_SIGMA_ALONE: f64 = 0.4;
 /// Number of samples over which the variance of the stamps is averaged.
 pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.

@@ -357,6 +357,16 @@ impl Encoder {
         self.time_since_sample > SILENT_AFTER_INTERVALS * if interval > 0.0 { interval } else { UNKNOWN_INTERVAL }
     }
 
+    /// Whether samples arrive that are believed, single outliers aside.
+    pub(super) fn is_believed(&self) -> bool {
+        !(self.is_silent() || self.stuck || self.is_away())
+    }
+
+    /// Whether the encoder is stuck.
+    pub(super) fn is_stuck(&self) -> bool {
+        self.stuck
+    }
+
     /// Whether the encoder has been silent for so long that the estimate may have left it: longer than where single samples are lost.
     pub(super) fn is_absent(&self) -> bool {
         self.is_silent() && self.time_since_sample > SETTLING_TIME

@@ -47,13 +47,14 @@ mod witness;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use alarm::Alarm;
-use bank::Innovation;
+use bank::{Bank, Innovation};
 pub use belief::Belief;
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LEARNING_PERSISTENCES,
-    LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
+    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, ERROR_ALONE, FORECAST_MASS_WALK, GATE, LARGEST_NIS,
+    LARGEST_RATE_VARIANCE, LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS,
+    NEAR_SINGULARITY,
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
@@ -109,6 +110,8 @@ pub struct Estimator {
     forecast: Forecast,
     alarm: Alarm,
     causes: Causes,
+    /// Whether one encoder alone has lost the machine: the estimate is a forecast until it begins anew by both.
+    adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
     /// Innovation of the last sample of each encoder, rad.
@@ -133,6 +136,7 @@ impl Estimator {
             forecast: Forecast::default(),
             alarm: Alarm::default(),
             causes: Causes::default(),
+            adrift: false,
             restarted: false,
             innovation: [0.0; 2],
             nis: 0.0,
@@ -211,7 +215,7 @@ impl Estimator {
             }
             // No closed configuration is near the corrected one: the covariance is worthless.
             None => {
-                self.belief.bank = bank::Bank::new(constants.start_variances());
+                self.belief.bank = Bank::new(constants.start_variances());
                 self.unaided = Default::default();
                 self.causes.close(false);
                 self.learn_anew(constants);
@@ -274,7 +278,10 @@ impl Estimator {
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             // Lengths and mounting angles that are learned are no noise.
-            let used = if learns_geometry { self.encoders[i].with_persistent_error(sample, further) } else { *sample };
+            let persistent = if learns_geometry { further } else { sample.persistent };
+            let alone = !self.encoders[1 - i].is_believed();
+            let persistent = if alone { persistent.max(ERROR_ALONE * ERROR_ALONE) } else { persistent };
+            let used = self.encoders[i].with_persistent_error(sample, persistent);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
@@ -284,6 +291,10 @@ impl Estimator {
             let (conditions, change) = self.gate_conditions((i, sample), frame, &models);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
+            // A forecast that has lost the machine judges no sample.
+            if self.adrift {
+                continue;
+            }
             if let Some(told) = self.encoders[i].admit(&expected, &used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
                     let considered = match () {
@@ -343,8 +354,9 @@ impl Estimator {
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
-        self.unaided[i].receive([&self.encoders[i], &self.encoders[1 - i]], sample, (&self.belief.bank, force), models);
-        let repetition = if away { Fault::None } else { self.unaided[i].judge(&self.encoders[i], sample) };
+        let encoders = [&self.encoders[i], &self.encoders[1 - i]];
+        self.unaided[i].receive(encoders, sample, (&self.belief.bank, force), models);
+        let repetition = if away || self.adrift { Fault::None } else { self.unaided[i].judge(encoders, sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
@@ -368,11 +380,11 @@ impl Estimator {
     fn restart(&mut self, constants: &Constants, motion: &LinkState, samples: &[Option<Sample>; 2]) -> Option<LinkState> {
         self.restarted = false;
         let [Some(left), Some(right)] = samples else { return None };
-        if self.encoders.iter().any(Encoder::is_away) {
+        if !self.encoders.iter().all(Encoder::is_believed) {
             return None;
         }
         let off = [left, right].map(|sample| sample.innovation.residual.abs() > DIVERGED_INNOVATION);
-        let off = if self.held { off[0] || off[1] } else { off[0] && off[1] };
+        let off = self.adrift || if self.held { off[0] || off[1] } else { off[0] && off[1] };
         let intervals = self.encoders.each_ref().map(Encoder::interval);
         if !self.hypotheses.is_lost(off, intervals[0].min(intervals[1]).min(LONGEST_SAMPLE_TIME)) {
             return None;
@@ -397,7 +409,7 @@ impl Estimator {
         self.doubt.end();
         self.encoders.iter_mut().for_each(Encoder::settle_anew);
         self.causes.close(true);
-        (self.alarm, self.held, self.restarted) = (Alarm::default(), false, true);
+        (self.alarm, self.held, self.adrift, self.restarted) = (Alarm::default(), false, false, true);
         Some(anew)
     }
 
@@ -459,6 +471,20 @@ impl Estimator {
         constants.linkage.frame(&motion.theta)
     }
 
+    /// Gives up the machine where one encoder alone does not follow it: any motion is as likely as the mean, until both encoders show one.
+    fn give_up_by_one(&mut self, constants: &Constants, frame: &Frame) {
+        let alone = self.encoders.iter().filter(|encoder| encoder.is_believed()).count() == 1;
+        if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
+            (self.adrift, self.unaided) = (true, Default::default());
+            self.causes.close(false);
+            self.learn_anew(constants);
+            self.end_doubt();
+        }
+        if self.adrift {
+            self.belief.bank = Bank::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
+        }
+    }
+
     /// Ends the doubt about the start undecided.
     fn end_doubt(&mut self) {
         if self.doubt.is_open() {
@@ -487,7 +513,7 @@ impl Estimator {
         };
         let inertia = step.inertia_torque(&((to.omega - from.omega) / h));
         let scale = constants.torque_scale();
-        if coasts && parameters.forecast == Bands::SigmaPoints {
+        if coasts && !self.adrift && parameters.forecast == Bands::SigmaPoints {
             self.forecast.step(constants, (from, &self.belief), scene, (h, [scale, inertia]));
         }
         self.hypotheses.open_after_vertex(constants, (from, &self.belief), scene, &step, to);
@@ -508,8 +534,8 @@ impl Estimator {
             (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        // A branch behind a singularity that is not known teaches nothing.
-        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
+        // A branch behind a singularity that is not known teaches nothing, nor does a machine that is lost.
+        let known = !step.held && !self.adrift && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
         match (&mut self.learning, &learned) {
             (Some(learning), Some(flow)) if known => {
                 learning.begin_geometry(&mut self.belief.bank, &frame);
@@ -528,6 +554,7 @@ impl Estimator {
         let accelerations = frame.basis.tr_mul(&(to.omega - from.omega)) / h;
         self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), &accelerations, by);
         self.held = step.held;
+        self.give_up_by_one(constants, &ahead);
         let about = (&step, [from, to], &self.belief.force);
         if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {
             self.hypotheses.doubt_side(odds);
@@ -551,9 +578,9 @@ impl Estimator {
         }
     }
 
-    /// Whether both encoders are silent.
+    /// Whether no samples are used: no encoder is believed, or one alone has lost the machine.
     pub fn is_coasting(&self) -> bool {
-        self.encoders.iter().all(Encoder::is_silent)
+        self.adrift || !self.encoders.iter().any(Encoder::is_believed)
     }
 
     /// Quality of the estimate.
@@ -617,7 +644,7 @@ impl Estimator {
         if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {
             return (Cause::Timing, 1.0);
         }
-        let is_missing = |encoder: &Encoder| encoder.is_silent() && !self.is_coasting();
+        let is_missing = |encoder: &Encoder| encoder.is_silent() && !self.encoders.iter().all(Encoder::is_silent);
         match first(&|encoder| matches!(encoder.fault, Fault::Stuck | Fault::Invalid) || is_missing(encoder)) {
             Some(i) => (Cause::Encoder(i), 1.0),
             None => self.causes.most_probable(constants, first(&Encoder::is_away)),

@@ -41,9 +41,9 @@ impl Unaided {
         (bank, force): (&Bank, f64),
         models: &[f64; MODELS],
     ) {
-        if !own.repeats() || other.fails() {
+        if !own.repeats() || other.fails() && self.other_changed {
             self.bank = None;
-        } else if self.bank.is_none() && own.fault != Fault::Stuck {
+        } else if self.bank.is_none() && own.fault != Fault::Stuck && !other.fails() {
             let mut bank = *bank;
             bank.reset_priors(models);
             *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false };
@@ -56,20 +56,23 @@ impl Unaided {
     }
 
     /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
-    /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes.
-    pub(super) fn judge(&mut self, own: &Encoder, sample: &Sample) -> Fault {
-        let Some(bank) = self.bank.as_ref().filter(|_| self.other_changed) else { return Fault::None };
+    /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
+    /// reading repeats as well, the machine may be blocked: a fault if no force of any model blocks it so.
+    pub(super) fn judge(&mut self, [own, other]: [&Encoder; 2], sample: &Sample) -> Fault {
+        let Some(bank) = &self.bank else { return Fault::None };
         let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
         innovation.residual -= self.offset;
         let expected = bank.predict_sample(&innovation);
         let (off, variance) = expected.mixture_moments();
         let of_angle = (variance - innovation.noise).max(0.0).sqrt();
         let turned = off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
-        let lasts = self.time > LONGEST_CHANCE;
-        self.doubted |= turned && (lasts || off.abs() > LARGEST_CHANCE * quantum);
+        let (lasts, leaps) = (self.time > LONGEST_CHANCE, off.abs() > LARGEST_CHANCE * quantum);
+        let unexplained = expected.nis_of_loudest_model(0.0) > GATE;
+        let may_be_blocked = !self.other_changed && !other.is_stuck();
+        self.doubted |= turned && if may_be_blocked { leaps && unexplained } else { lasts || leaps };
         match () {
             () if !self.doubted => Fault::None,
-            () if lasts || expected.nis_of_loudest_model(0.0) > GATE => Fault::Stuck,
+            () if lasts || unexplained => Fault::Stuck,
             () => Fault::Rejected,
         }
     }

@@ -42,6 +42,10 @@ enum Failure {
     Jump(f64),
     /// Is silent for a second.
     Missing,
+    /// Is silent.
+    Gone,
+    /// Both encoders read on as at the onset.
+    BothFrozen,
     /// Both encoders are silent for 0.3 s.
     Silence,
     /// A part of the samples of each encoder is missing, all the time, beside another failure.
@@ -61,10 +65,10 @@ enum Failure {
 impl Failure {
     /// Whether both encoders read what is true, so that none is stuck.
     fn leaves_encoders_sound(self) -> bool {
-        use Failure::{Assembly, Jitter, Late, Lossy, Missing, Nothing, Silence};
+        use Failure::{Assembly, Gone, Jitter, Late, Lossy, Missing, Nothing, Silence};
         match self {
             Lossy(_, other) | Jitter(_, other) => other.leaves_encoders_sound(),
-            other => matches!(other, Silence | Missing | Late(_) | Assembly | Nothing),
+            other => matches!(other, Silence | Missing | Gone | Late(_) | Assembly | Nothing),
         }
     }
 }
@@ -79,6 +83,8 @@ struct Outcome {
     lost: bool,
     /// Whether the tip was off with a status that does not tell it.
     silent: bool,
+    /// Whether the tip was beyond its band, whatever the status.
+    beyond: bool,
     /// Time from the onset to the first status that tells it, s.
     found: f64,
     /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
@@ -183,7 +189,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     }
     let mut twin = told.twin(encoder);
     let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
-    let (mut held, mut wrong, mut refused, mut stamp) = (None, 0.0, 0.0, Measured::default().time);
+    let (mut held, mut wrong, mut beyond, mut refused, mut stamp) = (None, 0.0, 0.0, 0.0, Measured::default().time);
     // A twin that takes no sample of the frozen encoder.
     let mut observer = None;
     let steps = (scenario.duration / h).round() as u64;
@@ -194,10 +200,12 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let mut measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
         let failing = time >= onset;
         match failure {
-            Failure::Frozen if failing => measured.theta[0] = *held.get_or_insert(measured.theta[0]),
+            Failure::Frozen if failing => measured.theta[0] = held.get_or_insert(measured.theta)[0],
+            Failure::BothFrozen if failing => measured.theta = *held.get_or_insert(measured.theta),
             Failure::Zero if failing => measured.theta[0] = 0.0,
             Failure::Jump(by) if failing => measured.theta[0] += by,
             Failure::Missing if (onset..onset + 1.0).contains(&time) => measured.time[0] = stamp[0],
+            Failure::Gone if failing => measured.time[0] = stamp[0],
             Failure::Silence if (onset..onset + 0.3).contains(&time) => measured.time = stamp,
             Failure::Swapped => measured.theta.swap(0, 1),
             Failure::Late(_) => {
@@ -235,9 +243,13 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let off = (x - v).hypot(y - w);
         wrong = if is_wrong_in_silence(&twin, time, off) { wrong + h } else { 0.0 };
         outcome.silent |= wrong >= SILENT.2;
+        let is_beyond = time > 0.1 && off > SILENT.0.max(SILENT.1 * half_width(twin.tip_covariance()));
+        beyond = if is_beyond { beyond + h } else { 0.0 };
+        outcome.beyond |= beyond >= SILENT.2;
         outcome.lost = off > SILENT.0;
         let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);
-        outcome.early |= second || first && (failure.leaves_encoders_sound() || !failing);
+        let sound = !failing || failure.leaves_encoders_sound();
+        outcome.early |= first && sound || second && (sound || !matches!(failure, Failure::BothFrozen));
         if failing && twin.status() != Status::Following && outcome.found.is_infinite() {
             outcome.found = time - onset;
         }
@@ -287,6 +299,16 @@ pub fn silent_in_falls(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| by_start_values(falling(random)), Failure::Frozen, &FINE, seeds, |outcome| outcome.silent)
 }
 
+/// Number of falls in which one encoder falls silent and the tip is beyond its band by the other.
+pub fn beyond_by_one_encoder(seeds: impl IntoIterator<Item = u64>) -> usize {
+    count(falling, Failure::Gone, &FINE, seeds, |outcome| outcome.beyond)
+}
+
+/// Number of falls in which both encoders freeze at once and are believed in silence.
+pub fn silent_where_both_freeze(seeds: impl IntoIterator<Item = u64>) -> usize {
+    count(falling, Failure::BothFrozen, &FINE, seeds, |outcome| outcome.silent)
+}
+
 /// Number of swings in which a jump of 0.1 rad is believed in silence while a fiftieth of the samples is lost.
 pub fn silent_with_lost_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(swing, Failure::Lossy(0.02, &Failure::Jump(0.1)), &FINE, seeds, |outcome| outcome.silent)
@@ -332,7 +354,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const FIFTH: Failure = Failure::Lossy(0.2, &Failure::Nothing);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 91] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 100] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -380,6 +402,15 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("late by 8 ms, sines, learned", |random| learned(fast(random)), Failure::Late(8e-3), FINE, 1e-3),
         ("swapped, swing", swing, Failure::Swapped, FINE, 1e-3),
         ("missing, swing", swing, Failure::Missing, FINE, 1e-3),
+        ("gone, fall", falling, Failure::Gone, FINE, 1e-3),
+        ("gone, fall", falling, Failure::Gone, FINE, 5e-3),
+        ("gone, fall", falling, Failure::Gone, COARSE, 1e-3),
+        ("gone, fall, start values", |random| by_start_values(falling(random)), Failure::Gone, FINE, 1e-3),
+        ("gone, fall, learned", |random| learned(falling(random)), Failure::Gone, FINE, 1e-3),
+        ("gone, push", push, Failure::Gone, FINE, 1e-3),
+        ("both frozen, swing", swing, Failure::BothFrozen, FINE, 1e-3),
+        ("both frozen, fall", falling, Failure::BothFrozen, FINE, 1e-3),
+        ("both frozen, fall, start values", |random| by_start_values(falling(random)), Failure::BothFrozen, FINE, 1e-3),
         ("silence, swing", swing, Failure::Silence, FINE, 1e-3),
         ("silence, pick, start values", |random| by_start_values(pick(random)), Failure::Silence, FINE, 5e-3),
         ("silence, pick, start values", |random| by_start_values(pick(random)), Failure::Silence, COARSE, 5e-3),
@@ -468,11 +499,12 @@ pub fn table(runs: u64, first: u64) -> Table {
         let silent = count(&|o| o.silent);
         let refused = 100.0 * outcomes.iter().map(|o| o.refused).sum::<f64>() / runs as f64;
         let remark = format!(
-            "of {runs}; lost at the end {}, told within 0.2 s {}, not told though visible {}, stuck in error {}, refused stamps {refused:.1} %",
+            "of {runs}; lost at the end {}, told within 0.2 s {}, not told though visible {}, stuck in error {}, beyond its band {}, refused stamps {refused:.1} %",
             count(&|o| o.lost),
             count(&|o| o.found <= SOON),
             count(&|o| o.visible && o.found > SOON),
             count(&|o| o.early),
+            count(&|o| o.beyond),
         );
         let label = format!("{name}, {}, {} ms", encoder.name, 1e3 * h);
         table.push(if failure.leaves_encoders_sound() {

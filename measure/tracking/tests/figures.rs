@@ -53,6 +53,18 @@ fn encoders_that_freeze_as_an_axis_turns_back_are_told() {
     assert_eq!(faults::silent_in_falls([11, 38, 149].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
+/// One encoder alone keeps the tip within its band: these end beyond where its readings count as if the model had no errors.
+#[test]
+fn bands_of_one_encoder_hold() {
+    assert_eq!(faults::beyond_by_one_encoder([3, 5].map(|seed| 1_497_900_000 + seed)), 0);
+}
+
+/// Encoders that freeze at once are told where the machine turns too fast to be blocked so.
+#[test]
+fn encoders_that_freeze_at_once_are_told() {
+    assert_eq!(faults::silent_where_both_freeze((0..3).map(|seed| 1_497_900_000 + seed)), 0);
+}
+
 /// A reading that jumps is told where single samples are lost on the way: these are believed where one lost sample counts as a silence.
 #[test]
 fn lost_samples_hide_no_jump() {
