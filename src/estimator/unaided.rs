@@ -29,6 +29,8 @@ pub(super) struct Unaided {
     doubted: bool,
     /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
     other_changed: bool,
+    /// Whether the estimate had settled on the encoder at its begin.
+    settled: bool,
 }
 
 impl Unaided {
@@ -46,7 +48,8 @@ impl Unaided {
         } else if self.bank.is_none() && own.fault != Fault::Stuck && !other.fails() {
             let mut bank = *bank;
             bank.reset_priors(models);
-            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false };
+            let settled = own.is_settled();
+            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false, settled };
             if sample.persistent > 0.0 {
                 self.shared = sample.single_variance(sample.persistent);
                 self.offset = count_from_reading(&mut bank, sample);
@@ -57,7 +60,7 @@ impl Unaided {
 
     /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
     /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
-    /// reading repeats as well, the machine may be blocked: a fault if no force of any model blocks it so.
+    /// reading repeats as well, the machine may be blocked: a fault if the estimate has settled and no force of any model blocks it so.
     pub(super) fn judge(&mut self, [own, other]: [&Encoder; 2], sample: &Sample) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
         let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
@@ -69,7 +72,7 @@ impl Unaided {
         let (lasts, leaps) = (self.time > LONGEST_CHANCE, off.abs() > LARGEST_CHANCE * quantum);
         let unexplained = expected.nis_of_loudest_model(0.0) > GATE;
         let may_be_blocked = !self.other_changed && !other.is_stuck();
-        self.doubted |= turned && if may_be_blocked { leaps && unexplained } else { lasts || leaps };
+        self.doubted |= turned && if may_be_blocked { leaps && unexplained && self.settled } else { lasts || leaps };
         match () {
             () if !self.doubted => Fault::None,
             () if lasts || unexplained => Fault::Stuck,
