@@ -254,7 +254,7 @@ pub(super) const DOUBT_NOISE: f64 = 0.1;
 pub(super) const DOUBT_FORCE: f64 = 2.0;
 /// Evidence for and against the assembly of the start that ends the doubt. With 12 for it 1 of 1,200 wrong starts was kept, with 16 none of 2,100 (table
 /// `starts`). With 16 against it 7 of 800 right ones were taken away in silence, by samples that are late and in stiff swings, with 24 one (table `faults`,
-/// `--part 10 --seeds` 1240000000 and 1250000000).
+/// `--part 10 --seeds` 1240000000 and 1250000000, with the model's own noise in place of [`DOUBT_NOISE`]).
 pub(super) const DOUBT_ENDS: [f64; 2] = [16.0, 24.0];
 /// Logarithm of the odds of the other assembly before any sample, where the doubt ends at a direct singularity. With equal odds 7 of 2,400 crossings
 /// were undecided at their end, with these none.

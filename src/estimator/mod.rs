@@ -78,7 +78,7 @@ use witness::ByFaults;
 pub enum Status {
     /// Samples of both encoders arrive and are used.
     Following,
-    /// No samples arrive: the estimate is a forecast.
+    /// No samples are used: the estimate is a forecast.
     Coasting,
     /// Too close to a vertex to know the branch: samples are not used.
     Holding,

@@ -8,10 +8,11 @@ use crate::geometry::{Scene, as_built};
 use crate::machine::{COARSE, Encoder, FINE, Instant, MEDIUM, Random, Scenario, follow};
 use crate::quality::{driven, fall, friction, pick, push, sines};
 use crate::report::{Figure, Table, quantile};
+use crate::scores::half_width;
 
 /// Longest part of a run that counts, s.
 const LONGEST: f64 = 2.0;
-/// Time for which a right start has to be off, undoubted, to count as taken away, s.
+/// Time for which a right start has to be outside of its band, undoubted, to count as taken away, s.
 const ASTRAY: f64 = 0.02;
 
 /// Outcome of a run.
@@ -19,7 +20,7 @@ const ASTRAY: f64 = 0.02;
 struct Outcome {
     /// Whether the tip was off with a status and bands that do not tell it.
     silent: bool,
-    /// Whether the tip was off while one assembly alone was followed.
+    /// Whether the tip was off and outside of its 95 % ellipse while one assembly alone was followed.
     astray: bool,
     /// Whether the tip is off at the end.
     lost: bool,
@@ -42,7 +43,8 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assemb
         if !undoubted {
             outcome.doubted = time;
         }
-        astray = if undoubted && tip_error > SILENT.0 { astray + h } else { 0.0 };
+        let is_beyond = tip_error > SILENT.0.max(half_width(twin.tip_covariance()));
+        astray = if undoubted && is_beyond { astray + h } else { 0.0 };
         outcome.astray |= astray > ASTRAY;
         outcome.lost = tip_error > SILENT.0;
     });
