@@ -362,11 +362,6 @@ impl Encoder {
         !(self.is_silent() || self.stuck || self.is_away())
     }
 
-    /// Whether the encoder is stuck.
-    pub(super) fn is_stuck(&self) -> bool {
-        self.stuck
-    }
-
     /// Whether the encoder has been silent for so long that the estimate may have left it: longer than where single samples are lost.
     pub(super) fn is_absent(&self) -> bool {
         self.is_silent() && self.time_since_sample > SETTLING_TIME

@@ -98,7 +98,7 @@ pub struct Estimator {
     belief: Belief,
     /// Whether the last macro step came too close to a vertex to know the branch.
     held: bool,
-    /// Whether no samples arrived before the last macro step.
+    /// Whether no samples were used before the last macro step.
     coasts: bool,
     hypotheses: Hypotheses,
     doubt: Doubt,
@@ -110,7 +110,7 @@ pub struct Estimator {
     forecast: Forecast,
     alarm: Alarm,
     causes: Causes,
-    /// Whether one encoder alone has lost the machine: the estimate is a forecast until it begins anew by both.
+    /// Whether one encoder alone has lost the machine, which may be anywhere until both have shown it.
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
@@ -152,13 +152,14 @@ impl Estimator {
     /// `None` where no sample has changed the estimate.
     /// Lengths that are learned change those of the closed loop.
     pub fn correct(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let corrected = self.corrected(constants, motion, measured, now)?;
+        let corrected = self.corrected(constants, motion, measured, now);
         match self.learned() {
             // Learning has begun anew.
             Some(learned) if constants.learn(&learned) => {
+                let corrected = corrected.unwrap_or(*motion);
                 Some(constants.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
             }
-            _ => Some(corrected),
+            _ => corrected,
         }
     }
 
@@ -170,17 +171,21 @@ impl Estimator {
         let systematic = self.systematic_errors(constants, &frame, rows.as_ref());
         let mut samples =
             [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
-        // Samples end a forecast even where their values cannot be used.
+        // Samples of encoders that are believed end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
         if samples.iter().all(Option::is_none) {
             return None;
         }
+        self.give_up_by_one(constants, &frame);
         if let Some(anew) = self.restart(constants, &motion, &samples) {
             return Some(anew);
         }
-        if self.held {
+        if self.adrift {
+            self.look_for_both(&samples);
+        }
+        if self.held || self.adrift {
             return None;
         }
         // While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected.
@@ -195,6 +200,7 @@ impl Estimator {
         if used == 0 {
             return favoured.map(|_| motion);
         }
+        self.forecast.end();
         let learned = self.learning.as_mut().map(|learning| {
             let values = learning.corrected(&mut self.belief.bank, constants);
             constants.learn(&values);
@@ -277,11 +283,10 @@ impl Estimator {
         let further = constants.parameters.eccentricity_variance();
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
+            let least = if self.encoders[1 - i].is_believed() { 0.0 } else { ERROR_ALONE * ERROR_ALONE };
+            let sample = &self.encoders[i].with_persistent_error(sample, sample.persistent.max(least));
             // Lengths and mounting angles that are learned are no noise.
-            let persistent = if learns_geometry { further } else { sample.persistent };
-            let alone = !self.encoders[1 - i].is_believed();
-            let persistent = if alone { persistent.max(ERROR_ALONE * ERROR_ALONE) } else { persistent };
-            let used = self.encoders[i].with_persistent_error(sample, persistent);
+            let used = if learns_geometry { self.encoders[i].with_persistent_error(sample, further.max(least)) } else { *sample };
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
@@ -291,10 +296,6 @@ impl Estimator {
             let (conditions, change) = self.gate_conditions((i, sample), frame, &models);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
-            // A forecast that has lost the machine judges no sample.
-            if self.adrift {
-                continue;
-            }
             if let Some(told) = self.encoders[i].admit(&expected, &used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
                     let considered = match () {
@@ -356,7 +357,7 @@ impl Estimator {
         let force = self.belief.tangent_force(frame).norm();
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
         self.unaided[i].receive(encoders, sample, (&self.belief.bank, force), models);
-        let repetition = if away || self.adrift { Fault::None } else { self.unaided[i].judge(encoders, sample) };
+        let repetition = if away { Fault::None } else { self.unaided[i].judge(&self.encoders[i], sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
@@ -384,9 +385,11 @@ impl Estimator {
             return None;
         }
         let off = [left, right].map(|sample| sample.innovation.residual.abs() > DIVERGED_INNOVATION);
-        let off = self.adrift || if self.held { off[0] || off[1] } else { off[0] && off[1] };
+        let off = if self.held { off[0] || off[1] } else { off[0] && off[1] };
         let intervals = self.encoders.each_ref().map(Encoder::interval);
-        if !self.hypotheses.is_lost(off, intervals[0].min(intervals[1]).min(LONGEST_SAMPLE_TIME)) {
+        let lost = self.hypotheses.is_lost(off, intervals[0].min(intervals[1]).min(LONGEST_SAMPLE_TIME));
+        let shown = self.adrift && self.encoders.iter().all(Encoder::is_settled);
+        if !lost && !shown {
             return None;
         }
         let axes = [(0, left), (1, right)].map(|(i, sample)| {
@@ -471,17 +474,36 @@ impl Estimator {
         constants.linkage.frame(&motion.theta)
     }
 
-    /// Gives up the machine where one encoder alone does not follow it: any motion is as likely as the mean, until both encoders show one.
+    /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
     fn give_up_by_one(&mut self, constants: &Constants, frame: &Frame) {
-        let alone = self.encoders.iter().filter(|encoder| encoder.is_believed()).count() == 1;
+        let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
+        let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
+        let [left, right] = &self.encoders;
+        let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
         if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
+            self.belief = Belief::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
             (self.adrift, self.unaided) = (true, Default::default());
+            self.forecast.end();
             self.causes.close(false);
             self.learn_anew(constants);
             self.end_doubt();
+            self.encoders.iter_mut().for_each(Encoder::settle_anew);
         }
-        if self.adrift {
-            self.belief.bank = Bank::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
+    }
+
+    /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
+    /// them, as their samples never come together or the loop does not close, their samples correct it from anywhere.
+    fn look_for_both(&mut self, samples: &[Option<Sample>; 2]) {
+        self.adrift = !self.encoders.iter().all(Encoder::is_settled);
+        for (i, encoder) in self.encoders.iter_mut().enumerate() {
+            if let Some(sample) = &samples[i] {
+                let residual = sample.innovation.residual;
+                let change = residual - std::mem::replace(&mut self.innovation[i], residual);
+                encoder.stays_away(sample, change, false);
+            }
+            if !encoder.is_believed() {
+                encoder.settle_anew();
+            }
         }
     }
 
@@ -534,9 +556,11 @@ impl Estimator {
             (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        // A branch behind a singularity that is not known teaches nothing, nor does a machine that is lost.
-        let known = !step.held && !self.adrift && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
+        // A branch behind a singularity that is not known teaches nothing.
+        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
         match (&mut self.learning, &learned) {
+            // Nothing is known.
+            _ if self.adrift => (),
             (Some(learning), Some(flow)) if known => {
                 learning.begin_geometry(&mut self.belief.bank, &frame);
                 learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
@@ -554,7 +578,6 @@ impl Estimator {
         let accelerations = frame.basis.tr_mul(&(to.omega - from.omega)) / h;
         self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), &accelerations, by);
         self.held = step.held;
-        self.give_up_by_one(constants, &ahead);
         let about = (&step, [from, to], &self.belief.force);
         if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {
             self.hypotheses.doubt_side(odds);
@@ -588,6 +611,7 @@ impl Estimator {
         let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
         match () {
             () if self.restarted && !self.is_coasting() => Status::Inconsistent,
+            () if self.adrift => Status::Coasting,
             () if self.held => Status::Holding,
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,

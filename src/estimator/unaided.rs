@@ -34,8 +34,8 @@ pub(super) struct Unaided {
 }
 
 impl Unaided {
-    /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes or the
-    /// other encoder fails. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
+    /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes, or the other
+    /// encoder fails whose reading has changed since. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
     pub(super) fn receive(
         &mut self,
         [own, other]: [&Encoder; 2],
@@ -61,7 +61,7 @@ impl Unaided {
     /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
     /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
     /// reading repeats as well, the machine may be blocked: a fault if the estimate has settled and no force of any model blocks it so.
-    pub(super) fn judge(&mut self, [own, other]: [&Encoder; 2], sample: &Sample) -> Fault {
+    pub(super) fn judge(&mut self, own: &Encoder, sample: &Sample) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
         let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
         innovation.residual -= self.offset;
@@ -71,8 +71,7 @@ impl Unaided {
         let turned = off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
         let (lasts, leaps) = (self.time > LONGEST_CHANCE, off.abs() > LARGEST_CHANCE * quantum);
         let unexplained = expected.nis_of_loudest_model(0.0) > GATE;
-        let may_be_blocked = !self.other_changed && !other.is_stuck();
-        self.doubted |= turned && if may_be_blocked { leaps && unexplained && self.settled } else { lasts || leaps };
+        self.doubted |= turned && if self.other_changed { lasts || leaps } else { leaps && unexplained && self.settled };
         match () {
             () if !self.doubted => Fault::None,
             () if lasts || unexplained => Fault::Stuck,

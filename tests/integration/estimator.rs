@@ -365,7 +365,7 @@ fn an_estimate_that_was_lost_keeps_its_turns() {
 }
 
 /// One encoder alone loses falls whose masses are 5 % off, sooner or later: the status is then that of a forecast, until both encoders have shown a motion for
-/// 0.1 s, and the tip is within three half-widths of its band. By both the estimate begins anew.
+/// 0.1 s, and the tip is within three half-widths of its band. By both the estimate begins anew; by samples that never come together (odd seeds) it goes on.
 #[test]
 fn one_encoder_that_loses_the_machine_is_not_believed() {
     let mut lost = 0;
@@ -385,6 +385,9 @@ fn one_encoder_that_loses_the_machine_is_not_believed() {
             let mut measured = machine.sample(time);
             if time >= 0.5 && adrift.is_none() {
                 measured.time[0] = last.time[0];
+            } else if seed % 2 == 1 && adrift.is_some() {
+                let late = usize::from(step % 2 == 0);
+                (measured.theta[late], measured.time[late]) = (last.theta[late], last.time[late]);
             }
             last = measured;
             following.correct(&measured, time);
@@ -398,7 +401,7 @@ fn one_encoder_that_loses_the_machine_is_not_believed() {
                 assert!(time < since + 0.15, "{seed}: adrift since {since} s, at {time} s");
                 assert!((at - by).norm() < 3.0 * half_width, "{seed}, at {time} s: {at} {by}, within {half_width} m");
             }
-            if adrift.is_some_and(|since| time > since + 0.7) {
+            if adrift.is_some_and(|since| time > since + 0.7) && seed % 2 == 0 {
                 let wide = 0.01_f64.max(3.0 * half_width);
                 assert!((at - by).norm() < wide, "{seed}, at {time} s: {at} {by}, {:?}", following.status());
                 break;
