@@ -1,6 +1,7 @@
 //! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
 
 use fivebar::effects::{Inputs, NAMES};
+use fivebar::estimator::error_state::LENGTHS;
 use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
 use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
 use fivebar::mechanism::Assembly;
@@ -412,6 +413,45 @@ fn one_encoder_that_loses_the_machine_is_not_believed() {
         lost += u32::from(adrift.is_some());
     }
     assert!(lost > 3, "{lost} of 8 falls are lost");
+}
+
+/// Lengths that are learned are those of the machine that is simulated, also from the sample on by which the machine is given up and learned anew.
+#[test]
+fn a_machine_that_is_given_up_is_the_one_that_is_told() {
+    let mut parameters = followed_by(Method::Dop853, false);
+    parameters.start.omega = [3.0, -3.0];
+    parameters.estimator.learn_enabled = true;
+    (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [1e-4; 2]);
+    let mut truth = parameters.clone();
+    for (link, factor) in truth.geometry.links.iter_mut().zip([1.5, 0.6, 0.6, 1.5]) {
+        (link.mass, link.inertia) = (link.mass * factor, link.inertia * factor);
+    }
+    let mut lost = 0;
+    for seed in 0..8 {
+        let mut machine = Machine::new(&truth, seed, [0.02, 0.5]);
+        let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let mut last = Measured::default();
+        for step in 0..2000 {
+            let time = f64::from(step) * 1e-3;
+            let mut measured = machine.sample(time);
+            if time >= 0.3 {
+                measured.time[0] = last.time[0];
+            }
+            last = measured;
+            following.correct(&measured, time);
+            let [learned, _] = following.learned();
+            let length = following.simulation().model().mechanism.geometry.links[0].length;
+            let told = learned[LENGTHS.start];
+            assert!((length - told).abs() < 1e-12, "{seed}, {time} s: {length}, told {told}");
+            if following.status() == Status::Coasting {
+                lost += 1;
+                break;
+            }
+            following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
+            machine.truth.advance(&default_inputs(), 1e-3, 1).expect("a step");
+        }
+    }
+    assert!(lost > 0, "{lost} of 8 falls are lost");
 }
 
 /// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is called stuck within 0.2 s of its axis being at its fastest, however
