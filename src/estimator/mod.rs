@@ -348,10 +348,15 @@ impl Estimator {
         }
     }
 
+    /// Change of the innovation of encoder i since its last sample, rad.
+    fn innovation_change(&mut self, i: usize, sample: &Sample) -> f64 {
+        let residual = sample.innovation.residual;
+        residual - std::mem::replace(&mut self.innovation[i], residual)
+    }
+
     /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder, and the change of its innovation, rad.
     fn gate_conditions(&mut self, (i, sample): (usize, &Sample), frame: &Frame, models: &[f64; MODELS]) -> (GateConditions, f64) {
-        let residual = sample.innovation.residual;
-        let change = residual - std::mem::replace(&mut self.innovation[i], residual);
+        let change = self.innovation_change(i, sample);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let force = self.belief.tangent_force(frame).norm();
@@ -495,14 +500,13 @@ impl Estimator {
     /// them, as their samples never come together or the loop does not close, their samples correct it from anywhere.
     fn look_for_both(&mut self, samples: &[Option<Sample>; 2]) {
         self.adrift = !self.encoders.iter().all(Encoder::is_settled);
-        for (i, encoder) in self.encoders.iter_mut().enumerate() {
-            if let Some(sample) = &samples[i] {
-                let residual = sample.innovation.residual;
-                let change = residual - std::mem::replace(&mut self.innovation[i], residual);
-                encoder.stays_away(sample, change, false);
+        for (i, sample) in samples.iter().enumerate() {
+            if let Some(sample) = sample {
+                let change = self.innovation_change(i, sample);
+                self.encoders[i].stays_away(sample, change, false);
             }
-            if !encoder.is_believed() {
-                encoder.settle_anew();
+            if !self.encoders[i].is_believed() {
+                self.encoders[i].settle_anew();
             }
         }
     }
