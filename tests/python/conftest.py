@@ -2,9 +2,10 @@
 
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import fmpy
 import pytest
@@ -13,6 +14,9 @@ from fmpy.model_description import ModelDescription
 from instance import Instance
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+
+PATIENCE = 300.0
+"""Seconds after which something counts as hanging. No test judges speed by it: a busy machine may be many times slower than an idle one."""
 
 # Files of tests that take longest. Two processes take a file each, in the order of collection: one that begins late keeps the other
 # process waiting.
@@ -23,6 +27,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The files that take longest come first."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
+
+def wait_until(holds: Callable[[], Any], seconds: float = PATIENCE) -> None:
+    """Waits until something holds; fewer seconds than `PATIENCE` are for what is tried again."""
+    begin = time.monotonic()
+    while not holds():
+        assert time.monotonic() - begin < seconds, f"not within {seconds:g} s"
+        time.sleep(0.02)
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 from browser import open_browser
-from conftest import REPOSITORY
+from conftest import PATIENCE, REPOSITORY
 from instance import Instance
 from made_wheel import build
 
@@ -39,9 +39,9 @@ def browser(tmp_path: Path) -> Iterator[Any]:
         yield driver
 
 
-def wait(browser: Any, condition: Callable[[], bool], seconds: float = 20) -> None:
+def wait(browser: Any, condition: Callable[[], bool]) -> None:
     """Waits for a condition; a machine that does other things as well takes its time."""
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, browser.execute_script("return JSON.stringify({...document.body.dataset})")
         time.sleep(0.05)
@@ -372,7 +372,7 @@ def test_two_machines_part(browser: Any) -> None:
 
 def test_accuracy_fills_itself(browser: Any) -> None:
     pause(browser)
-    wait(browser, lambda: text(browser, "measured").startswith("Largest error"), 60)
+    wait(browser, lambda: text(browser, "measured").startswith("Largest error"))
 
 
 def test_licences_are_there(browser: Any) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 
-from conftest import REPOSITORY
+from conftest import PATIENCE, REPOSITORY
 
 
 def test_five_lines(fmu: Path) -> None:
@@ -60,7 +60,7 @@ def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str], tmp_path: Path) -> 
 
 def rows_of_curves(picture: Path) -> list[tuple[int, int]]:
     """Height and width, in pixels, of each row in which FMPy's blue stands; waits until the picture is written."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + PATIENCE
     while True:
         try:
             red, _, blue = np.moveaxis(matplotlib.image.imread(picture)[:, :, :3], 2, 0)

@@ -19,6 +19,8 @@ from fivebar.variables import of_unit
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from conftest import PATIENCE
+
 
 def packet(kind: str, seq: int, qos: int = 0) -> bytes:
     """MQTT's packet with a message."""
@@ -94,14 +96,14 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
                 await page.send("drawn 1")
                 assert seqs(await page.recv()) == list(range(600 - KEPT, 600))
 
-    asyncio.run(asyncio.wait_for(through(), 20))
+    asyncio.run(asyncio.wait_for(through(), PATIENCE))
 
 
 async def asked(port: int, *lines: str) -> bytes:
     """Answer of the server to a request of those lines."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write("\r\n".join([*lines, "", ""]).encode())
-    content = await asyncio.wait_for(reader.read(), 5)
+    content = await asyncio.wait_for(reader.read(), PATIENCE)
     writer.close()
     return content
 

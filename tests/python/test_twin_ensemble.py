@@ -21,6 +21,8 @@ from fivebar.twin.messages import Message, decode, encode
 from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library, Unit
 
+from conftest import PATIENCE
+
 FALL = {"init.theta[2]": 2.0943951023931953}
 PLAN = Plan(values=FALL, seconds=0.5, points=10, seed=3, spreads={"theta[1]": 2e-3, "link[1,4].mass": 0.01})
 
@@ -102,11 +104,11 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
     worker = subprocess.Popen([*dask, "worker", address, "--no-dashboard", "--nthreads", "1"], cwd=tmp_path)
     try:
         command = [sys.executable, "-m", "fivebar", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
-        run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=120)
+        run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=PATIENCE)
     finally:
         for process in (worker, scheduler):
             process.terminate()
-            process.wait(20)
+            process.wait(PATIENCE)
     assert run.returncode == 0 and "the same bytes" in run.stdout, run.stdout + run.stderr
 
 

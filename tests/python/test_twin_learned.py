@@ -23,6 +23,8 @@ from fivebar.twin.messages import TRACKED
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.unit import Library, Unit
 from fivebar.variables import of_unit
+
+from conftest import PATIENCE
 from twin_support import follower, recorded
 
 QUANTILE = 5.991
@@ -247,7 +249,7 @@ def test_the_command_learns_and_hands_over(tmp_path: Path, fmu: Path) -> None:
 
     def text(*more: str) -> str:
         command = [sys.executable, "-m", "fivebar", "twin", "--seconds", "3", "--fmu", str(fmu), "--out", str(tmp_path), *more]
-        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
         assert run.returncode == 0, run.stdout + run.stderr
         return run.stdout
 
