@@ -4,7 +4,6 @@ import os
 import platform
 import shutil
 import sys
-import time
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -85,10 +84,8 @@ def started(unit: Unit, directory: Path, location: bytes | None, kind: int = fmi
     return values
 
 
-def test_it_takes_a_second_and_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
-    start = time.perf_counter()
+def test_the_same_scene_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
     first = write_unit(tmp_path / "a", scene(MINE), plain=fmu)
-    assert time.perf_counter() - start < 5, "a second, on a machine that does nothing else"
     second = write_unit(tmp_path / "b", scene(MINE), plain=fmu)
     assert first.file.name == "MyMachine.fmu" and first.notes == []
     assert first.file.read_bytes() == second.file.read_bytes()
