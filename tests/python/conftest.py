@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -34,6 +35,17 @@ def wait_until(holds: Callable[[], Any], seconds: float = PATIENCE) -> None:
     while not holds():
         assert time.monotonic() - begin < seconds, f"not within {seconds:g} s"
         time.sleep(0.02)
+
+
+def started(run: "subprocess.Popen[str]") -> str:
+    """The line with which `fivebar twin` tells its addresses once all has started; on a busy machine a trouble may be told before."""
+    assert run.stdout is not None
+    lines: list[str] = []
+    for line in run.stdout:
+        lines.append(line)
+        if line.startswith("broker at "):
+            return line
+    raise AssertionError("".join(lines))
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,8 @@ from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 
-from conftest import REPOSITORY
+from conftest import PATIENCE, REPOSITORY
+from conftest import started as addresses
 
 COMMAND = [sys.executable, "-m", "fivebar"]
 
@@ -39,20 +40,20 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
     """Two starts find ports of their own; each leaves summary, pictures, page and a record that is replayed to the bit."""
     runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "3", "--unit", name) for name in ("one", "two")}
     for name, run in runs.items():
-        text = run.communicate(timeout=240)[0]
+        text = run.communicate(timeout=PATIENCE)[0]
         assert run.returncode == 0, text
         out = tmp_path / name
         summary = json.loads((out / "summary.json").read_text())
         samples, forecasts = summary["samples"], summary["forecasts"]
-        # How many samples three seconds have, how soon estimates come, and how many of the forecasts that are due are made, is the
-        # machine's load: figures of the summary, not of this test. What is computed is the same however long it takes.
+        # How many samples three seconds have, how soon estimates come, whether they fall behind, and how many of the forecasts that are due
+        # are made, is the machine's load: figures of the summary, not of this test. What is computed is the same however long it takes.
         assert samples["published"] > 0 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
         # Lengths that are 0.1 % off and encoders that are 1 mrad off leave 0.5 mm.
         assert summary["tip_error_mm"]["rms"] < 0.8
         assert forecasts["due"] == samples["estimated"] // 10 and 0 <= forecasts["count"] <= forecasts["due"] + 1
         assert summary["refused"] == 0 and not any(summary["restarts"].values()), text
-        assert not [sentence for sentence in summary["troubles"]["last"] if "disk" not in sentence], text
+        assert not [sentence for sentence in summary["troubles"]["last"] if "disk" not in sentence and " s behind" not in sentence], text
         page = (out / "index.html").read_text()
         assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page) and page.count("<svg") == 4
         for picture in ("tip", "error", "forecast", "latency"):
@@ -61,7 +62,7 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         assert replay.returncode == 0 and f"{samples['estimated']} estimates" in replay.stdout, replay.stdout + replay.stderr
         for log in Path(summary["record"]).parent.glob("log/*.log"):
             lines = log.read_text().splitlines()
-            assert all("INFO connected" in line or "no connection" in line for line in lines), (log.name, lines)
+            assert all("INFO connected" in line or "no connection" in line or " s behind" in line for line in lines), (log.name, lines)
 
 
 def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp_path: Path) -> None:
@@ -71,7 +72,7 @@ def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp
     command = [sys.executable, "-m", "fivebar.twin", "broker", "--config", str(tmp_path / "twin.json")]
     broker = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     sender = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE
     while True:
         try:
             sender.connect("127.0.0.1", port)
@@ -99,7 +100,7 @@ def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp
     sender.disconnect()
     sender.loop_stop()
     broker.terminate()
-    assert broker.communicate(timeout=30)[1] == "" and broker.returncode == 0
+    assert broker.communicate(timeout=PATIENCE)[1] == "" and broker.returncode == 0
 
 
 @pytest.mark.parametrize(("exact", "widest", "error"), [(False, 2.1, 1), (True, 0.6, 0.1)])
@@ -152,7 +153,7 @@ def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu
 )
 def test_what_cannot_be_is_refused_before_anything_starts(tmp_path: Path, fmu: Path, scenes: Path, more: list[str], sentence: str) -> None:
     run = started(tmp_path / "out", fmu, scenes, *more)
-    text = run.communicate(timeout=60)[0]
+    text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 2 and sentence in text and "Traceback" not in text, text
     assert not (tmp_path / "out").exists()
 
@@ -171,12 +172,13 @@ def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
 def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """examples/publish_machine.py in the place of the stand-in; the starter is ended as by Ctrl-C."""
     run = started(tmp_path, fmu, scenes, "--machine", "none", "--seconds", "inf")
-    assert run.stdout is not None
-    found = re.match(r"broker at ([\d.]+):(\d+)", run.stdout.readline())
-    assert found, run.communicate(timeout=30)[0]
-    subprocess.run([sys.executable, str(REPOSITORY / "examples" / "publish_machine.py"), *found.groups()], check=True, timeout=30)
-    run.send_signal(signal.SIGINT)
-    text = run.communicate(timeout=60)[0]
+    try:
+        found = re.match(r"broker at ([\d.]+):(\d+)", addresses(run))
+        assert found
+        subprocess.run([sys.executable, str(REPOSITORY / "examples" / "publish_machine.py"), *found.groups()], check=True, timeout=PATIENCE)
+    finally:
+        run.send_signal(signal.SIGINT)
+        text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 0, text
     samples = json.loads((tmp_path / "summary.json").read_text())["samples"]
     assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0, "followed": 400}, text
