@@ -30,6 +30,9 @@ from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import Child, Run
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import NO_SAMPLE, Watch
+
+from conftest import PATIENCE
+from test_twin_messages import of_kind
 from twin_support import recorded
 
 COMMAND = [sys.executable, "-m", "fivebar"]
@@ -75,7 +78,7 @@ class Ear:
 
 def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str]":
     """The console command, which must not end in a traceback."""
-    run = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120, **more)
+    run = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=PATIENCE, **more)
     assert "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr
     return run
 
@@ -142,6 +145,28 @@ def test_silence_counts_where_no_estimate_has_ever_come(tmp_path: Path) -> None:
             watch.tick(BEGIN + int(after) + later * 10**9)
         (alarm,) = ear.alarms()
         assert (alarm["state"], alarm["cause"], alarm["figures"]["samples"]) == ("anomaly", "silence", 400.0 if send_samples else 0.0)
+
+
+@pytest.mark.parametrize("off", [0, 3600, -3600])
+def test_estimates_that_fall_behind_are_told(off: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each comes a millisecond later than the one before, from a machine whose clock is right or an hour off: nothing said so."""
+    watch = Watch(Config(str(tmp_path), "", ""))
+    ear = Ear(watch)
+
+    def estimated(seq: int, sampled: int, late: float) -> None:
+        estimate = of_kind("est", time=sampled + 1_000_000, seq=seq, after=seq - 1, inputs=[["meas", seq, sampled]])
+        watch.received("fivebar/bench/est", json.dumps(estimate).encode(), BEGIN + PERIOD_NS * seq + round(1e9 * late))
+
+    for seq in range(4000):
+        estimated(seq, BEGIN + 1_000_000_000 * off + PERIOD_NS * seq, 1e-3 * seq)
+    troubles = [alarm for alarm in ear.alarms() if alarm["state"] == "trouble"]
+    # From 1 s on, every 5 s of 24.
+    assert [float(alarm["sentence"].split()[2]) for alarm in troubles] == [1.0, 1.8, 2.7, 3.5]
+    assert {(alarm["cause"], alarm["from"]) for alarm in troubles} == {("behind", "watch")} and "estimates are 1.0 s behind" in capsys.readouterr().out
+    # In time again, and by a clock that was set back.
+    for seq in range(4000, 8000):
+        estimated(seq, BEGIN + 1_000_000_000 * (off - 40) + PERIOD_NS * seq, 0.0)
+    assert len([alarm for alarm in ear.alarms() if alarm["state"] == "trouble"]) == len(troubles)
 
 
 # --- 2: a full disk -------------------------------------------------------------------------------------------------------------------
@@ -407,7 +432,7 @@ def test_troubles_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.Captu
     run = Run(Config(str(tmp_path), "", ""), ())
     child = Child("record", [sys.executable, "-c", "print('nothing is recorded')"], tmp_path / "record.log", run.say)
     child.start()
-    assert child.process is not None and child.process.wait(20) == 0
+    assert child.process is not None and child.process.wait(PATIENCE) == 0
     while not run.troubles:
         time.sleep(0.01)
     assert list(run.troubles) == ["record: nothing is recorded"] and capsys.readouterr().out == "record: nothing is recorded\n"

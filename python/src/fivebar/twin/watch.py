@@ -14,7 +14,7 @@ from fivebar.twin import process
 from fivebar.twin.config import Config
 from fivebar.twin.intake import Newest, Orders
 from fivebar.twin.messages import Message
-from fivebar.twin.process import Worker
+from fivebar.twin.process import AGAIN, Worker
 
 CAUSES: Final = ("nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing")
 """Names of the values of `estimated.cause`."""
@@ -27,6 +27,9 @@ NO_SAMPLE: Final = 30_000_000_000
 
 JUMPED: Final = 10_000_000_000
 """Nanoseconds by which a time is earlier that is of another clock."""
+
+BEHIND: Final = 1.0
+"""Seconds by which an estimate may come later after its sample than the soonest one did: beyond that something does not keep up."""
 
 log = logging.getLogger("fivebar")
 
@@ -214,6 +217,10 @@ class Watch(Worker):
         self.samples = 0
         self.waiting: tuple[int, int] | None = None
         """Since when an estimate is waited for: on the samples' clock and on this process' own, ns."""
+        self.soonest, self.sample = math.inf, -1
+        """Seconds from a sample to its estimate, the fewest so far, by two clocks that may differ; time of the newest sample, ns."""
+        self.told_behind = -math.inf
+        """When it was said last that estimates are behind, ns."""
         self.last_alarm = -1
         self.alarms = 0
         self.estimates = 0
@@ -237,7 +244,19 @@ class Watch(Worker):
         sample = next((entry[2] for entry in reversed(message.extra.get("inputs", [])) if entry[0] == "meas"), None)
         if isinstance(sample, int):
             self.latency.add(1e-9 * (now - sample))
+            self._look_behind(sample, now, message.seq)
         self._tell(self.anomalies.see(message.fields, 1e-9 * message.time), now)
+
+    def _look_behind(self, sample: int, now: int, seq: int) -> None:
+        """Tells of estimates that come later and later: messages wait for whoever does not keep up, be it machine, broker or twin."""
+        took = 1e-9 * (now - sample)
+        # A machine whose clock was set back has another soonest one.
+        self.soonest = took if sample < self.sample else min(took, self.soonest)
+        self.sample = sample
+        behind = took - self.soonest
+        if behind > BEHIND and abs(now - self.told_behind) >= 1e9 * AGAIN:
+            self.told_behind = now
+            self.trouble("behind", f"estimates are {behind:.1f} s behind: the samples are not kept up with, or a clock was set", now, seq, every=0.0)
 
     def tick(self, now: int) -> None:
         if self.newest is not None:

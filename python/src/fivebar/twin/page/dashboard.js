@@ -7,7 +7,7 @@ const SHOWN = 20;        // s that the charts show
 const TRAIL = 1.5;       // s of the tip's path that stay visible
 const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
 const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
-const STALE = 1000;      // ms without an estimate after which nothing of the page is live
+const STALE = 1000;      // ms without an estimate, or behind the soonest one, after which nothing of the page is live
 const ANSWERED = 3000;   // ms in which an order is answered, or is not heard
 const EVERY = 4;         // estimates for one point of the charts
 const CHARTS = 100;      // ms between two drawings of the charts
@@ -18,7 +18,7 @@ const PANEL = 500;       // ms between two drawings of what is learned
 const KEPT = 400;        // points of the course of what is learned; older ones are thinned out
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
-const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
+const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], soonest: Infinity, behind: 0, link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
 let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
@@ -67,11 +67,15 @@ function takeEstimate(message) {
   const fields = message.fields, seconds = message.time / 1e9, before = state.est?.seq ?? message.after;
   // A slow page does not get all: what was left out was made nevertheless.
   state.made += 1 + Math.max(message.after - before, 0);
+  // By how much later than the soonest one it comes, for clocks of machine and page may differ. A clock that was set back has another soonest one.
+  const delay = Date.now() - message.time / 1e6;
+  state.soonest = message.time < state.est?.time ? delay : Math.min(delay, state.soonest);
+  state.behind = delay - state.soonest;
   state.est = message;
   state.arrived = performance.now();
   state.first ||= seconds;
   state.count += 1;
-  state.delays.push(Date.now() - message.time / 1e6);
+  state.delays.push(delay);
   if (state.delays.length > 50) state.delays.shift();
   if (state.count % EVERY === 0) remember(message);
   state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
@@ -394,12 +398,15 @@ function show(key, text, kind = "") {
 const median = (values) => (values.length ? [...values].sort((a, b) => a - b)[values.length >> 1] : NaN);
 
 /** ms since the newest estimate came. */
-const age = () => performance.now() - state.arrived;
+const silence = () => performance.now() - state.arrived;
+
+/** ms since the newest estimate would have come if it were not behind. */
+const age = () => silence() + state.behind;
 
 /** Whether anything here is live: the age of the newest estimate rules all of it. */
 function tellLife() {
-  const [text, kind] = state.link, seconds = (age() / 1000).toFixed(1), connected = kind === "good", live = connected && age() < STALE;
-  const none = state.est ? `no estimate for ${seconds} s` : "no estimate yet";
+  const [text, kind] = state.link, seconds = (age() / 1000).toFixed(1), connected = kind === "good", live = connected && age() < STALE, late = silence() < STALE;
+  const none = state.est ? (late ? `${seconds} s behind` : `no estimate for ${(silence() / 1000).toFixed(1)} s`) : "no estimate yet";
   byId("connection").textContent = connected ? (live ? text : none) : text;
   byId("connection").className = `pill ${live ? "good" : connected && !state.est ? "warn" : kind === "good" ? "bad" : kind}`;
   document.body.classList.toggle("past", state.est !== null && !live);
@@ -407,22 +414,25 @@ function tellLife() {
   show("age", state.est ? (age() < STALE ? "below 1 s" : `${seconds} s`) : "–", live || !state.est ? "" : "bad");
   if (state.order && performance.now() - state.order.sent > ANSWERED) answer("no answer: does the twin run, and may you give orders?", "bad");
   if (!live && state.est) {
-    byId("status").textContent = connected ? `The twin has said nothing for ${seconds} s` : "Nothing arrives: what you see is the past";
+    const why = late ? `What you see is ${seconds} s old` : `The twin has said nothing for ${(silence() / 1000).toFixed(1)} s`;
+    byId("status").textContent = connected ? why : "Nothing arrives: what you see is the past";
     byId("status").className = "bad";
   }
   return live;
 }
 
 function tell() {
-  const { est, forecast, about } = state;
-  if (!tellLife()) return;
+  const { est, forecast, about } = state, live = tellLife();
+  if (silence() >= STALE) return;
   if (!est || !state.history.length) return;
   const f = est.fields, last = state.history[state.history.length - 1], seconds = est.time / 1e9;
   byId("clock").textContent = (seconds - state.first).toFixed(1);
   const name = about.statuses[f["estimated.status"]] ?? `status ${f["estimated.status"]}`;
   const alarm = f["estimated.alarm"] === 1;
-  byId("status").textContent = alarm ? `${name} · something acts that the twin does not know` : name;
-  byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 ? "good" : "warn";
+  if (live) {
+    byId("status").textContent = alarm ? `${name} · something acts that the twin does not know` : name;
+    byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 ? "good" : "warn";
+  }
   show("rate", `${state.rate.toFixed(0)} /s`);
   show("delay", `${median(state.delays).toFixed(0)} ms`);
   show("tip", `${(1e3 * f["tip.x"]).toFixed(1)}, ${(1e3 * f["tip.y"]).toFixed(1)} mm`);
