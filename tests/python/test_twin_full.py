@@ -1,5 +1,6 @@
 """The twin's pipeline with what needs Debian packages: mosquitto with users, roles and TLS, processes that are killed, Chromium."""
 
+import itertools
 import json
 import os
 import shutil
@@ -10,8 +11,8 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,14 +20,15 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
-from fivebar.twin import figures
+from fivebar.twin import figures, priority
+from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.starter import ENDING, free_port
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from browser import open_browser
-from conftest import REPOSITORY
+from conftest import PATIENCE, REPOSITORY, started, wait_until
 from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full
@@ -42,9 +44,7 @@ class Run:
         self.out = out
         given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
         self.process = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
-        assert self.process.stdout is not None
-        self.line = self.process.stdout.readline()
-        assert self.line.startswith("broker at "), self.line + self.process.communicate(timeout=30)[0]
+        started(self.process)
         (self.folder,) = (out / "runs").iterdir()
         self.config = json.loads((self.folder / "twin.json").read_text())
 
@@ -58,9 +58,13 @@ class Run:
         ready = [path for path in files if json.loads(path.read_text()).get("ready")]
         return [int(path.stem.rpartition("-")[2]) for path in sorted(ready, key=lambda path: path.stat().st_ctime)]
 
+    def stop(self) -> None:
+        """Asks it to end, as by Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+
     def finish(self) -> dict[str, Any]:
         """Its summary."""
-        text = self.process.communicate(timeout=90)[0]
+        text = self.process.communicate(timeout=PATIENCE)[0]
         assert self.process.returncode == 0, text
         return json.loads((self.out / "summary.json").read_text())
 
@@ -69,6 +73,18 @@ class Run:
         replay = subprocess.run([*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)], capture_output=True, text=True, check=False)
         assert replay.returncode == 0, replay.stdout + replay.stderr
         return replay.stdout
+
+
+@contextmanager
+def running(out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None) -> Iterator[Run]:
+    """A run that ends with the test, also if the test fails: processes of a run come before all others, tests and browsers included."""
+    run = Run(out, fmu, scenes, *more, environment=environment)
+    try:
+        yield run
+    finally:
+        if run.process.poll() is None:
+            run.stop()
+            run.process.communicate(timeout=PATIENCE)
 
 
 class Ear:
@@ -81,6 +97,7 @@ class Ear:
         self.client.reconnect_delay_set(0.1, 0.1)
         self.failures: list[str] = []
         self.client.on_connect = self._connected
+        self.client.on_disconnect = lambda _c, _d, _f, reason, _p: self.failures.append(str(reason))
         self.client.on_message = lambda _c, _d, m: self.heard.append((time.monotonic(), m.topic.rpartition("/")[2], json.loads(m.payload)))
         self.kinds = kinds
         if login is not None:
@@ -89,9 +106,7 @@ class Ear:
             self.client.tls_set_context(ssl.create_default_context(cafile=authority))
         self.client.connect_async(host, port)
         self.client.loop_start()
-        begin = time.monotonic()
-        while not self.client.is_connected() and not self.failures and time.monotonic() - begin < 10:
-            time.sleep(0.02)
+        wait_until(lambda: self.client.is_connected() or self.failures)
 
     def _connected(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
@@ -100,7 +115,7 @@ class Ear:
             client.subscribe([(topic(self.unit, kind), 1) for kind in self.kinds])
 
     def say(self, message: Message) -> None:
-        self.client.publish(topic(self.unit, message.kind), encode(message), qos=1).wait_for_publish(5)
+        self.client.publish(topic(self.unit, message.kind), encode(message), qos=1).wait_for_publish(PATIENCE)
 
     def last(self, kind: str) -> float:
         """When the last of a kind came; 0 if none has."""
@@ -111,38 +126,44 @@ class Ear:
         self.client.disconnect()
 
 
-def wait_until(what: Any, seconds: float) -> float:
-    """Seconds until it holds, which must be less than so many."""
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < seconds, f"not within {seconds:g} s"
-        time.sleep(0.02)
-    return time.monotonic() - begin
-
-
 # --- killing --------------------------------------------------------------------------------------------------------------------------
 
 
-def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600")
-    ear = Ear(run.config["broker"]["port"], "est", "forecast")
-    wait_until(lambda: ear.last("forecast"), 10)
+def bare_start() -> float:
+    """Seconds that this machine takes now to start Python with packages that processes of a run load, in the same hurry."""
+    begin = time.monotonic()
+    process = subprocess.Popen([sys.executable, "-c", "import fmpy, numpy, pyarrow.parquet, paho.mqtt.client"])
+    priority.hurry(process.pid)
+    assert process.wait(PATIENCE) == 0
+    return time.monotonic() - begin
+
+
+def test_whatever_is_killed_is_back_soon(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """How soon depends on the machine: it is judged by starts of Python beside it, and printed."""
     took: dict[str, float] = {}
-    for name in ENDING:
-        # At least one stored state further than the last kill.
-        time.sleep(1.2)
-        (pid,) = run.pids(name)
-        subprocess.run(["kill", "-9", str(pid)], check=True)
-        killed = time.monotonic()
-        work = "forecast" if name == "forecast" else "est"
-        wait_until(lambda name=name, work=work: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05, 30)
-        took[name] = time.monotonic() - killed
-    time.sleep(1.5)
-    run.process.send_signal(signal.SIGINT)
-    summary = run.finish()
+    starts: dict[str, float] = {}
+    with running(tmp_path / "out", fmu, scenes, "--seconds", "inf") as run:
+        ear = Ear(run.config["broker"]["port"], "est", "forecast")
+        wait_until(lambda: ear.last("forecast"))
+        for name in ENDING:
+            # At least one stored state further than the last kill.
+            time.sleep(1.2)
+            (pid,) = run.pids(name)
+            subprocess.run(["kill", "-9", str(pid)], check=True)
+            killed = time.monotonic()
+            work = "forecast" if name == "forecast" else "est"
+            wait_until(lambda name=name, work=work, killed=killed: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05)
+            took[name] = time.monotonic() - killed
+            starts[name] = bare_start()
+        time.sleep(1.5)
+        run.stop()
+        summary = run.finish()
     ear.close()
-    print({name: round(seconds, 2) for name, seconds in took.items()})
-    assert max(took.values()) < 3, took
+    for name in ENDING:
+        print(f"{name}: back after {took[name]:.2f} s, a bare start of Python takes {starts[name]:.2f} s")
+    # Pauses between attempts to connect grow to 1 s, on any machine, and a broker has clients that lose two attempts. A start loads the
+    # unit and a stored state as well, so that it takes up to three bare ones.
+    assert max(took.values()) < 2 + 3 * max(starts.values()), took
     assert summary["restarts"] == dict.fromkeys(summary["restarts"], 1)
     run.replayed(fmu)
     # After each kill the twin's estimates agree with the machine, within their bands.
@@ -175,20 +196,28 @@ def test_a_broker_that_is_gone_for_five_seconds(tmp_path: Path, fmu: Path, scene
     file.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nuser root\n")
     broker = mosquitto(tmp_path, file)
     try:
-        run = Run(tmp_path / "out", fmu, scenes, "--seconds", "12", "--broker", f"127.0.0.1:{port}")
-        time.sleep(2.5)
-        broker.terminate()
-        broker.wait()
-        time.sleep(5)
-        broker = mosquitto(tmp_path, file)
-        summary = run.finish()
+        with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--broker", f"127.0.0.1:{port}") as run:
+            ear = Ear(port, "est")
+            wait_until(lambda: len(ear.heard) > 400)
+            broker.terminate()
+            broker.wait()
+            gone = time.monotonic()
+            time.sleep(5)
+            broker = mosquitto(tmp_path, file)
+            wait_until(lambda: ear.last("est") > gone + 5)
+            back, before = time.monotonic() - gone, len(ear.heard)
+            wait_until(lambda: len(ear.heard) > before + 600)
+            run.stop()
+            summary = run.finish()
+            ear.close()
     finally:
         broker.kill()
+    print(f"the broker was gone for 5 s, estimates for {back:.1f} s")
     assert not any(summary["restarts"].values()), "nothing crashed"
     (lost,) = (gap for gap in summary["gaps"] if gap["of"] == "meas")
     missing = lost["last"] - lost["first"] + 1
-    # Five seconds, and those until all are connected again, each a little sooner or later than the recorder.
-    assert 1000 <= missing < 1500 and abs(summary["samples"]["lost"] - missing) < 200
+    # Five seconds, and those until all are connected again, each up to a second, the longest pause between two attempts, sooner or later.
+    assert 1000 <= missing < 200 * (back + 1) and abs(summary["samples"]["lost"] - missing) < 200
     assert summary["samples"]["estimated"] > 900
     assert summary["tip_error_mm"]["max"] < 1
     run.replayed(fmu)
@@ -234,16 +263,18 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
     authority = folder / "ca.crt"
     environment = os.environ | {"FIVEBAR_PASSWORD": "pipeline-secret"}
     broker = ["--broker", f"127.0.0.1:{port}", "--user", "pipeline", "--ca-file", str(authority)]
-    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "7", *broker, environment=environment)
-    ears = {user: Ear(port, "est", "cmd", login=(user, f"{user}-secret", authority)) for user in ("pipeline", "machine", "operator", "viewer")}
-    wait_until(lambda: ears["viewer"].last("est"), 5)
-    now = time.time_ns()
-    for i, user in enumerate(("viewer", "machine", "pipeline", "operator")):
-        ears[user].say(Message("cmd", "bench", now + i, i, {}, {"command": "restart"}))
-    wait_until(lambda: ears["viewer"].last("cmd"), 5)
-    ears["viewer"].say(Message("est", "bench", now, 1, {"theta[1]": 0.0}, {"inputs": []}))
-    assert not Ear(port, login=("viewer", "wrong", authority)).client.is_connected()
-    summary = run.finish()
+    with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", *broker, environment=environment) as run:
+        ears = {user: Ear(port, "est", "cmd", login=(user, f"{user}-secret", authority)) for user in ("pipeline", "machine", "operator", "viewer")}
+        wait_until(lambda: ears["viewer"].last("est"))
+        now = time.time_ns()
+        for i, user in enumerate(("viewer", "machine", "pipeline", "operator")):
+            ears[user].say(Message("cmd", "bench", now + i, i, {}, {"command": "restart"}))
+        wait_until(lambda: ears["viewer"].last("cmd"))
+        ears["viewer"].say(Message("est", "bench", now, 1, {"theta[1]": 0.0}, {"inputs": []}))
+        assert not Ear(port, login=("viewer", "wrong", authority)).client.is_connected()
+        wait_until(lambda: len(ears["viewer"].heard) > 1000)
+        run.stop()
+        summary = run.finish()
     assert [m["seq"] for _, kind, m in ears["viewer"].heard if kind == "cmd"] == [3], "the operator's"
     assert not [m for _, kind, m in ears["viewer"].heard if kind == "est" and m["seq"] == 1 and m["time"] == now]
     assert not ears["machine"].heard
@@ -269,16 +300,19 @@ def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None
     environment["FIVEBAR_SCENE"] = str(scenes / "pick_and_place.json")
 
     def stage(name: str, code: int = 0) -> str:
-        run = subprocess.run([REPOSITORY / "python" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=60)
+        run = subprocess.run([REPOSITORY / "python" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE)
         assert run.returncode == code, run.stdout + run.stderr
         return run.stdout + run.stderr
 
     assert "created" in stage("create")
-    assert "dashboard at" in stage("execute")
-    assert "running already" in stage("execute", 1) and "terminate it first" in stage("clean", 1)
-    time.sleep(1)
-    assert "ended" in stage("terminate")
-    assert json.loads((out / "summary.json").read_text())["samples"]["estimated"] > 100
+    try:
+        assert "dashboard at" in stage("execute")
+        assert "running already" in stage("execute", 1) and "terminate it first" in stage("clean", 1)
+        time.sleep(1)
+    finally:
+        ended = stage("terminate")
+    assert "ended" in ended
+    assert json.loads((out / "summary.json").read_text())["samples"]["estimated"] > 0
     assert "not running" in stage("terminate")
     stage("clean")
     assert not out.exists()
@@ -287,14 +321,20 @@ def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None
 # --- the dashboard --------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> Iterator[Run]:
-    """A run that goes on until the tests have seen enough."""
-    run = Run(tmp_path_factory.mktemp("live"), fmu, scenes, "--seconds", "600")
-    yield run
-    run.process.send_signal(signal.SIGINT)
-    summary = run.finish()
-    assert summary["samples"]["lost"] == 0
+RESTART = "document.getElementById('restart').click()"
+
+
+def order(browser: Any, script: str, answered: Callable[[], bool]) -> None:
+    """Gives an order until it is answered: one that a busy machine hands on late is refused, and a page waits 3 s for an answer."""
+
+    def given() -> bool:
+        browser.execute_script(script)
+        with suppress(AssertionError):
+            wait_until(answered, 5)
+            return True
+        return False
+
+    wait_until(given)
 
 
 def drawn(browser: Any, canvas: Any) -> bool:
@@ -302,15 +342,48 @@ def drawn(browser: Any, canvas: Any) -> bool:
     return browser.execute_script("const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", canvas)
 
 
+def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
+    with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--learn", "--exact") as run:
+        with open_browser(run.page, tmp_path) as browser:
+            wait_until(lambda: browser.find_element("id", "connection").text == "live")
+            items = browser.find_elements("css selector", "#parameters li")
+            assert len(items) == 10
+            payload = next(item for item in items if "payload" in item.text)
+            value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
+            assert "before: 50 ± 20 g" in payload.text
+            wait_until(lambda: "±" in value.text)
+            # The stand-in's is 60 g.
+            # Both at once, for they change every second.
+            text, said = browser.execute_script("return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas)
+            found, half = map(float, text.removesuffix(" g").split(" ± "))
+            assert abs(found - 60) < 2 * half < 5, text
+            assert said.startswith(f"Mass of the payload: {text}, a band ") and float(said.split()[-9]) < 20, said
+            wait_until(lambda: drawn(browser, canvas))
+            assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        run.stop()
+        assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> Iterator[Run]:
+    """A run that goes on until the tests have seen enough. Tests with a run of their own come before: two at once leave a browser little of two cores."""
+    with running(tmp_path_factory.mktemp("live"), fmu, scenes, "--seconds", "inf") as run:
+        yield run
+        run.stop()
+        summary = run.finish()
+    assert summary["samples"]["lost"] == 0
+
+
 def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path) -> None:
     from PIL import Image
 
     with open_browser(live.page, tmp_path) as browser:
-        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
-        wait_until(lambda: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text, 10)
+        wait_until(lambda: browser.find_element("id", "connection").text == "live")
+        wait_until(lambda: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text)
         first = float(browser.find_element("id", "clock").text)
-        wait_until(lambda: float(browser.find_element("id", "clock").text) > first + 1, 5)
-        wait_until(lambda: browser.find_element("id", "value-error").text.endswith("mm"), 5)
+        wait_until(lambda: float(browser.find_element("id", "clock").text) > first + 1)
+        wait_until(lambda: browser.find_element("id", "value-error").text.endswith("mm"))
         assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.8
         assert browser.find_element("id", "status").text == "Samples of both encoders are used"
         shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
@@ -322,50 +395,18 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         assert fan.sum() > 40, f"{fan.sum()} points of the fan"
         # Moving: the picture changes.
         before = browser.find_element("id", "canvas").screenshot_as_png
-        time.sleep(0.5)
-        assert browser.find_element("id", "canvas").screenshot_as_png != before
+        wait_until(lambda: browser.find_element("id", "canvas").screenshot_as_png != before)
         assert not browser.find_element("id", "learned").is_displayed(), "a panel of what is not learned"
         for chart in ("error", "torque", "nis"):
             assert drawn(browser, browser.find_element("id", chart)), chart
         log = live.folder / "log" / "follow.log"
-        # An order that a busy machine hands on late is refused, and is given again.
-        for _ in range(5):
-            browser.find_element("id", "restart").click()
-            with suppress(AssertionError):
-                wait_until(lambda: "asked to" in log.read_text(), 5)
-                break
-        else:
-            raise AssertionError(browser.find_element("id", "order").text)
-
-
-def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
-    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600", "--learn", "--exact")
-
-    with open_browser(run.page, tmp_path) as browser:
-        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
-        items = browser.find_elements("css selector", "#parameters li")
-        assert len(items) == 10
-        payload = next(item for item in items if "payload" in item.text)
-        value, canvas = payload.find_element("tag name", "b"), payload.find_element("tag name", "canvas")
-        assert "before: 50 ± 20 g" in payload.text
-        wait_until(lambda: "±" in value.text, 10)
-        # The stand-in's is 60 g.
-        # Both at once, for they change every second.
-        text, said = browser.execute_script("return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas)
-        found, half = map(float, text.removesuffix(" g").split(" ± "))
-        assert abs(found - 60) < 2 * half < 5, text
-        assert said.startswith(f"Mass of the payload: {text}, a band ") and float(said.split()[-9]) < 20, said
-        wait_until(lambda: drawn(browser, canvas), 5)
-        assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
-    run.process.send_signal(signal.SIGINT)
-    assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
+        order(browser, RESTART, lambda: "asked to" in log.read_text())
 
 
 @pytest.mark.parametrize(("headers", "code"), [({"Host": "evil.example"}, 403), ({}, 200)])
 def test_the_dashboard_is_for_this_machine_only(live: Run, headers: dict[str, str], code: int) -> None:
     try:
-        with urllib.request.urlopen(urllib.request.Request(live.page, headers=headers), timeout=5) as answer:
+        with urllib.request.urlopen(urllib.request.Request(live.page, headers=headers), timeout=PATIENCE) as answer:
             found, policy = answer.status, answer.headers["Content-Security-Policy"]
         assert "default-src 'none'" in policy
     except urllib.error.HTTPError as error:
@@ -379,27 +420,27 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
     ear = Ear(port)
 
     with open_browser(live.page, tmp_path) as browser:
-        wait_until(lambda: browser.find_element("id", "connection").text == "live", 10)
+        wait_until(lambda: browser.find_element("id", "connection").text == "live")
         path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
         wrong = [("forecast", {"path": path}), ("forecast", {"singular": 5}), ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}), ("est", {"inputs": 5})]
         for kind, changes in wrong:
             # A page that draws slowly is sent the newest message of a kind only: one that was skipped is sent again.
             def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
                 before = browser.find_element("id", "refused").text
-                ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(5)
+                ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(PATIENCE)
                 time.sleep(0.3)
                 told = browser.find_element("id", "refused").text
                 return told != before and f"refused, the last: {kind}: " in told
 
-            wait_until(refused, 10)
+            wait_until(refused)
         before = float(browser.find_element("id", "clock").text)
-        wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3, 10)
-        assert browser.find_element("id", "connection").text == "live" and not browser.find_element("id", "undrawn").is_displayed()
+        wait_until(lambda: float(browser.find_element("id", "clock").text) > before + 0.3)
+        wait_until(lambda: browser.find_element("id", "connection").text == "live")
+        assert not browser.find_element("id", "undrawn").is_displayed()
         # An order from a clock that is ahead is answered in words.
-        browser.execute_script("const now = Date.now; Date.now = () => now() + 90000; document.getElementById('restart').click(); Date.now = now;")
-        wait_until(lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text, 10)
-        browser.execute_script("document.getElementById('restart').click()")
-        wait_until(lambda: browser.find_element("id", "order").text.startswith("starting anew"), 10)
+        ahead = f"const now = Date.now; Date.now = () => now() + 90000; {RESTART}; Date.now = now;"
+        order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
+        order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("starting anew"))
         corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
         told = browser.execute_async_script(
             """const [corpus, done] = arguments;
@@ -415,45 +456,74 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
 
 @pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
-    """Pill and status stayed green for 4.6 s, on a telephone too."""
-
+    """Pill and status stayed green for 4.6 s, on a telephone too. Estimates that still come, and are old, make nothing green."""
+    ear = Ear(live.config["broker"]["port"], "est")
     with open_browser(live.page, tmp_path) as browser:
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400})
         pill = browser.find_element("id", "connection")
-        wait_until(lambda: pill.text == "live", 10)
+        wait_until(lambda: pill.text == "live")
         pid = live.pids("follow")[-1]
         os.kill(pid, signal.SIGSTOP)
         try:
-            wait_until(lambda: pill.text.startswith("no estimate for"), 5)
-            time.sleep(1)
-            assert float(pill.text.split()[3]) >= 1.5 and "bad" in pill.get_attribute("class")
+            wait_until(lambda: pill.text.startswith("no estimate for"))
+            wait_until(lambda: float(pill.text.split()[3]) >= 1.5)
+            assert "bad" in pill.get_attribute("class")
             status = browser.find_element("id", "status")
             assert status.text.startswith("The twin has said nothing for") and status.get_attribute("class") == "bad"
+            last, later, shown = ear.heard[-1][2], itertools.count(1), []
+
+            def behind() -> bool:
+                ear.client.publish(topic("bench", "est"), json.dumps(last | {"time": last["time"] + next(later)}))
+                # All at once, for after a second without estimates the page says so.
+                script = "return ['connection', 'status'].flatMap((id) => [document.getElementById(id).textContent, document.getElementById(id).className])"
+                shown[:] = browser.execute_script(script)
+                return shown[0].endswith("s behind")
+
+            wait_until(behind)
+            assert float(shown[0].split()[0]) >= 1.5 and "bad" in shown[1]
+            assert shown[2].startswith("What you see is ") and shown[3] == "bad"
             assert browser.execute_script("const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill)
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         finally:
             os.kill(pid, signal.SIGCONT)
-        wait_until(lambda: pill.text == "live", 10)
+        wait_until(lambda: pill.text == "live")
+    ear.close()
 
 
 def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
     """On a processor a twentieth as fast it was 7.3 s behind, and more and more: it leaves out instead."""
+    listen = """
+        const send = WebSocket.prototype.send;
+        window.reports = [];
+        WebSocket.prototype.send = function (data) {
+          if (typeof data === "string") reports.push([performance.now(), Number(data.split(" ")[1])]);
+          send.call(this, data);
+        };"""
 
     with open_browser(live.page, tmp_path) as browser:
         delay = browser.find_element("id", "value-delay")
-        wait_until(lambda: delay.text.endswith("ms"), 10)
+        wait_until(lambda: delay.text.endswith("ms"))
+        usual = float(delay.text.split()[0])
+        browser.execute_script(listen)
         browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 20})
-        time.sleep(10)
-        late = float(delay.text.split()[0])
+        wait_until(lambda: browser.execute_script("return reports.length") > 12)
+        script = "return [reports, performance.now(), parseFloat(document.getElementById('value-delay').textContent)]"
+        reports, now, late = browser.execute_script(script)
         browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 1})
-        print(f"a page on a processor a twentieth as fast: {late:.0f} ms from sample to page")
-        # A frame takes it that long; what waits for it would add seconds every second.
-        assert late < 4000
+    times, drawn = np.array(reports).T
+    longest = np.diff([*times, now]).max()
+    handled, came = drawn[-1] - drawn[0], 0.4 * (times[-1] - times[0])
+    print(f"a page on a processor a twentieth as fast: {late:.0f} ms from sample to page, {usual:.0f} ms before; pictures up to {longest:.0f} ms apart")
+    print(f"of {came:.0f} samples and estimates it got {handled:.0f}, at most {np.diff(drawn).max():.0f} for a picture")
+    # No more waits for a picture, however long that takes, and of 400 messages a second the others are left out.
+    assert np.diff(drawn).max() <= KEPT * len(SKIPPED) and handled < came
+    # A message waits for one picture, and is shown with the next.
+    assert late < usual + 2 * longest + 100
 
 
 def test_a_page_of_another_site_does_not_reach_the_broker(live: Run) -> None:
     address = live.page.replace("http", "ws") + "mqtt"
     with pytest.raises(InvalidStatus, match="403"):
-        connect(address, origin="http://evil.example", subprotocols=["mqtt"], open_timeout=5)
-    with connect(address, origin=live.page.rstrip("/"), subprotocols=["mqtt"], open_timeout=5) as socket:
+        connect(address, origin="http://evil.example", subprotocols=["mqtt"], open_timeout=PATIENCE)
+    with connect(address, origin=live.page.rstrip("/"), subprotocols=["mqtt"], open_timeout=PATIENCE) as socket:
         assert socket.subprotocol == "mqtt"
