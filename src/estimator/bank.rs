@@ -11,7 +11,8 @@ use super::constants::{
     TAKEN_AS_KNOWN,
 };
 use super::error_state::{
-    ERRORS, Error, FORCE, Matrix, is_covariance, isolate_force, reduce, transformed, turn_covariance, turn_errors,
+    Error, FORCE, MOVING, Matrix, READINGS, Transition, combine, independent, is_covariance, isolate_force, move_covariance,
+    move_errors, reduce, turn_covariance, turn_errors,
 };
 use super::propagation::ProcessNoise;
 use super::stored;
@@ -49,9 +50,11 @@ pub struct Innovation {
 }
 
 impl Innovation {
-    /// Innovation of a sample that an encoder takes of a motion.
-    pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, noise: f64) -> Self {
-        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row: at.row(encoder), noise }
+    /// Innovation of a sample that an encoder takes of a motion, with its noise, rad², and the standard deviation of its persistent error, rad.
+    pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, [noise, persistent]: [f64; 2]) -> Self {
+        let mut row = at.row(encoder);
+        row[READINGS + encoder] = persistent;
+        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row, noise }
     }
 }
 
@@ -120,7 +123,7 @@ impl Bank {
     /// replaces it.
     pub fn predict(
         &mut self,
-        f: &Matrix,
+        f: &Transition,
         noise: &ProcessNoise,
         scales: [f64; 3],
         (h, switch_time): (f64, f64),
@@ -133,7 +136,7 @@ impl Bank {
     /// Time update with the share of a model that stays, in which `end` completes what has become of a model and bounds it.
     pub(super) fn predict_with(
         &mut self,
-        f: &Matrix,
+        f: &Transition,
         noise: &ProcessNoise,
         (intensities, scales): (&Intensities, [f64; 3]),
         (stay, priors): (f64, &[f64; MODELS]),
@@ -146,11 +149,12 @@ impl Bank {
             if weight == 0.0 {
                 continue;
             }
-            let off = member.error - mean;
-            let mixed = (member.covariance + off * off.transpose() * any) * own + all * any;
+            let off = (member.error - mean) * (own * any).sqrt();
+            combine(&mut member.covariance, own, (any, &all), (&off, &off));
             let [white, walk] = intensities.of_model(j, scales);
-            member.error = f * (member.error * own + mean * any);
-            member.covariance = transformed(f, &mixed, |moved| moved + noise.white * white + noise.walk * walk);
+            member.error = member.error * own + mean * any;
+            move_errors(f, noise.kept, &mut member.error);
+            move_covariance(f, noise.kept, &mut member.covariance, |moved| noise.add_to(moved, [white, walk]));
             end(j, member);
         }
     }
@@ -179,16 +183,12 @@ impl Bank {
     /// Mean and covariance of the mixture.
     pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
-        let covariance = self
-            .members
-            .iter()
-            .filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY)
-            .map(|member| {
-                let off = member.error - mean;
-                (member.covariance + off * off.transpose()) * member.weight
-            })
-            .sum();
-        (mean, covariance)
+        let mut all = Matrix::zeros();
+        for Member { weight, error, covariance } in self.members.iter().filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY) {
+            let off = (error - mean) * weight.sqrt();
+            combine(&mut all, 1.0, (*weight, covariance), (&off, &off));
+        }
+        (mean, all)
     }
 
     /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
@@ -210,23 +210,6 @@ impl Bank {
         self.normalise();
     }
 
-    /// Takes the expected angle of an axis as known up to the noise of a reading.
-    pub(super) fn hold(&mut self, reading: &Innovation) {
-        let expected = self.predict_sample(reading);
-        for (member, (_, variance, column)) in self.members.iter_mut().zip(&expected.each) {
-            reduce(&mut member.covariance, column, *variance);
-        }
-    }
-
-    /// Bank with a further error of the angles along a direction of the tangent basis, of this variance, rad².
-    pub(super) fn with_angle_error(mut self, along: &Pair, variance: f64) -> Self {
-        let further = along * variance.sqrt();
-        for member in self.active_members() {
-            member.covariance.fixed_view_mut::<2, 2>(0, 0).ger(1.0, &further, &further, 1.0);
-        }
-        self
-    }
-
     /// Moves the common estimate by `by`: the mean errors become smaller by as much.
     pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
@@ -245,22 +228,22 @@ impl Bank {
 
     /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
     pub fn new(variances: [f64; 3]) -> Self {
-        let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| variances[i / 2]));
+        let covariance = independent(variances);
         Self { members: LIKELY_MODELS.map(|weight| Member { weight, error: Error::zeros(), covariance }) }
     }
 
-    /// Transforms all errors by a matrix F: means to F e, covariances to F P Fᵀ.
-    pub fn transform(&mut self, f: &Matrix) {
+    /// Transforms all errors on the tangent basis by a matrix F: means to F e, covariances to F P Fᵀ.
+    pub fn transform(&mut self, f: &Transition) {
         for member in self.active_members() {
-            member.error = f * member.error;
-            member.covariance = transformed(f, &member.covariance, |moved| moved);
+            move_errors(f, 1.0, &mut member.error);
+            move_covariance(f, 1.0, &mut member.covariance, |_| ());
         }
     }
 
     /// Inflates the variances of angles, rad², rates, rad²/s², and force, (N·m)².
     pub fn inflate(&mut self, variances: [f64; 3]) {
         for member in &mut self.members {
-            for i in 0..ERRORS {
+            for i in 0..MOVING {
                 member.covariance[(i, i)] += variances[i / 2];
             }
         }

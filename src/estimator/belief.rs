@@ -5,7 +5,7 @@ use nalgebra::Matrix2;
 
 use super::bank::Bank;
 use super::constants::{CAUSE_MODEL, LARGEST_RATE};
-use super::error_state::{ERRORS, Error, FORCE, Matrix, isolate_force};
+use super::error_state::{ERRORS, Error, FORCE, Matrix, READINGS, isolate_force};
 use super::flow::unit_forces;
 use super::stored;
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
@@ -39,7 +39,9 @@ impl Belief {
         from: &Frame,
         motion: &mut LinkState,
     ) -> Option<(Error, Matrix2<f64>, Frame)> {
-        let error = self.bank.mean();
+        let mut error = self.bank.mean();
+        // Persistent errors of encoders stay where they are.
+        error.fixed_rows_mut::<2>(READINGS).fill(0.0);
         let [a, b, c, d, ..]: [f64; ERRORS] = error.into();
         let (corrected, to) = linkage.closed(from.displaced(motion, [a, b, c, d]))?;
         if corrected.fastest() >= LARGEST_RATE {

@@ -98,14 +98,13 @@ impl Causes {
         })
     }
 
-    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: mean and covariance of
-    /// the errors; `rates`: those of the estimate on its tangent basis, rad/s.
+    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: rates of the
+    /// estimate on its tangent basis, rad/s, and mean and covariance of its errors.
     pub(super) fn begin_where_surprised(
         &mut self,
         constants: &Constants,
         (nis, alarm): (f64, bool),
-        rates: &Pair,
-        start: impl FnOnce() -> (Error, Matrix),
+        start: impl FnOnce() -> (Pair, (Error, Matrix)),
     ) {
         let surprises = nis.is_nan() || nis > SURPRISE;
         let begins = match &self.surprise {
@@ -117,7 +116,7 @@ impl Causes {
                 let (cause, probability) = surprise.most_probable(constants, None);
                 self.last = Some((cause.number() as u8, probability));
             }
-            let (error, covariance) = start();
+            let (rates, (error, covariance)) = start();
             let mut witness = Witness::new(error, covariance);
             witness.stand_back(0, &(rates + error.fixed_rows::<2>(2)));
             self.surprise = Some(Surprise { age: 0.0, confirmed: false, witness });

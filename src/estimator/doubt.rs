@@ -19,7 +19,7 @@ use nalgebra::Matrix2;
 use super::bank::Innovation;
 use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
 use super::encoder::Reading;
-use super::error_state::{Error, Matrix};
+use super::error_state::{Error, independent};
 use super::flow::Scene;
 use super::hypotheses::{Hypothesis, is_distinguishable};
 use super::parameters::Constants;
@@ -64,11 +64,6 @@ impl Doubt {
     /// Whether both assemblies are followed.
     pub(super) fn is_open(&self) -> bool {
         self.branches.is_some()
-    }
-
-    /// Whether the start is or will be doubted.
-    pub(super) fn is_undecided(&self) -> bool {
-        self.pending || self.is_open()
     }
 
     /// Motion in the other assembly, while it is followed.
@@ -167,9 +162,9 @@ impl Branches {
         let Self { other, witnesses: [_, mirrored], .. } = self;
         let frame = constants.linkage.frame(&other.motion.theta);
         for (i, reading) in seen.iter().enumerate() {
-            if let Some(Reading { angle, noise, age, .. }) = *reading {
+            if let Some(Reading { angle, noise, persistent, age, .. }) = *reading {
                 let rate = other.motion.omega[MEASURED[i]];
-                mirrored.receive(i, &Innovation::new(&other.motion, &frame, i, angle + age * rate, noise));
+                mirrored.receive(i, &Innovation::new(&other.motion, &frame, i, angle + age * rate, [noise, persistent]));
             }
         }
         let Some((_, error, turn)) = other.update(&constants.linkage, readings) else { return Verdict::Right };
@@ -208,6 +203,5 @@ impl Branches {
 fn witnesses(constants: &Constants) -> [Witness; 2] {
     let [angles, rates, _] = constants.start_variances();
     let force = (DOUBT_FORCE * constants.torque_scale()).powi(2);
-    let covariance = Matrix::from_diagonal(&Error::from_fn(|i, _| [angles, rates, force][i / 2]));
-    [Witness::new(Error::zeros(), covariance); 2]
+    [Witness::new(Error::zeros(), independent([angles, rates, force])); 2]
 }

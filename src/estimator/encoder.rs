@@ -5,11 +5,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Innovation, PredictedSample};
 use super::constants::{
-    CORRELATION_TIME, DITHER, EDGE_SIGMA, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
-    MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS, SINGLE_EDGE,
-    TIME_ROUND_OFF, UNKNOWN_INTERVAL,
+    CORRELATION_TIME, DITHER, EDGE_SIGMA, ERROR_ALONE, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
+    MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, PERSISTENT_TIME, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS,
+    SINGLE_EDGE, TIME_ALONE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
-use super::error_state::{Error, RATE};
+use super::error_state::{Error, RATE, READINGS};
 use super::history::History;
 use super::parameters::{Constants, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
@@ -68,26 +68,13 @@ pub enum Fault {
     Stuck,
 }
 
-/// Mean rate of an axis between two samples, rad/s.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MeanRate {
-    /// By the samples.
-    pub(super) measured: f64,
-    /// Its standard deviation by stamps that err.
-    pub(super) sigma: f64,
-    /// In the motion.
-    pub(super) expected: f64,
-    /// Time between the samples, s.
-    pub(super) interval: f64,
-}
-
 /// New, valid sample of an encoder, about a motion.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
     /// Angle, rad.
     pub(super) angle: f64,
-    /// Mean rate between the two valid samples before it; `None` where there are none, or samples between them are missing.
-    pub(super) before: Option<MeanRate>,
+    /// Mean rate between the two valid samples before it, rad/s; `None` where there are none, or samples between them are missing.
+    pub(super) before: Option<f64>,
     /// Age, s.
     pub(super) age: f64,
     /// Rate of the axis in the motion, rad/s.
@@ -96,10 +83,10 @@ pub(super) struct Sample {
     pub(super) sigma: f64,
     /// Quantisation interval, rad.
     pub(super) quantum: f64,
-    /// Variance of the persistent error, rad².
+    /// Standard deviation of the persistent error, rad.
     pub(super) persistent: f64,
-    /// Number of samples in which the persistent error counts once.
-    pub(super) alike: f64,
+    /// Variance of the noise by errors that many samples share, rad².
+    pub(super) unrevealed: f64,
     /// Innovation y − h(x̂), with the quantisation error as noise.
     pub(super) innovation: Innovation,
 }
@@ -107,23 +94,44 @@ pub(super) struct Sample {
 impl Sample {
     /// The sample of encoder i about another motion, of which the present alone is known.
     pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
-        let innovation = Innovation::new(motion, frame, i, self.angle, self.innovation.noise);
+        let innovation = Innovation::new(motion, frame, i, self.angle, [self.innovation.noise, self.persistent]);
         Self { age: 0.0, rate: motion.omega[MEASURED[i]], innovation, ..*self }
     }
 
-    /// Variance of the sample, rad², where its quantisation error and a persistent error of variance `persistent`, rad², are its own.
-    pub(super) fn single_variance(&self, persistent: f64) -> f64 {
-        white_variance(self.sigma) + persistent + self.quantum * self.quantum / 12.0
+    /// Variance of the sample, rad², where its quantisation error is its own.
+    pub(super) fn single_variance(&self) -> f64 {
+        white_variance(self.sigma) + self.quantum * self.quantum / 12.0
     }
 
-    /// Share of the persistent error in the sample's variance.
-    pub(super) fn persistent_share(&self) -> f64 {
-        self.persistent / self.single_variance(self.persistent)
+    /// The sample of encoder i, which is used alone: errors of the model count as errors of its readings.
+    pub(super) fn alone(&self, i: usize, encoder: &Encoder) -> Self {
+        self.with_persistent_error(i, self.persistent.max(ERROR_ALONE)).with_noise(ERROR_ALONE, encoder.samples_within(TIME_ALONE))
+    }
+
+    /// The sample of encoder i where lengths and mounting angles are learned: they are no errors of its reading, and those of a disc, of the standard deviation
+    /// `further`, rad, are noise that counts once in their correlation time. Learning takes what is not modelled for what it learns, unless samples are noisy.
+    pub(super) fn learned(&self, i: usize, encoder: &Encoder, further: f64) -> Self {
+        let known = self.with_persistent_error(i, 0.0);
+        Self { persistent: further, ..known }.with_noise(further, encoder.samples_within(PERSISTENT_TIME))
+    }
+
+    /// The sample with an error of this standard deviation, rad, that counts once in a number of samples, as further noise.
+    fn with_noise(mut self, error: f64, samples: f64) -> Self {
+        self.unrevealed += error * error * samples;
+        self.innovation.noise += error * error * samples;
+        self
+    }
+
+    /// The sample of encoder i with a persistent error of another standard deviation, rad.
+    pub(super) fn with_persistent_error(&self, i: usize, persistent: f64) -> Self {
+        let mut other = Self { persistent, ..*self };
+        other.innovation.row[READINGS + i] = persistent;
+        other
     }
 
     /// Information of the sample with the quantisation error as noise.
     pub(super) fn reading(&self) -> Reading {
-        Reading { angle: self.angle, noise: self.innovation.noise, age: self.age, dead_zone: 0.0 }
+        Reading { angle: self.angle, noise: self.innovation.noise, persistent: self.persistent, age: self.age, dead_zone: 0.0 }
     }
 
     /// Innovation of the rate by the change of the innovation, rad, since the last sample, `interval` seconds before. A persistent error is one of both
@@ -131,7 +139,7 @@ impl Sample {
     pub(super) fn change(&self, change: f64, interval: f64) -> Innovation {
         let mut row = Error::zeros();
         row.fixed_rows_mut::<2>(RATE).copy_from(&(self.innovation.row.fixed_rows::<2>(0) * interval));
-        Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance(0.0) }
+        Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance() }
     }
 
     /// Innovation with other information of the sample.
@@ -142,7 +150,7 @@ impl Sample {
 
     /// Whether the axis rests: quantisation and persistent errors are those of all its samples then, no noise, and teach nothing.
     pub(super) fn rests(&self) -> bool {
-        self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent.sqrt())
+        self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent)
     }
 }
 
@@ -169,6 +177,8 @@ pub(super) struct Reading {
     pub(super) angle: f64,
     /// Variance of the angle, rad².
     pub(super) noise: f64,
+    /// Standard deviation of the persistent error, rad.
+    pub(super) persistent: f64,
     /// Age, s.
     pub(super) age: f64,
     /// Half-width of the interval about the angle that carries no information, rad.
@@ -188,8 +198,6 @@ pub struct Encoder {
     repeated: bool,
     /// Difference of the last two valid samples, rad.
     change: f64,
-    /// Rate of the axis in the motion after the last valid sample, rad/s.
-    axis_rate: f64,
     /// Whether the encoder is stuck, until a valid reading has changed.
     stuck: bool,
     /// Number of samples rejected in a row.
@@ -220,7 +228,6 @@ impl Encoder {
         valid_time: NEVER,
         repeated: false,
         change: 0.0,
-        axis_rate: 0.0,
         stuck: false,
         rejected_in_a_row: 0,
         jump: 0.0,
@@ -234,8 +241,8 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the variance of the encoder's persistent error, rad², `offset` its
-    /// mounting angle, rad.
+    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the standard deviation of the encoder's persistent error, rad, `offset`
+    /// its mounting angle, rad.
     pub(super) fn sample(
         &mut self,
         i: usize,
@@ -249,29 +256,22 @@ impl Encoder {
         let before = *self;
         let age = self.receive(angle, measured.time[i], now, max_delay)?;
         let angle = angle - offset;
-        let before = self.mean_rate_before(&before, rate);
+        let before = self.mean_rate_before(&before);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
-        let alike = self.samples_within(constants.persistent_time());
-        let noise = self.noise(sigma, quantum, rate, persistent * alike);
-        let Some((expected, row)) = history.at(motion, frame, i, age) else {
+        let noise = self.noise(sigma, quantum, rate);
+        let Some((expected, mut row)) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
+        row[READINGS + i] = persistent;
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
-        Some(Sample { angle, before, age, rate, sigma, quantum, persistent, alike, innovation })
+        Some(Sample { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, innovation })
     }
 
-    /// Mean rate between the last two samples of the encoder as it was `before` its last one, at which the axis turns at `rate`, rad/s; `None` where there are
-    /// none, or samples are missing.
-    fn mean_rate_before(&self, before: &Self, rate: f64) -> Option<MeanRate> {
+    /// Mean rate between the last two samples of the encoder as it was `before` its last one, rad/s; `None` where there are none, or samples are missing.
+    fn mean_rate_before(&self, before: &Self) -> Option<f64> {
         let is_known = before.interval > 0.0 && before.interval <= SILENT_AFTER_INTERVALS * self.interval;
-        is_known.then(|| {
-            let measured = before.rate();
-            let sigma = std::f64::consts::SQRT_2 * self.timing / before.interval * measured.abs();
-            // Three samples are so near in time that an acceleration hardly changes.
-            let gained = (rate - before.axis_rate) / self.interval * before.interval;
-            MeanRate { measured, sigma, expected: before.axis_rate - gained / 2.0, interval: before.interval }
-        })
+        is_known.then(|| before.rate())
     }
 
     /// Age of a sample, s, if its time is new and it is valid. `max_delay` is the largest admissible age, s.
@@ -330,11 +330,8 @@ impl Encoder {
         Some(if used <= rounded { 0.0 } else { used })
     }
 
-    /// Time update by h seconds, from a motion in which the axis turns at `rate`, rad/s.
-    pub(super) fn step(&mut self, rate: f64, h: f64) {
-        if self.time_since_sample == 0.0 {
-            self.axis_rate = rate;
-        }
+    /// Time update by h seconds.
+    pub(super) fn step(&mut self, h: f64) {
         self.time_since_sample += h;
         self.believed_for += h;
         self.time_since_arrival += h;
@@ -369,7 +366,7 @@ impl Encoder {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.axis_rate, self.jump];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.jump];
         let durations =
             [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
@@ -423,8 +420,7 @@ impl Encoder {
     pub(super) fn stays_away(&mut self, sample: &Sample, change: f64, witnessed: bool) -> bool {
         let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(change).abs());
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
-        let moved =
-            if lasting { sample.before.map_or(change, |before| change.min(second_difference(before.measured))) } else { change };
+        let moved = if lasting { sample.before.map_or(change, |before| change.min(second_difference(before))) } else { change };
         if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
             self.jump = 0.0;
             if lasting {
@@ -446,8 +442,8 @@ impl Encoder {
         self.passes_gate(expected, sample, conditions, jumps).then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gating: whether a sample is used. A sample is judged by its own persistent error, and whether a force explains it by its own quantisation error:
-    /// errors that many share are no larger.
+    /// Gating: whether a sample is used. Errors that many samples share are no larger in one of them: whether a force explains it is judged by its own
+    /// quantisation error, and no sample by errors of the model.
     fn passes_gate(
         &mut self,
         expected: &PredictedSample,
@@ -456,16 +452,15 @@ impl Encoder {
         jumps: impl FnOnce() -> bool,
     ) -> bool {
         let GateConditions { repetition, patient, witnessed } = conditions;
-        let &Sample { persistent, alike, innovation: Innovation { residual, noise, .. }, .. } = sample;
-        let least = expected.nis_of_loudest_model(noise - sample.single_variance(persistent));
-        let shared = persistent * (alike - 1.0);
+        let Innovation { residual, noise, .. } = sample.innovation;
+        let least = expected.nis_of_loudest_model(noise - sample.single_variance());
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if repetition != Fault::None => repetition,
             _ if self.is_away() => Fault::Rejected,
             // NaN exceeds the gate.
-            _ if expected.nis_with_less(shared) <= GATE => Fault::None,
+            _ if expected.nis_with_less(sample.unrevealed) <= GATE => Fault::None,
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
@@ -484,36 +479,29 @@ impl Encoder {
     }
 
     /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
-    /// reading confines it to the interval, and a changed one locates it at the edge between two intervals; neither better than the persistent error allows.
+    /// reading confines it to the interval, and a changed one locates it at the edge between two intervals.
     /// The reading of a faster axis has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals per sample.
     pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
-        let &Sample { angle, age, rate, sigma, quantum, persistent, alike, .. } = sample;
+        let &Sample { angle, age, rate, sigma, quantum, persistent, unrevealed, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return sample.reading();
         }
         let passed = rate * self.interval;
         if passed.abs() > quantum / 2.0 || self.change.abs() > SINGLE_EDGE * quantum {
-            let noise = self.noise(sigma, quantum, self.beat(quantum, rate), persistent * alike);
+            let noise = self.noise(sigma, quantum, self.beat(quantum, rate)) + unrevealed;
             return Reading { noise, ..sample.reading() };
         }
-        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + persistent * alike;
+        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + unrevealed;
         if self.repeated {
-            Reading { angle, noise, age, dead_zone: quantum / 2.0 }
+            Reading { angle, noise, persistent, age, dead_zone: quantum / 2.0 }
         } else {
-            Reading { angle: angle - self.change / 2.0, noise, age, dead_zone: 0.0 }
+            Reading { angle: angle - self.change / 2.0, noise, persistent, age, dead_zone: 0.0 }
         }
     }
 
     /// Information of a sample that is not confined to a quantisation interval; `None` of one that is.
     pub(super) fn unconfined(&self, sample: &Sample) -> Option<Reading> {
         Some(self.confined_to_interval(sample)).filter(|reading| reading.dead_zone == 0.0)
-    }
-
-    /// The sample with a persistent error of another variance, rad².
-    pub(super) fn with_persistent_error(&self, sample: &Sample, persistent: f64) -> Sample {
-        let mut other = Sample { persistent, ..*sample };
-        other.innovation.noise = self.noise(sample.sigma, sample.quantum, sample.rate, persistent * sample.alike);
-        other
     }
 
     /// Number of samples within a time, s, at least one.
@@ -540,14 +528,14 @@ impl Encoder {
 
     /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
     /// average out while the axis rests.
-    fn noise(&self, sigma: f64, quantum: f64, rate: f64, shared: f64) -> f64 {
+    fn noise(&self, sigma: f64, quantum: f64, rate: f64) -> f64 {
         let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
-        white_variance(sigma) + shared + quantum * quantum / 12.0 * repeated
+        white_variance(sigma) + quantum * quantum / 12.0 * repeated
     }
 
     /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
     pub(super) fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
-        let &Sample { rate, sigma, quantum, persistent, alike, innovation: Innovation { noise, .. }, .. } = sample;
+        let &Sample { rate, sigma, quantum, unrevealed, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -557,7 +545,7 @@ impl Encoder {
         let repeated = if repeats { correlated_samples } else { 1.0 };
         expected.with_interval(
             quantum,
-            [noise, white_variance(sigma) + persistent * alike],
+            [noise, white_variance(sigma) + unrevealed],
             [repeated, LEAST_VARIANCE * correlated_samples],
         )
     }
@@ -571,7 +559,7 @@ mod tests {
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
     fn whole_steps_repeat() {
-        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0].into());
+        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), Error::from_fn(|i, _| [1.0, 0.0][i.min(1)]));
         let known = (0.5 * quantum).powi(2);
         // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals, and of the reading as filters without intervals
         // take it.
@@ -582,10 +570,19 @@ mod tests {
                 assert!(encoder.receive((steps * f64::from(k)).round() * quantum, time, time, 0.0).is_some());
             }
             let rate = steps * quantum / h;
-            let noise = encoder.noise(0.0, quantum, rate, 0.0);
+            let noise = encoder.noise(0.0, quantum, rate);
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
-            let sample =
-                Sample { angle: 0.0, before: None, age: 0.0, rate, sigma: 0.0, quantum, persistent: 0.0, alike: 1.0, innovation };
+            let sample = Sample {
+                angle: 0.0,
+                before: None,
+                age: 0.0,
+                rate,
+                sigma: 0.0,
+                quantum,
+                persistent: 0.0,
+                unrevealed: 0.0,
+                innovation,
+            };
             let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
             let reading = encoder.confined_to_interval(&sample);
             (encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known, reading.noise)
@@ -605,66 +602,27 @@ mod tests {
         }
     }
 
-    /// The rate before a sample is compared with that which an accelerating axis had then, not with the one it has now.
-    #[test]
-    fn rates_of_before_are_compared() {
-        let (alpha, times) = (1e3, [0.0, 1e-3, 1.8e-3]);
-        let (mut encoder, mut before) = (Encoder::NEW, Encoder::NEW);
-        for time in times {
-            before = encoder;
-            assert!(encoder.receive(alpha / 2.0 * time * time, time, time, 0.0).is_some());
-            encoder.step(alpha * time, 1e-3);
-        }
-        let rate = alpha * times[2];
-        assert!(encoder.mean_rate_before(&Encoder { interval: 1.0, ..before }, rate).is_none(), "samples are missing");
-        let mean = encoder.mean_rate_before(&before, rate).expect("two samples before");
-        // Tolerance: round-off.
-        assert!((mean.measured - 0.5).abs() < 1e-12 && (mean.expected - mean.measured).abs() < 1e-12, "{mean:?}");
-    }
-
-    /// Neither a reading that repeats nor one that passes an edge tells more of an axis than its mounting angle is known.
-    #[test]
-    fn edges_are_no_better_known_than_the_geometry() {
-        // The axis turns by a tenth of an interval a sample.
-        let (h, quantum, rate, offset) = (1e-3, 1e-4, 0.01, 2e-3);
-        for last in [0.0, quantum] {
-            let mut encoder = Encoder::NEW;
-            for (k, angle) in [0.0, 0.0, last].into_iter().enumerate() {
-                assert!(encoder.receive(angle, h * k as f64, h * k as f64, 0.0).is_some());
-            }
-            let noise = encoder.noise(0.0, quantum, rate, offset * offset);
-            let innovation = Innovation { residual: 0.0, row: Error::zeros(), noise };
-            let of = |persistent: f64| {
-                let sample =
-                    Sample { angle: last, before: None, age: 0.0, rate, sigma: 0.0, quantum, persistent, alike: 300.0, innovation };
-                encoder.confined_to_interval(&sample).noise
-            };
-            // An error of 2 mrad that lasts for 0.3 s stands in 300 samples.
-            assert!((of(offset * offset) / (300.0 * offset * offset) - 1.0).abs() < 1e-3 && of(0.0) < quantum * quantum);
-        }
-    }
-
     /// A reading of an axis that rests jumps by more than any force explains, though its quantisation error lasts. The encoder is left out until
     /// the reading jumps back, however the estimate moves; an axis that is struck moves on at once.
     #[test]
     fn jumps_are_judged_by_the_reading() {
-        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0].into());
+        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), Error::from_fn(|i, _| [1.0, 0.0][i.min(1)]));
         // Innovation and second difference of each sample after the jump, rad, and whether the reading is left out.
         let is_away_after = |samples: &[(f64, f64)]| {
             let mut encoder = Encoder { believed_for: 2.0 * SETTLING_TIME, interval: h, time_since_sample: 0.0, ..Encoder::NEW };
-            let noise = encoder.noise(0.0, quantum, 0.0, 0.0);
+            let noise = encoder.noise(0.0, quantum, 0.0);
             let mut last = 0.0;
             for &(residual, second_difference) in samples {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
                     angle: 0.0,
-                    before: Some(MeanRate { measured: -second_difference / h, sigma: 0.0, expected: 0.0, interval: h }),
+                    before: Some(-second_difference / h),
                     age: 0.0,
                     rate: 0.0,
                     sigma: 0.0,
                     quantum,
                     persistent: 0.0,
-                    alike: 1.0,
+                    unrevealed: 0.0,
                     innovation,
                 };
                 let change = residual - std::mem::replace(&mut last, residual);
@@ -692,7 +650,7 @@ mod tests {
             for k in 0..steps {
                 let now = h * f64::from(k);
                 used += u32::from(encoder.receive(f64::from(k), now - error(k), now, 0.0).is_some());
-                encoder.step(0.0, h);
+                encoder.step(h);
                 silent += u32::from(k > 1 && encoder.is_silent());
             }
             assert!(encoder.is_sound());

@@ -1,22 +1,38 @@
-//! Error state of the filters on the tangent basis N: two components of the angles, two of the rates, two of the unknown force; and what becomes
-//! of its covariance P by a transition, by a sample and by another basis. Every covariance is symmetric to the bit. Behind it stand the parameters that
-//! may be learned.
+//! Error state of the filters: on the tangent basis N two components of the angles, two of the rates, two of the unknown force, and the persistent errors
+//! of both encoders; and what becomes of its covariance P by a transition, by a sample and by another basis. Every covariance is symmetric to the bit.
+//! Behind it stand the parameters that may be learned.
+//!
+//! A persistent error of a reading, by lengths, mounting and discs, is a Gauss–Markov process b of variance 1 in units of its standard deviation,
+//! which keeps the part φ = τ/(τ + h) of it in h seconds, exp(−h/τ) to first order (Bryson and Ho, *Applied Optimal Control*, 1975, section 12.4):
+//!
+//! ```text
+//! y = H x + s b + v        b' = φ b + w        w ~ N(0, 1 − φ²)
+//! ```
 
 use std::ops::Range;
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-/// Number of error components: two of the angles, two of the rates, two of the unknown force.
-pub const ERRORS: usize = 6;
+use crate::vector::Vector;
+
+/// Number of error components on the tangent basis: two of the angles, two of the rates, two of the unknown force.
+pub const MOVING: usize = 6;
+/// Number of error components.
+pub const ERRORS: usize = 8;
 /// Index of the first rate in an error.
 pub(super) const RATE: usize = 2;
 /// Index of the first force component in an error.
 pub(super) const FORCE: usize = 4;
+/// Index of the persistent error of the first encoder in an error.
+pub(super) const READINGS: usize = MOVING;
 
-/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m.
+/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m, and the persistent errors of both encoders in units of their
+/// standard deviations.
 pub type Error = SVector<f64, ERRORS>;
-/// Covariance or transition matrix of the error state.
+/// Covariance of the error state.
 pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
+/// Transition matrix of the errors on the tangent basis, or a covariance of these.
+pub type Transition = SMatrix<f64, MOVING, MOVING>;
 
 /// Number of parameters that may be learned.
 pub const LEARNED: usize = 18;
@@ -39,16 +55,57 @@ pub const OFFSETS: Range<usize> = LENGTHS.end..LEARNED;
 /// Values of the parameters: logarithms, kg, N·m·s/rad, m, rad.
 pub type Learned = SVector<f64, LEARNED>;
 
-/// F P Fᵀ + Q, symmetric to the bit.
-pub(super) fn transformed(f: &Matrix, p: &Matrix, noise: impl FnOnce(Matrix) -> Matrix) -> Matrix {
-    let mut product = noise(f * p * f.transpose());
-    product.fill_upper_triangle_with_lower_triangle();
-    product
+/// Moves errors, by columns, by a transition F, with the part `kept` of persistent errors. A force moves angles and rates, and stays as it is but for the basis.
+pub(super) fn move_errors<const C: usize>(f: &Transition, kept: f64, errors: &mut SMatrix<f64, ERRORS, C>) {
+    let (of_motion, of_force) = columns(f);
+    for column in &mut errors.data.0 {
+        let motion = (1..FORCE).fold(column[0] * of_motion[0], |sum, k| sum + column[k] * of_motion[k]);
+        let force = column[FORCE] * of_force[0] + column[FORCE + 1] * of_force[1];
+        column[..MOVING].copy_from_slice(&*force);
+        column[..FORCE].iter_mut().zip(&*motion).for_each(|(error, by)| *error += by);
+        column[READINGS..].iter_mut().for_each(|error| *error *= kept);
+    }
+}
+
+/// Columns of a transition: by angles and rates, which move no force, and by the force.
+fn columns(f: &Transition) -> ([Vector<FORCE>; FORCE], [Vector<MOVING>; 2]) {
+    let of_motion = std::array::from_fn(|k| Vector::from_fn(|i| f[(i, k)]));
+    (of_motion, std::array::from_fn(|k| f.data.0[FORCE + k].into()))
+}
+
+/// Moves a covariance by a transition F, with the part `kept` of persistent errors and the process noise: symmetric to the bit.
+pub(super) fn move_covariance(f: &Transition, kept: f64, covariance: &mut Matrix, noise: impl FnOnce(&mut Matrix)) {
+    move_errors(f, kept, covariance);
+    let half: [Vector<MOVING>; MOVING] = std::array::from_fn(|k| Vector::from_fn(|i| covariance[(i, k)]));
+    for (j, column) in covariance.data.0[..MOVING].iter_mut().enumerate() {
+        let by_force = f[(j, FORCE)] * half[FORCE] + f[(j, FORCE + 1)] * half[FORCE + 1];
+        let moved = if j < FORCE { (0..FORCE).fold(by_force, |sum, k| sum + f[(j, k)] * half[k]) } else { by_force };
+        column[..MOVING].copy_from_slice(&*moved);
+    }
+    for (k, column) in covariance.data.0.iter_mut().enumerate().skip(READINGS) {
+        column.iter_mut().for_each(|of| *of *= kept);
+        column[k] += 1.0 - kept * kept;
+    }
+    noise(covariance);
+    covariance.fill_lower_triangle_with_upper_triangle();
+}
+
+/// Becomes its multiple, plus one of another matrix, plus x yᵀ; symmetric to the bit where all of them are.
+pub(super) fn combine<const R: usize, const C: usize>(
+    matrix: &mut SMatrix<f64, R, C>,
+    own: f64,
+    (part, other): (f64, &SMatrix<f64, R, C>),
+    (x, y): (&SVector<f64, R>, &SVector<f64, C>),
+) {
+    let [x] = x.data.0.map(Vector::from);
+    for ((column, other), y) in matrix.data.0.iter_mut().zip(&other.data.0).zip(y) {
+        *column = (own * Vector::from(*column) + part * Vector::from(*other) + *y * x).into();
+    }
 }
 
 /// Turns the tangent basis of errors, by columns: their angles, rates and force change alike.
-pub(super) fn turn_errors<const C: usize>(turn: &Matrix2<f64>, errors: &mut SMatrix<f64, ERRORS, C>) {
-    for pair in (0..ERRORS).step_by(2) {
+pub(super) fn turn_errors<const R: usize, const C: usize>(turn: &Matrix2<f64>, errors: &mut SMatrix<f64, R, C>) {
+    for pair in (0..MOVING).step_by(2) {
         let mut errors = errors.fixed_rows_mut::<2>(pair);
         errors.copy_from(&(turn * &errors));
     }
@@ -56,33 +113,23 @@ pub(super) fn turn_errors<const C: usize>(turn: &Matrix2<f64>, errors: &mut SMat
 
 /// Turns the tangent basis of a covariance, symmetric to the bit.
 pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
-    turn_errors(turn, covariance);
-    covariance.transpose_mut();
-    turn_errors(turn, covariance);
-    covariance.fill_upper_triangle_with_lower_triangle();
+    for i in (0..MOVING).step_by(2) {
+        for k in (i..ERRORS).step_by(2) {
+            let mut block = covariance.fixed_view_mut::<2, 2>(i, k);
+            let turned = turn * &block;
+            block.copy_from(&if k < MOVING { turned * turn.transpose() } else { turned });
+        }
+    }
+    covariance.fill_lower_triangle_with_upper_triangle();
 }
 
 /// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
 pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
-    reduce_of(covariance, column, variance, N);
-}
-
-/// Measurement update in which errors from a number on are considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
-pub(super) fn reduce_of<const N: usize>(
-    covariance: &mut SMatrix<f64, N, N>,
-    column: &SVector<f64, N>,
-    variance: f64,
-    considered: usize,
-) {
-    let taken = column / variance.sqrt();
+    let taken = Vector::from(column.data.0[0]) / variance.sqrt();
     for (k, of) in covariance.data.0.iter_mut().enumerate() {
-        let take = |of: &mut [f64]| of.iter_mut().zip(&taken).for_each(|(of, by)| *of -= by * taken[k]);
-        // The whole column has a length that the compiler knows.
-        if k < considered { take(of) } else { take(&mut of[..considered]) }
-    }
-    for i in 0..considered {
+        *of = (Vector::from(*of) - taken[k] * taken).into();
         // A variance may turn negative by round-off only.
-        covariance[(i, i)] = covariance[(i, i)].max(f64::EPSILON * taken[i] * taken[i]);
+        of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
     }
 }
 
@@ -96,9 +143,61 @@ pub(super) fn is_correlation(covariance: f64, one: f64, other: f64) -> bool {
     covariance * covariance <= 1.01 * one * other
 }
 
+/// Covariance of independent errors with these variances of angles, rad², rates, rad²/s², and force, (N·m)².
+pub(super) fn independent([angles, rates, force]: [f64; 3]) -> Matrix {
+    Matrix::from_diagonal(&Error::from_fn(|i, _| [angles, rates, force, 1.0][i / 2]))
+}
+
 /// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
 pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
     covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
     covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
     covariance.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(own);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Some transition, in which angles and rates move no force.
+    fn transition() -> Transition {
+        Transition::from_fn(|i, k| if i >= FORCE && k < FORCE { 0.0 } else { libm::sin((3 * i + 7 * k + 1) as f64) })
+    }
+
+    /// Covariances move as F P Fᵀ + Q does with the whole F of eight errors, whatever is known to be 0 in it.
+    #[test]
+    fn covariances_move_by_the_whole_transition() {
+        let (f, kept) = (transition(), 0.7);
+        let root = Matrix::from_fn(|i, k| libm::cos((5 * i + 3 * k) as f64));
+        let before = root * root.transpose();
+        let mut whole = Matrix::identity() * kept;
+        whole.fixed_view_mut::<MOVING, MOVING>(0, 0).copy_from(&f);
+        let mut expected = whole * before * whole.transpose();
+        (READINGS..ERRORS).for_each(|i| expected[(i, i)] += 1.0 - kept * kept);
+        let mut moved = before;
+        move_covariance(&f, kept, &mut moved, |_| ());
+        // Tolerance: round-off of sums of 64 products.
+        assert!((moved - expected).amax() < 1e-13 * expected.amax() && moved == moved.transpose(), "{moved} {expected}");
+        let mut errors = root;
+        move_errors(&f, kept, &mut errors);
+        assert!((errors - whole * root).amax() < 1e-13 * root.amax() * MOVING as f64);
+    }
+
+    /// Readings that share a persistent error tell where an axis is no better than to that error, and how it has moved far better.
+    #[test]
+    fn persistent_errors_do_not_average_out() {
+        let (error, noise) = (2e-3, 1e-5);
+        let mut row = Error::zeros();
+        (row[0], row[READINGS]) = (1.0, error);
+        let mut covariance = independent([1.0, 0.0, 0.0]);
+        for _ in 0..100 {
+            let column = covariance * row;
+            reduce(&mut covariance, &column, row.dot(&column) + noise * noise);
+            move_covariance(&Transition::identity(), 0.999, &mut covariance, |_| ());
+        }
+        let (of_angle, of_reading) = (covariance[(0, 0)].sqrt(), row.dot(&(covariance * row)).sqrt());
+        // A hundred samples last for a tenth of the correlation time of a thousand; the error changes by √(2/1000) of itself between two of them.
+        assert!(of_angle > 0.9 * error && of_angle < error, "{of_angle}");
+        assert!(of_reading < 0.05 * error, "{of_reading}");
+    }
 }

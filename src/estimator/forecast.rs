@@ -6,14 +6,14 @@ use nalgebra::{Cholesky, Matrix2, Matrix4x2};
 
 use super::belief::Belief;
 use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS};
-use super::error_state::{ERRORS, FORCE};
+use super::error_state::{FORCE, MOVING};
 use super::flow::{self, Scene, unit_forces};
 use super::parameters::Constants;
 use super::stored;
 use super::tangent::{LinkState, Linkage, Links, Pair, wrapped};
 
 /// Number of sigma points.
-const POINTS: usize = 2 * ERRORS;
+const POINTS: usize = 2 * MOVING;
 
 /// A sigma point.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -61,9 +61,9 @@ impl SigmaPoints {
     fn around(linkage: &Linkage, motion: &LinkState, belief: &Belief, walk: [f64; 2]) -> Self {
         let frame = linkage.frame(&motion.theta);
         let inputs = unit_forces(linkage, &frame);
-        let root = root(belief.bank.covariance());
+        let root = root(belief.bank.covariance().fixed_view::<MOVING, MOVING>(0, 0).into_owned());
         let points = std::array::from_fn(|k| {
-            let error = root.column(k % ERRORS) * displacement(k);
+            let error = root.column(k % MOVING) * displacement(k);
             // Largest of three displacements for which the loop can be closed.
             let moved = [1.0, 0.5, 0.25].into_iter().find_map(|part| {
                 let part: [f64; 4] = std::array::from_fn(|i| part * error[i]);
@@ -82,7 +82,7 @@ impl SigmaPoints {
         self.force += Matrix2::identity() * grown;
         let root = root(self.force);
         for (k, point) in self.points.iter_mut().enumerate() {
-            if let Some(column) = (k % ERRORS).checked_sub(FORCE) {
+            if let Some(column) = (k % MOVING).checked_sub(FORCE) {
                 point.force = self.inputs * root.column(column) * displacement(k);
             }
             point.step(linkage, scene, force, h);
@@ -99,7 +99,7 @@ impl SigmaPoints {
 
 /// Displacement of sigma point `k` in columns of the square root.
 fn displacement(k: usize) -> f64 {
-    if k < ERRORS { (ERRORS as f64).sqrt() } else { -(ERRORS as f64).sqrt() }
+    if k < MOVING { (MOVING as f64).sqrt() } else { -(MOVING as f64).sqrt() }
 }
 
 /// Square root L of P = L Lᵀ. What P lacks in variance by round-off, or because a direction is known exactly, is taken as negligible.

@@ -8,7 +8,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::constants::{LARGEST_INVERSE, LEAST_TURN};
-use super::error_state::{Error, Matrix, turn_errors};
+use super::error_state::{Error, MOVING, Transition, turn_errors};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 
@@ -48,7 +48,7 @@ pub(super) struct History(ArrayVec<Past, REMEMBERED>);
 
 impl History {
     /// Time update by h seconds and a transition matrix from a motion; entries older than `max_age`, s, are dropped.
-    pub(super) fn step(&mut self, (motion, frame): (&LinkState, &Frame), transition: &Matrix, h: f64, max_age: f64) {
+    pub(super) fn step(&mut self, (motion, frame): (&LinkState, &Frame), transition: &Transition, h: f64, max_age: f64) {
         if max_age == 0.0 {
             return;
         }
@@ -63,13 +63,17 @@ impl History {
         for past in &mut self.0 {
             past.age += h;
             for axis in &mut past.axes {
-                axis.row = back.tr_mul(&axis.row);
+                let row = back.tr_mul(&axis.row.fixed_rows::<MOVING>(0));
+                axis.row.fixed_rows_mut::<MOVING>(0).copy_from(&row);
             }
         }
     }
 
     /// Measurement update: the estimate was corrected by `error`, and the basis changed.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
+        if self.0.is_empty() {
+            return;
+        }
         // After a correction of the order of 1 rad the tangent bases before and after have no common plane.
         let Some(back) = turn.try_inverse().filter(|_| turn.determinant().abs() >= LEAST_TURN) else { return self.clear() };
         for axis in self.0.iter_mut().flat_map(|past| &mut past.axes) {

@@ -23,7 +23,7 @@ use super::constants::{
     SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
 use super::encoder::{Reading, Sample};
-use super::error_state::{Error, FORCE, Matrix, turn_errors};
+use super::error_state::{Error, FORCE, Transition, turn_errors};
 use super::flow::{self, Scene};
 use super::parameters::Constants;
 use super::propagation::Propagation;
@@ -358,7 +358,7 @@ impl Hypothesis {
         // Equal errors of the motors on the other tangent basis.
         let [from, to] = [motion, &mirrored].map(|of| constants.linkage.frame(&of.theta).motors());
         let turn = to.try_inverse().filter(|_| to.determinant().abs() >= LEAST_MOTOR_DETERMINANT)? * from;
-        let mut f = Matrix::identity();
+        let mut f = Transition::identity();
         turn_errors(&turn, &mut f);
         f.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&Matrix2::identity());
         let mut belief = Belief { force: Links::zeros(), ..self.belief };
@@ -408,14 +408,15 @@ impl Hypothesis {
         let mut likelihood = 0.0;
         let frame = linkage.frame(&self.motion.theta);
         for (encoder, reading) in readings.iter().enumerate() {
-            let Some(Reading { angle, noise, age, dead_zone }) = *reading else { continue };
+            let Some(Reading { angle, noise, persistent, age, dead_zone }) = *reading else { continue };
             // Hypotheses keep no history: a past angle is extrapolated by the rate.
             let present = angle + age * self.motion.omega[MEASURED[encoder]];
-            let mut innovation = Innovation::new(&self.motion, &frame, encoder, present, noise);
-            if innovation.residual.abs() < dead_zone {
+            let mut innovation = Innovation::new(&self.motion, &frame, encoder, present, [noise, persistent]);
+            let off = innovation.residual - innovation.row.dot(&self.belief.bank.mean());
+            if off.abs() < dead_zone {
                 continue;
             }
-            innovation.residual -= dead_zone.copysign(innovation.residual);
+            innovation.residual -= dead_zone.copysign(off);
             let expected = self.belief.bank.predict_sample(&innovation);
             // Within the dead zone of a reading all motions are equally likely: the normalisation by the variance is left out.
             likelihood += if dead_zone > 0.0 { -0.5 * expected.nis() } else { expected.log_likelihood() };

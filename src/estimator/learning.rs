@@ -19,18 +19,17 @@ use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{
-    BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, MODELS, NEGLIGIBLE_PROBABILITY,
+    BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
 };
 use super::error_state::{
-    DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, is_correlation, is_covariance,
-    reduce_of, turn_errors,
+    DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, READINGS, Transition, combine,
+    is_correlation, is_covariance, move_errors, reduce, turn_errors,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::Frame;
-use crate::vector::Vector;
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
@@ -134,8 +133,14 @@ impl Learning {
         })
     }
 
+    /// Standard deviations of what lengths and mounting angles, which both readings show by `rows`, and discs of the standard deviation `further`, rad, add to
+    /// the readings, rad; never 0.
+    pub(super) fn sigma_of_readings(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> [f64; 2] {
+        rows.map(|row| (self.variance(own, &row) + further * further).sqrt().max(LEAST_SIGMA))
+    }
+
     /// Variance of what lengths and mounting angles add to a sample that shows them by `row`, rad².
-    pub(super) fn variance(&self, own: &Bank, row: &Shown) -> f64 {
+    fn variance(&self, own: &Bank, row: &Shown) -> f64 {
         let of = |model: &Moments| {
             let within = model.covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
             row.dot(&(within * row)) + row.dot(&model.error.fixed_rows::<GEOMETRY>(LOADS)).powi(2)
@@ -146,6 +151,35 @@ impl Learning {
             .filter(|(_, member)| member.weight > 0.0)
             .map(|(model, member)| member.weight * of(model))
             .sum()
+    }
+
+    /// Errors of motion and force with those of both readings by lengths and mounting angles, which show them by `rows`, and by discs of the standard
+    /// deviation `further`, rad, as persistent errors of the encoders.
+    pub(super) fn shown(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> Bank {
+        let mut bank = *own;
+        if !self.geometry {
+            return bank;
+        }
+        let sigma = self.sigma_of_readings(own, rows, further);
+        // Persistent errors of the readings by those of discs, and by parameters.
+        let by_discs = Matrix2::from_diagonal(&sigma.map(|sigma| further / sigma).into());
+        let by_parameters = SMatrix::from_columns(&[rows[0] / sigma[0], rows[1] / sigma[1]]).transpose();
+        for (model, member) in self.models.iter().zip(&mut bank.members) {
+            let cross = model.cross.fixed_columns::<GEOMETRY>(LOADS);
+            let within = model.covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
+            let (mut error, mut covariance) = (member.error, member.covariance);
+            let discs = covariance.fixed_columns::<2>(READINGS) * by_discs + cross * by_parameters.transpose();
+            let both = by_discs * discs.fixed_rows::<2>(READINGS)
+                + by_parameters * (cross.fixed_rows::<2>(READINGS).transpose() * by_discs + within * by_parameters.transpose());
+            let of_readings =
+                by_discs * error.fixed_rows::<2>(READINGS) + by_parameters * model.error.fixed_rows::<GEOMETRY>(LOADS);
+            error.fixed_rows_mut::<2>(READINGS).copy_from(&of_readings);
+            covariance.fixed_columns_mut::<2>(READINGS).copy_from(&discs);
+            covariance.fixed_view_mut::<2, 2>(READINGS, READINGS).copy_from(&both);
+            covariance.fill_lower_triangle_with_upper_triangle();
+            (member.error, member.covariance) = (error, covariance);
+        }
+        bank
     }
 
     /// Mean error of the mixture.
@@ -231,7 +265,7 @@ impl Learning {
             let mixing = Mixing::new(own.members[j].weight, stay, priors[j]);
             if mixing.weight > 0.0 {
                 model.mix(&all, &(own.members[j].error - mean), mixing);
-                *added = model.step(&step.f, &psi);
+                *added = model.step(&step.f, noise.kept, &psi);
             }
         }
         let models = &mut self.models;
@@ -252,8 +286,8 @@ impl Learning {
     /// each model. Lengths and mounting angles that are not learned at present are part of its noise.
     pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Shown) -> [Learned; MODELS] {
         let row = if self.geometry { *row } else { Shown::zeros() };
-        // Without delay a sample shows angles alone.
-        let own = sample.row.fixed_rows::<2>(0);
+        // Without delay a sample shows angles and persistent errors alone.
+        let (own, persistent) = (sample.row.fixed_rows::<2>(0), sample.row.fixed_rows::<2>(READINGS));
         let mut columns = [Learned::zeros(); MODELS];
         for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
             if expected.weights[j] == 0.0 {
@@ -264,23 +298,26 @@ impl Learning {
             *residual -= row.dot(&model.error.fixed_rows::<GEOMETRY>(LOADS));
             *variance += 2.0 * sample.row.dot(&by_errors) + row.dot(&by_parameters.fixed_rows::<GEOMETRY>(LOADS));
             *of_errors += by_errors;
-            columns[j] = model.cross.fixed_rows::<2>(0).tr_mul(&own) + by_parameters;
+            let of_readings = model.cross.fixed_rows::<2>(READINGS).tr_mul(&persistent);
+            columns[j] = model.cross.fixed_rows::<2>(0).tr_mul(&own) + of_readings + by_parameters;
         }
         columns
     }
 
-    /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate.
-    /// Parameters from a number on are considered alone, as constants that stay as uncertain as they are (Schmidt 1966).
-    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], considered: usize) {
+    /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
+    /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
+    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], rests: bool) {
         let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
         for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
                 continue;
             }
             let gain = column / *variance;
-            model.error.rows_mut(0, considered).axpy(*residual, &gain.rows(0, considered), 1.0);
-            model.cross -= own * gain.transpose();
-            reduce_of(&mut model.covariance, column, *variance, considered);
+            model.cross.ger(-1.0, own, &gain, 1.0);
+            if !rests {
+                model.error += gain * *residual;
+                reduce(&mut model.covariance, column, *variance);
+            }
         }
     }
 
@@ -353,15 +390,16 @@ impl Moments {
     }
 
     /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
-    fn step(&mut self, f: &Matrix, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
+    fn step(&mut self, f: &Transition, kept: f64, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
         let Self { error, cross, covariance } = &*self;
-        let (moved, pushed, mut half) = (psi * error, psi * covariance, f * cross);
+        let (added, pushed, mut half) = (psi * error, psi * covariance, *cross);
+        move_errors(f, kept, &mut half);
         self.cross = half;
         let mut rows = self.cross.fixed_rows_mut::<FORCE>(0);
         rows += pushed;
         let mut rows = half.fixed_rows_mut::<FORCE>(0);
         rows += pushed * 0.5;
-        (moved, half * psi.transpose())
+        (added, half * psi.transpose())
     }
 
     /// Whether stored moments are possible beside the covariance of motion and force.
@@ -370,19 +408,6 @@ impl Moments {
         error.iter().all(|x| x.is_finite())
             && is_covariance(p)
             && (0..LEARNED).all(|k| (0..ERRORS).all(|i| is_correlation(cross[(i, k)], own[(i, i)], p[(k, k)])))
-    }
-}
-
-/// Becomes its multiple, plus one of another matrix, plus x yᵀ; symmetric to the bit where all of them are.
-fn combine<const R: usize>(
-    matrix: &mut SMatrix<f64, R, LEARNED>,
-    own: f64,
-    (part, other): (f64, &SMatrix<f64, R, LEARNED>),
-    (x, y): (&SVector<f64, R>, &Learned),
-) {
-    let [x] = x.data.0.map(Vector::from);
-    for ((column, other), y) in matrix.data.0.iter_mut().zip(&other.data.0).zip(y) {
-        *column = (own * Vector::from(*column) + part * Vector::from(*other) + *y * x).into();
     }
 }
 

@@ -52,14 +52,14 @@ pub use belief::Belief;
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, ERROR_ALONE, FORECAST_MASS_WALK, GATE, LARGEST_NIS,
+    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS,
     LARGEST_RATE_VARIANCE, LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS,
     NEAR_SINGULARITY,
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Reading, Sample};
-use error_state::{LEARNED, LOADS, Learned, OFFSETS};
+use error_state::{GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -202,19 +202,28 @@ impl Estimator {
         }
         self.forecast.end();
         let learned = self.learning.as_mut().map(|learning| {
+            let before = learning.values();
             let values = learning.corrected(&mut self.belief.bank, constants);
             constants.learn(&values);
-            values
+            (values, values - before)
         });
         let constants = &*constants;
         let linkage = &constants.linkage;
         match self.belief.inject_error(linkage, &frame, &mut motion) {
-            Some((error, turn, to)) => {
+            Some((mut error, turn, to)) => {
+                if let Some((_, corrected)) = &learned
+                    && let Some(rows) = &rows
+                {
+                    // Persistent errors of the readings are those about what is learned.
+                    for i in 0..2 {
+                        error[READINGS + i] = rows[i].dot(&corrected.fixed_rows::<GEOMETRY>(LOADS)) / systematic[i].0;
+                    }
+                }
                 self.history.correct(&error, &turn);
                 self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
                 self.causes.correct(&error, &turn);
                 self.doubt.follow(&error, &turn);
-                if let Some((learning, values)) = self.learning.as_mut().zip(learned) {
+                if let Some((learning, (values, _))) = self.learning.as_mut().zip(learned) {
                     learning.correct(&self.belief.bank, &turn, values);
                 }
                 frame = to;
@@ -252,14 +261,14 @@ impl Estimator {
         self.learning.is_some().then(|| frame.readings_by_geometry())
     }
 
-    /// Variance, rad², and known part, rad, of the persistent error of each encoder.
+    /// Standard deviation and known part, rad, of the persistent error of each encoder.
     fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Shown; 2]>) -> [(f64, f64); 2] {
         match self.learning.as_ref().zip(rows) {
             Some((learning, rows)) => {
-                let (values, further) = (learning.values(), constants.parameters.eccentricity_variance());
-                [0, 1].map(|i| (learning.variance(&self.belief.bank, &rows[i]) + further, values[OFFSETS.start + i]))
+                let sigma = learning.sigma_of_readings(&self.belief.bank, rows, constants.parameters.sigma0_eccentricity);
+                [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]))
             }
-            None => frame.motors_by_geometry(constants.parameters.persistent_errors()).map(|variance| (variance, 0.0)),
+            None => frame.motors_by_geometry(constants.parameters.persistent_errors()).map(|variance| (variance.sqrt(), 0.0)),
         }
     }
 
@@ -280,31 +289,30 @@ impl Estimator {
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
-        let further = constants.parameters.eccentricity_variance();
+        let further = constants.parameters.sigma0_eccentricity;
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
-            let least = if self.encoders[1 - i].is_believed() { 0.0 } else { ERROR_ALONE * ERROR_ALONE };
-            let sample = &self.encoders[i].with_persistent_error(sample, sample.persistent.max(least));
-            // Lengths and mounting angles that are learned are no noise.
-            let used = if learns_geometry { self.encoders[i].with_persistent_error(sample, further.max(least)) } else { *sample };
+            let alone = !self.encoders[1 - i].is_believed();
+            let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
+            let sample = by_one.as_ref().unwrap_or(sample);
+            let learned = learns_geometry.then(|| sample.learned(i, &self.encoders[i], further));
+            let used = learned.as_ref().unwrap_or(sample);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
             let own = expected.nis();
             nis += own;
-            self.watch(constants, (motion, frame), (i, sample), own);
-            let (conditions, change) = self.gate_conditions((i, sample), frame, &models);
+            let shown = |learning: &Option<Box<Learning>>, bank: &Bank| match (learning, rows) {
+                (Some(learning), Some(rows)) => learning.shown(bank, rows, further),
+                _ => *bank,
+            };
+            self.watch(constants, (motion, frame), (i, sample), own, shown);
+            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, shown);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
-            if let Some(told) = self.encoders[i].admit(&expected, &used, conditions, jumps) {
+            if let Some(told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    let considered = match () {
-                        () if used.rests() => 0,
-                        // The witnesses of a doubted start take lengths and mounting angles as they are.
-                        () if self.doubt.is_undecided() => LOADS,
-                        () => LEARNED,
-                    };
-                    learning.update(&told, columns, considered);
+                    learning.update(&told, columns, used.rests());
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
@@ -316,13 +324,14 @@ impl Estimator {
                 if self.doubt.is_open() {
                     let encoder = &self.encoders[i];
                     // Accelerations do not show what hardly changes.
-                    update.seen[i] = encoder.unconfined(&encoder.with_persistent_error(sample, 0.0));
+                    let told = sample.with_persistent_error(i, 0.0);
+                    update.seen[i] = encoder.unconfined(&told);
                     if let Some(reading) = &update.seen[i] {
-                        self.doubt.receive(i, &sample.innovation_of(reading));
+                        self.doubt.receive(i, &told.innovation_of(reading));
                     }
                 }
             } else if conditions.repetition != Fault::None
-                && let Some(bank) = self.unaided[i].bank(i, frame)
+                && let Some(bank) = self.unaided[i].bank()
             {
                 if conditions.repetition == Fault::Stuck {
                     self.unaided[i] = Unaided::default();
@@ -337,10 +346,21 @@ impl Estimator {
         update
     }
 
-    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
-    fn watch(&mut self, constants: &Constants, (motion, frame): (&LinkState, &Frame), (i, sample): (usize, &Sample), nis: f64) {
-        let before = || self.belief.with_force(&(self.alarm.reference_force(frame) - self.belief.tangent_force(frame)));
-        self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), &frame.basis.tr_mul(&motion.omega), before);
+    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated. `shown`: the bank with what is learned of
+    /// lengths and mounting angles as errors of the readings.
+    fn watch(
+        &mut self,
+        constants: &Constants,
+        (motion, frame): (&LinkState, &Frame),
+        (i, sample): (usize, &Sample),
+        nis: f64,
+        shown: impl Fn(&Option<Box<Learning>>, &Bank) -> Bank,
+    ) {
+        let before = || {
+            let belief = Belief { bank: shown(&self.learning, &self.belief.bank), ..self.belief };
+            belief.with_force(&(self.alarm.reference_force(frame) - belief.tangent_force(frame)))
+        };
+        self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
         if self.causes.are_judged()
             && let Some(reading) = self.encoders[i].unconfined(sample)
         {
@@ -355,14 +375,23 @@ impl Estimator {
     }
 
     /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder, and the change of its innovation, rad.
-    fn gate_conditions(&mut self, (i, sample): (usize, &Sample), frame: &Frame, models: &[f64; MODELS]) -> (GateConditions, f64) {
+    fn gate_conditions(
+        &mut self,
+        (i, sample): (usize, &Sample),
+        frame: &Frame,
+        models: &[f64; MODELS],
+        shown: impl Fn(&Option<Box<Learning>>, &Bank) -> Bank,
+    ) -> (GateConditions, f64) {
         let change = self.innovation_change(i, sample);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
-        let force = self.belief.tangent_force(frame).norm();
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
-        self.unaided[i].receive(encoders, sample, (&self.belief.bank, force), models);
-        let repetition = if away { Fault::None } else { self.unaided[i].judge(&self.encoders[i], sample) };
+        self.unaided[i].receive(
+            encoders,
+            || (shown(&self.learning, &self.belief.bank), self.belief.tangent_force(frame).norm()),
+            models,
+        );
+        let repetition = if away { Fault::None } else { self.unaided[i].judge(sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
@@ -377,7 +406,9 @@ impl Estimator {
         }
         let nis =
             |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.predict_sample(innovation).nis()).sum::<f64>();
-        let of = |i: usize, sample: &Sample| Innovation::new(motion, frame, i, sample.angle, sample.innovation.noise);
+        let of = |i: usize, sample: &Sample| {
+            Innovation::new(motion, frame, i, sample.angle, [sample.innovation.noise, sample.persistent])
+        };
         nis([left.innovation, right.innovation]) > GATE && nis([of(1, left), of(0, right)]) <= GATE
     }
 
@@ -505,7 +536,8 @@ impl Estimator {
                 let change = self.innovation_change(i, sample);
                 self.encoders[i].stays_away(sample, change, false);
             }
-            if !self.encoders[i].is_believed() {
+            // An estimate that begins anywhere is itself off.
+            if !self.adrift || !self.encoders[i].is_believed() {
                 self.encoders[i].settle_anew();
             }
         }
@@ -560,8 +592,8 @@ impl Estimator {
             (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        // A branch behind a singularity that is not known teaches nothing.
-        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet();
+        // A branch behind a singularity or an assembly that is not known teaches nothing.
+        let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet() && !self.doubt.is_open();
         match (&mut self.learning, &learned) {
             // Nothing is known.
             _ if self.adrift => (),
@@ -587,7 +619,7 @@ impl Estimator {
             self.hypotheses.doubt_side(odds);
         }
         self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
-        self.encoders.iter_mut().zip(MEASURED).for_each(|(encoder, link)| encoder.step(from.omega[link], h));
+        self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h, inertia);
     }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::SVector;
 
-use super::constants::{PERSISTENT_TIMES, UNKNOWN_FORCE};
+use super::constants::UNKNOWN_FORCE;
 use super::error_state::{GEOMETRY, LENGTHS, Learned};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
@@ -130,11 +130,6 @@ pub struct Constants {
 }
 
 impl Constants {
-    /// Time in which a persistent error of readings counts once, s.
-    pub(super) fn persistent_time(&self) -> f64 {
-        PERSISTENT_TIMES[usize::from(self.prior.is_some())]
-    }
-
     /// Constant data for a geometry that includes all masses.
     pub fn new(geometry: &Geometry, parameters: &Parameters, prior: Option<Prior>) -> Self {
         // Mean over the legs of the torque that carries their weight, (m_P a_P + m_D l_P)·9.81 m/s².

@@ -2,18 +2,19 @@
 
 use nalgebra::{Matrix2, Matrix4};
 
-use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX};
-use super::error_state::{FORCE, Matrix, turn_errors};
+use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX, PERSISTENT_TIME};
+use super::error_state::{FORCE, Matrix, Transition, turn_errors};
 use super::flow::Flow;
 use super::tangent::{Frame, LinkState, Links, wrapped};
+use crate::vector::Vector;
 
 /// Transition of errors along a motion from one tangent space to another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Propagation {
     pub(super) from: Frame,
     pub(super) to: Frame,
-    /// Transition matrix F of the errors.
-    pub(super) f: Matrix,
+    /// Transition matrix F of the errors on the tangent basis.
+    pub(super) f: Transition,
     /// Mass matrix at the begin, kg·m².
     pub(super) mass: Matrix4<f64>,
     /// Number of Runge–Kutta steps.
@@ -71,20 +72,30 @@ impl Propagation {
     }
 }
 
-/// Covariances of the error state added in h seconds: `white` by a white torque of intensity 1 (N·m)²·s, `walk` by a random walk of the
+/// Covariances of the errors on the tangent basis added in h seconds: `white` by a white torque of intensity 1 (N·m)²·s, `walk` by a random walk of the
 /// unknown force of intensity 1 (N·m)²/s.
 pub struct ProcessNoise {
-    pub(super) white: Matrix,
-    pub(super) walk: Matrix,
+    pub(super) white: Transition,
+    pub(super) walk: Transition,
+    /// Part of the persistent errors of the encoders that is kept.
+    pub(super) kept: f64,
 }
 
 impl ProcessNoise {
+    /// Adds the noise of these intensities, (N·m)²·s and (N·m)²/s, to a covariance.
+    pub(super) fn add_to(&self, covariance: &mut Matrix, [white, walk]: [f64; 2]) {
+        for ((column, by_torque), by_force) in covariance.data.0.iter_mut().zip(&self.white.data.0).zip(&self.walk.data.0) {
+            let added = white * Vector::from(*by_torque) + walk * Vector::from(*by_force);
+            column.iter_mut().zip(&*added).for_each(|(variance, by)| *variance += by);
+        }
+    }
+
     /// Process noise of h seconds, with the mobility (NᵀMN)⁻¹, 1/(kg·m²): integrals of a white acceleration, and of an acceleration that is
     /// a random walk.
     fn new(mobility: &Matrix2<f64>, h: f64) -> Self {
         let (squared, [h2, h3, h4, h5]) = (mobility * mobility, [h * h, h.powi(3), h.powi(4), h.powi(5)]);
-        let (mut white, mut walk) = (Matrix::zeros(), Matrix::zeros());
-        let set = |of: &mut Matrix, (i, k): (usize, usize), block: Matrix2<f64>| {
+        let (mut white, mut walk) = (Transition::zeros(), Transition::zeros());
+        let set = |of: &mut Transition, (i, k): (usize, usize), block: Matrix2<f64>| {
             of.fixed_view_mut::<2, 2>(i, k).copy_from(&block);
             of.fixed_view_mut::<2, 2>(k, i).copy_from(&block);
         };
@@ -100,13 +111,13 @@ impl ProcessNoise {
         for of in [&mut white, &mut walk] {
             of.fill_upper_triangle_with_lower_triangle();
         }
-        Self { white, walk }
+        Self { white, walk, kept: PERSISTENT_TIME / (PERSISTENT_TIME + h) }
     }
 }
 
 /// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.
-fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matrix {
-    let mut f = Matrix::identity();
+fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Transition {
+    let mut f = Transition::identity();
     turn_errors(&from.basis_map_to(to), &mut f);
     f.fixed_rows_mut::<2>(0).copy_from(&to.basis.tr_mul(&flow.d_theta));
     f.fixed_rows_mut::<2>(2).copy_from(&to.basis.tr_mul(&flow.d_omega));
@@ -117,9 +128,9 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Matri
 }
 
 /// Transition matrix without knowledge of the forces: angles follow the rates.
-fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
+fn straight(from: &Frame, to: &Frame, h: f64) -> Transition {
     let turn = from.basis_map_to(to);
-    let mut f = Matrix::identity();
+    let mut f = Transition::identity();
     turn_errors(&turn, &mut f);
     f.fixed_view_mut::<2, 2>(0, 2).copy_from(&(turn * h));
     f

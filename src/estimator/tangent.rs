@@ -240,7 +240,7 @@ impl Frame {
         Matrix2::from_rows(&MEASURED.map(|link| self.basis.fixed_rows::<1>(link).into_owned()))
     }
 
-    /// Derivative of the angle of an encoder's axis with respect to the error state.
+    /// Derivative of the angle of an encoder's axis with respect to the errors of the motion.
     pub(super) fn row(&self, encoder: usize) -> Error {
         let mut row = [0.0; ERRORS];
         (row[0], row[1]) = (self.basis[(MEASURED[encoder], 0)], self.basis[(MEASURED[encoder], 1)]);

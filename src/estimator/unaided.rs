@@ -5,12 +5,11 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, Innovation};
+use super::bank::Bank;
 use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
-use super::encoder::{Encoder, Fault, MeanRate, Sample};
+use super::encoder::{Encoder, Fault, Sample};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
-use super::tangent::Frame;
 
 /// Errors about the motion of the estimate that an encoder has no part in since its reading last changed.
 #[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -21,10 +20,6 @@ pub(super) struct Unaided {
     time: f64,
     /// Size of the unknown force at its begin, N·m.
     force: f64,
-    /// Expected innovation of the reading at its begin, rad, where the angle counts from there.
-    offset: f64,
-    /// Variance of the persistent error that readings share which repeat each other, rad², and of their noise; 0 where they are exact.
-    shared: f64,
     /// Whether the reading is left out, since the axis has turned.
     doubted: bool,
     /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
@@ -35,36 +30,25 @@ pub(super) struct Unaided {
 
 impl Unaided {
     /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes, or the other
-    /// encoder fails whose reading has changed since. `force`: size of the unknown force, N·m; `models`: prior probabilities of the estimate's models.
-    pub(super) fn receive(
-        &mut self,
-        [own, other]: [&Encoder; 2],
-        sample: &Sample,
-        (bank, force): (&Bank, f64),
-        models: &[f64; MODELS],
-    ) {
+    /// encoder fails whose reading has changed since. `start`: errors of the estimate, and size of the unknown force, N·m; `models`: prior
+    /// probabilities of the estimate's models.
+    pub(super) fn receive(&mut self, [own, other]: [&Encoder; 2], start: impl FnOnce() -> (Bank, f64), models: &[f64; MODELS]) {
         if !own.repeats() || other.fails() && self.other_changed {
             self.bank = None;
         } else if self.bank.is_none() && own.fault != Fault::Stuck && !other.fails() {
-            let mut bank = *bank;
+            let (mut bank, force) = start();
             bank.reset_priors(models);
             let settled = own.is_settled();
-            *self = Self { bank: None, time: 0.0, force, offset: 0.0, shared: 0.0, doubted: false, other_changed: false, settled };
-            if sample.persistent > 0.0 {
-                self.shared = sample.single_variance(sample.persistent);
-                self.offset = count_from_reading(&mut bank, sample);
-            }
-            self.bank = Some(bank);
+            *self = Self { bank: Some(bank), time: 0.0, force, doubted: false, other_changed: false, settled };
         }
     }
 
     /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
     /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
     /// reading repeats as well, the machine may be blocked: a fault if the estimate has settled and no force of any model blocks it so.
-    pub(super) fn judge(&mut self, own: &Encoder, sample: &Sample) -> Fault {
+    pub(super) fn judge(&mut self, sample: &Sample) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
-        let Sample { sigma, quantum, mut innovation, .. } = own.with_persistent_error(sample, 0.0);
-        innovation.residual -= self.offset;
+        let &Sample { sigma, quantum, innovation, .. } = sample;
         let expected = bank.predict_sample(&innovation);
         let (off, variance) = expected.mixture_moments();
         let of_angle = (variance - innovation.noise).max(0.0).sqrt();
@@ -109,34 +93,19 @@ impl Unaided {
         }
         if let Some(bank) = &mut self.bank {
             self.time += timing.0;
-            bank.predict(&step.f, noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], timing, &LIKELY_MODELS);
+            // A reading that repeats keeps its error.
+            let noise = ProcessNoise { kept: 1.0, ..*noise };
+            bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], timing, &LIKELY_MODELS);
         }
     }
 
-    /// Errors without encoder i, in place of those of the estimate, whose angle counts from no reading.
-    pub(super) fn bank(&self, i: usize, frame: &Frame) -> Option<Bank> {
-        let by_motor = frame.holding().column(i).into_owned();
-        self.bank.map(|bank| bank.with_angle_error(&by_motor, self.shared))
+    /// Errors without the encoder, in place of those of the estimate.
+    pub(super) fn bank(&self) -> Option<Bank> {
+        self.bank
     }
 
     /// Whether a stored value is possible.
     pub(super) fn is_sound(&self) -> bool {
-        self.bank.as_ref().is_none_or(Bank::is_sound)
-            && [self.time, self.force, self.shared].iter().all(|x| *x >= 0.0 && x.is_finite())
-            && self.offset.is_finite()
+        self.bank.as_ref().is_none_or(Bank::is_sound) && [self.time, self.force].iter().all(|x| *x >= 0.0 && x.is_finite())
     }
-}
-
-/// Lets the angle of an axis count from a reading that is repeated, and its rate from the change before, unless samples are missing there: a persistent error is
-/// one of all these readings. Returns the expected innovation of the reading, rad.
-fn count_from_reading(bank: &mut Bank, sample: &Sample) -> f64 {
-    let noise = sample.single_variance(0.0) / sample.persistent_share();
-    if let Some(MeanRate { measured, sigma, expected, interval }) = sample.before {
-        let change = sample.change((measured - expected) * interval, interval);
-        let of_stamps = (sigma * interval).powi(2);
-        bank.update(&bank.predict_sample(&Innovation { noise: 2.0 * noise + of_stamps, ..change }));
-    }
-    let reading = Innovation { noise, ..sample.innovation };
-    bank.hold(&reading);
-    bank.predict_sample(&reading).mixture_moments().0
 }

@@ -19,7 +19,8 @@ use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 use super::bank::Innovation;
 use super::constants::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
-    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, reduce, transformed, turn_covariance, turn_errors,
+    ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, move_covariance, move_errors, reduce,
+    turn_covariance, turn_errors,
 };
 use super::flow::Scene;
 use super::parameters::Constants;
@@ -95,10 +96,11 @@ impl Witness {
         }
     }
 
-    /// Whether all numbers are finite.
+    /// Whether all numbers are finite, and their sums.
     pub(super) fn is_finite(&self) -> bool {
-        let errors = self.error.iter().chain(&self.covariance).chain(&self.responses);
-        errors.chain(&self.information).chain(&self.score).chain(&[self.squares, self.samples]).all(|x| x.is_finite())
+        let Self { error, covariance, responses, information, score, squares, samples } = self;
+        let sums = [error.sum(), covariance.sum(), responses.sum(), information.sum(), score.sum(), *squares, *samples];
+        sums.iter().all(|sum| sum.is_finite())
     }
 
     /// Whether stored values are possible.
@@ -148,8 +150,8 @@ impl Witness {
         h: f64,
     ) {
         let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
-        self.error = step.f * self.error;
-        self.covariance = transformed(&step.f, &self.covariance, |moved| moved + noise.white * white + noise.walk * walk);
+        move_errors(&step.f, noise.kept, &mut self.error);
+        move_covariance(&step.f, noise.kept, &mut self.covariance, |moved| noise.add_to(moved, [white, walk]));
         // Terms of second order in the error of the rates count as noise.
         let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
         for k in 2..4 {
@@ -158,7 +160,7 @@ impl Witness {
         if let Some(accelerations) = first {
             self.stand_back(2, accelerations);
         }
-        self.responses = step.f * self.responses;
+        move_errors(&step.f, noise.kept, &mut self.responses);
         // Generalised forces of each fault act as the unknown force does, which stays as it is.
         let effects = step.f.fixed_columns::<2>(FORCE) * generalised(&step.from, &step.mass, by);
         let mut acted = self.responses.fixed_rows_mut::<FORCE>(0);

@@ -370,7 +370,7 @@ fn an_estimate_that_was_lost_keeps_its_turns() {
 #[test]
 fn one_encoder_that_loses_the_machine_is_not_believed() {
     let mut lost = 0;
-    for seed in 0..8 {
+    for seed in 0..16 {
         let mut parameters = followed_by(Method::Dop853, false);
         parameters.start.omega = [3.0, -3.0];
         (parameters.estimator.sigma, parameters.estimator.quantum) = ([0.0; 2], [1e-4; 2]);
@@ -412,7 +412,7 @@ fn one_encoder_that_loses_the_machine_is_not_believed() {
         }
         lost += u32::from(adrift.is_some());
     }
-    assert!(lost > 3, "{lost} of 8 falls are lost");
+    assert!(lost > 3, "{lost} of 16 falls are lost");
 }
 
 /// Lengths that are learned are those of the machine that is simulated, also from the sample on by which the machine is given up and learned anew.

@@ -59,9 +59,10 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: 
         # Inertia is learned along with its mass.
         assert after[inertia] / before[inertia] == pytest.approx(after[name] / before[name], rel=1e-12)
     assert abs(after["payload.mass"] / truth["payload.mass"] - 1) < 0.01
-    # The scene has no friction, the machine has the unit's usual one.
+    # The scene has no friction, the machine has the unit's usual one; it is learned to a fifth, or a quarter where learning begins late: nothing is
+    # learned while the start is doubted.
     assert after["viscous.enabled"] is True and not before["viscous.enabled"]
-    assert all(abs(after[f"viscous.b[{i}]"] / 1e-4 - 1) < 0.2 for i in range(1, 6))
+    assert all(abs(after[f"viscous.b[{i}]"] / 1e-4 - 1) < 0.25 for i in range(1, 6))
 
     own = write_unit(tmp_path, after, plain=fmu).file
     assert own.name == "Learned.fmu" and of_unit(own)["link[1].mass"].start == learned["values"]["link[1].mass"]

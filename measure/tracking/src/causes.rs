@@ -6,7 +6,7 @@ use fivebar::effects::payload::Join;
 use fivebar::estimator::{Cause, MEASURED, Measured};
 use fivebar::simulation::Signal;
 
-use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion};
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, learned, motion};
 use crate::quality::{fall, sines};
 use crate::report::{Figure, Table};
 
@@ -142,13 +142,13 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
     Told { fault: fault.number(), cause: told.0.number(), probability: told.1 }
 }
 
-/// Causes told of `runs` faults of each kind, servos on sines and falls alternately.
-fn trials(encoder: &Encoder, runs: u64, first: u64) -> Vec<Told> {
+/// Causes told of `runs` faults of each kind, servos on sines and falls alternately, by a twin that takes its geometry for so uncertain.
+fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, first: u64) -> Vec<Told> {
     type Scene = fn(&mut Random) -> Scenario;
     let scenes: [Scene; 2] = [|random| sines(random, 2.0), |random| fall(random, true)];
     let one = |seed: u64| {
         let mut random = Random::new(first + 8_200_000 + seed);
-        let scenario = scenes[(seed / 8 % 2) as usize](&mut random);
+        let scenario = uncertain(scenes[(seed / 8 % 2) as usize](&mut random));
         let fault = Fault::drawn((seed % 8) as usize, &mut random);
         run(scenario, encoder, fault, &mut random)
     };
@@ -157,7 +157,8 @@ fn trials(encoder: &Encoder, runs: u64, first: u64) -> Vec<Told> {
 
 /// Number of faults that are named, of `runs` of each of eight kinds, by 16 bits and by 0.1°.
 pub fn named(runs: u64, first: u64) -> [usize; 2] {
-    [FINE, COARSE].map(|encoder| trials(&encoder, runs, first).iter().filter(|told| told.cause == told.fault).count())
+    [FINE, COARSE]
+        .map(|encoder| trials(&encoder, |exact| exact, runs, first).iter().filter(|told| told.cause == told.fault).count())
 }
 
 /// Faults that are named, by encoder and kind.
@@ -166,7 +167,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         ["nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing"];
     let mut table = Table::new("Causes 0.4 s after the onset of a fault, servos on sines and falls alternately: right, %");
     for encoder in [FINE, COARSE] {
-        let all = trials(&encoder, runs, first);
+        let all = trials(&encoder, |exact| exact, runs, first);
         let share = |of: &[Told]| 100.0 * of.iter().filter(|told| told.cause == told.fault).count() as f64 / of.len() as f64;
         for (number, name) in NAMES.iter().enumerate() {
             let of: Vec<Told> = all.iter().filter(|told| told.fault == number).copied().collect();
@@ -189,6 +190,15 @@ pub fn table(runs: u64, first: u64) -> Table {
             let mean = 100.0 * of.iter().map(|told| told.probability).sum::<f64>() / of.len().max(1) as f64;
             let name = format!("causes of probability {least} to {most}, {}", encoder.name);
             table.push(Figure::told(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
+        }
+        for (name, uncertain) in [("start values", by_start_values as fn(Scenario) -> Scenario), ("learned", learned)] {
+            let all = trials(&encoder, uncertain, runs, first);
+            let silent = all.iter().filter(|told| told.fault > 0 && told.cause == 0).count();
+            table.push(Figure::told(
+                format!("all, {name}, {}", encoder.name),
+                share(&all),
+                format!("of {}; {silent} told as nothing", all.len()),
+            ));
         }
     }
     table

@@ -88,7 +88,8 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     }
     let (linkage, estimate, belief) = (&twin.constants().linkage, twin.motion(), twin.estimator().belief());
     let frame = linkage.frame(&estimate.theta);
-    let (units, root) = (unit_forces(linkage, &frame), root(&belief.bank.covariance().transpose().into()));
+    let (units, root) =
+        (unit_forces(linkage, &frame), root(&belief.bank.covariance().transpose().fixed_view::<6, 6>(0, 0).into_owned().into()));
     let start = side(&estimate.theta.into());
     let met = (0..members).filter(|_| {
         let white: [f64; 6] = std::array::from_fn(|_| random.normal());
