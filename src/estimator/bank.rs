@@ -52,9 +52,14 @@ pub struct Innovation {
 impl Innovation {
     /// Innovation of a sample that an encoder takes of a motion, with its noise, rad², and the standard deviation of its persistent error, rad.
     pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, [noise, persistent]: [f64; 2]) -> Self {
-        let mut row = at.row(encoder);
-        row[READINGS + encoder] = persistent;
-        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row, noise }
+        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row: at.row(encoder), noise }
+            .with_persistent_error(encoder, persistent)
+    }
+
+    /// Innovation of a sample with a persistent error of this standard deviation, rad.
+    pub(super) fn with_persistent_error(mut self, encoder: usize, persistent: f64) -> Self {
+        self.row[READINGS + encoder] = persistent;
+        self
     }
 }
 
@@ -64,6 +69,8 @@ pub struct PredictedSample {
     pub(super) weights: [f64; MODELS],
     /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
     pub(super) each: [(f64, f64, Error); MODELS],
+    /// Variance by which innovations last that are no white noise, rad², to compare the models.
+    pub(super) lasting: f64,
 }
 
 impl PredictedSample {
@@ -199,7 +206,8 @@ impl Bank {
             if member.weight == 0.0 {
                 continue;
             }
-            *likelihood = log_likelihood(residual * residual / variance, *variance);
+            let compared = variance + expected.lasting;
+            *likelihood = log_likelihood(residual * residual / compared, compared);
             member.error += column * (residual / variance);
             reduce(&mut member.covariance, column, *variance);
         }
@@ -296,7 +304,7 @@ impl Bank {
             let column = covariance * sample.row;
             (sample.residual - sample.row.dot(error), sample.row.dot(&column) + sample.noise, column)
         });
-        PredictedSample { weights: self.members.map(|member| member.weight), each }
+        PredictedSample { weights: self.members.map(|member| member.weight), each, lasting: 0.0 }
     }
 }
 

@@ -9,7 +9,7 @@ use super::constants::{
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, PERSISTENT_TIME, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS,
     SINGLE_EDGE, TIME_ALONE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
-use super::error_state::{Error, RATE, READINGS};
+use super::error_state::{Error, RATE};
 use super::history::History;
 use super::parameters::{Constants, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
@@ -85,7 +85,7 @@ pub(super) struct Sample {
     pub(super) quantum: f64,
     /// Standard deviation of the persistent error, rad.
     pub(super) persistent: f64,
-    /// Variance of the noise by errors that many samples share, rad².
+    /// Variance of the noise by errors of the model that an encoder alone does not reveal, rad².
     pub(super) unrevealed: f64,
     /// Innovation y − h(x̂), with the quantisation error as noise.
     pub(super) innovation: Innovation,
@@ -105,28 +105,15 @@ impl Sample {
 
     /// The sample of encoder i, which is used alone: errors of the model count as errors of its readings.
     pub(super) fn alone(&self, i: usize, encoder: &Encoder) -> Self {
-        self.with_persistent_error(i, self.persistent.max(ERROR_ALONE)).with_noise(ERROR_ALONE, encoder.samples_within(TIME_ALONE))
-    }
-
-    /// The sample of encoder i where lengths and mounting angles are learned: they are no errors of its reading, and those of a disc, of the standard deviation
-    /// `further`, rad, are noise that counts once in their correlation time. Learning takes what is not modelled for what it learns, unless samples are noisy.
-    pub(super) fn learned(&self, i: usize, encoder: &Encoder, further: f64) -> Self {
-        let known = self.with_persistent_error(i, 0.0);
-        Self { persistent: further, ..known }.with_noise(further, encoder.samples_within(PERSISTENT_TIME))
-    }
-
-    /// The sample with an error of this standard deviation, rad, that counts once in a number of samples, as further noise.
-    fn with_noise(mut self, error: f64, samples: f64) -> Self {
-        self.unrevealed += error * error * samples;
-        self.innovation.noise += error * error * samples;
-        self
+        let mut alone = self.with_persistent_error(i, self.persistent.max(ERROR_ALONE));
+        alone.unrevealed = ERROR_ALONE * ERROR_ALONE * encoder.samples_within(TIME_ALONE);
+        alone.innovation.noise += alone.unrevealed;
+        alone
     }
 
     /// The sample of encoder i with a persistent error of another standard deviation, rad.
     pub(super) fn with_persistent_error(&self, i: usize, persistent: f64) -> Self {
-        let mut other = Self { persistent, ..*self };
-        other.innovation.row[READINGS + i] = persistent;
-        other
+        Self { persistent, innovation: self.innovation.with_persistent_error(i, persistent), ..*self }
     }
 
     /// Information of the sample with the quantisation error as noise.
@@ -259,12 +246,11 @@ impl Encoder {
         let before = self.mean_rate_before(&before);
         let (sigma, quantum) = (self.white_sigma(sigma[i], rate), quantum[i]);
         let noise = self.noise(sigma, quantum, rate);
-        let Some((expected, mut row)) = history.at(motion, frame, i, age) else {
+        let Some((expected, row)) = history.at(motion, frame, i, age) else {
             self.fault = Fault::Late;
             return None;
         };
-        row[READINGS + i] = persistent;
-        let innovation = Innovation { residual: wrapped(angle - expected), row, noise };
+        let innovation = Innovation { residual: wrapped(angle - expected), row, noise }.with_persistent_error(i, persistent);
         Some(Sample { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, innovation })
     }
 
@@ -502,6 +488,11 @@ impl Encoder {
     /// Information of a sample that is not confined to a quantisation interval; `None` of one that is.
     pub(super) fn unconfined(&self, sample: &Sample) -> Option<Reading> {
         Some(self.confined_to_interval(sample)).filter(|reading| reading.dead_zone == 0.0)
+    }
+
+    /// Number of samples that share a persistent error.
+    pub(super) fn samples_of_persistent_error(&self) -> f64 {
+        self.samples_within(PERSISTENT_TIME)
     }
 
     /// Number of samples within a time, s, at least one.

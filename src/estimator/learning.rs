@@ -155,7 +155,7 @@ impl Learning {
 
     /// Errors of motion and force with those of both readings by lengths and mounting angles, which show them by `rows`, and by discs of the standard
     /// deviation `further`, rad, as persistent errors of the encoders.
-    pub(super) fn shown(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> Bank {
+    fn shown(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> Bank {
         let mut bank = *own;
         if !self.geometry {
             return bank;
@@ -306,17 +306,33 @@ impl Learning {
 
     /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
     /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
-    pub(super) fn update(&mut self, expected: &PredictedSample, columns: &[Learned; MODELS], rests: bool) {
+    ///
+    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise, which counts an error of the standard
+    /// deviation σ = `persistent`, rad, once in n = `samples`, of variance R = n σ². With the gain c/(S + R) of a covariance c with the innovation their own is
+    /// reduced by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation
+    /// that parameters explain, of variance d², lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
+    pub(super) fn update(
+        &mut self,
+        expected: &mut PredictedSample,
+        columns: &[Learned; MODELS],
+        (persistent, samples): (f64, f64),
+        rests: bool,
+    ) {
+        let further = persistent * persistent * samples;
         let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
         for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
                 continue;
             }
-            let gain = column / *variance;
-            model.cross.ger(-1.0, own, &gain, 1.0);
+            model.cross.ger(-1.0, own, &(column / *variance), 1.0);
             if !rests {
-                model.error += gain * *residual;
-                reduce(&mut model.covariance, column, *variance);
+                let cautious = variance + further;
+                if further > 0.0 {
+                    let lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
+                    expected.lasting = expected.lasting.max(lasting);
+                }
+                model.error += column * (residual / cautious);
+                reduce(&mut model.covariance, column, cautious * cautious / (cautious + further));
             }
         }
     }
@@ -409,6 +425,21 @@ impl Moments {
             && is_covariance(p)
             && (0..LEARNED).all(|k| (0..ERRORS).all(|i| is_correlation(cross[(i, k)], own[(i, i)], p[(k, k)])))
     }
+}
+
+/// Errors of the estimate's bank for filters without parameters: see [`Learning::shown`]. `geometry`: derivatives of both readings by lengths and mounting
+/// angles, and the standard deviation of discs, rad.
+pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, geometry: Option<(&[Shown; 2], f64)>) -> Bank {
+    match learning.zip(geometry) {
+        Some((learning, (rows, further))) => learning.shown(own, rows, further),
+        None => *own,
+    }
+}
+
+/// Variance of the part of an innovation that parameters explain, by their covariance with it, as if they were independent of each other.
+fn explained(column: &Learned, covariance: &Square) -> f64 {
+    let free = (0..LEARNED).filter(|i| covariance[(*i, *i)] > 0.0);
+    free.map(|i| column[i] * column[i] / covariance[(i, i)]).sum()
 }
 
 /// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.

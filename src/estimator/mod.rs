@@ -66,7 +66,7 @@ use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, Hypothesis};
-use learning::{Learning, Shown};
+use learning::{Learning, Shown, without_parameters};
 pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
@@ -290,29 +290,28 @@ impl Estimator {
         let (mut nis, models) = (0.0, self.models(constants, motion));
         let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
         let further = constants.parameters.sigma0_eccentricity;
+        let geometry = rows.map(|rows| (rows, further));
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             let alone = !self.encoders[1 - i].is_believed();
-            let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
-            let sample = by_one.as_ref().unwrap_or(sample);
-            let learned = learns_geometry.then(|| sample.learned(i, &self.encoders[i], further));
+            let counted = |sample: &Sample| if alone { sample.alone(i, &self.encoders[i]) } else { *sample };
+            // Lengths and mounting angles that are learned are no errors of a reading.
+            let learned = learns_geometry.then(|| counted(&sample.with_persistent_error(i, further)));
+            let sample = &counted(sample);
             let used = learned.as_ref().unwrap_or(sample);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
             let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
             let own = expected.nis();
             nis += own;
-            let shown = |learning: &Option<Box<Learning>>, bank: &Bank| match (learning, rows) {
-                (Some(learning), Some(rows)) => learning.shown(bank, rows, further),
-                _ => *bank,
-            };
-            self.watch(constants, (motion, frame), (i, sample), own, shown);
-            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, shown);
+            self.watch(constants, (motion, frame), (i, sample), own, geometry);
+            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, geometry);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
-            if let Some(told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
+            if let Some(mut told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    learning.update(&told, columns, used.rests());
+                    let errors = (used.persistent, self.encoders[i].samples_of_persistent_error());
+                    learning.update(&mut told, columns, errors, used.rests());
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
@@ -346,18 +345,17 @@ impl Estimator {
         update
     }
 
-    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated. `shown`: the bank with what is learned of
-    /// lengths and mounting angles as errors of the readings.
+    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
     fn watch(
         &mut self,
         constants: &Constants,
         (motion, frame): (&LinkState, &Frame),
         (i, sample): (usize, &Sample),
         nis: f64,
-        shown: impl Fn(&Option<Box<Learning>>, &Bank) -> Bank,
+        geometry: Option<(&[Shown; 2], f64)>,
     ) {
         let before = || {
-            let belief = Belief { bank: shown(&self.learning, &self.belief.bank), ..self.belief };
+            let belief = Belief { bank: without_parameters(self.learning.as_deref(), &self.belief.bank, geometry), ..self.belief };
             belief.with_force(&(self.alarm.reference_force(frame) - belief.tangent_force(frame)))
         };
         self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
@@ -380,17 +378,14 @@ impl Estimator {
         (i, sample): (usize, &Sample),
         frame: &Frame,
         models: &[f64; MODELS],
-        shown: impl Fn(&Option<Box<Learning>>, &Bank) -> Bank,
+        geometry: Option<(&[Shown; 2], f64)>,
     ) -> (GateConditions, f64) {
         let change = self.innovation_change(i, sample);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
-        self.unaided[i].receive(
-            encoders,
-            || (shown(&self.learning, &self.belief.bank), self.belief.tangent_force(frame).norm()),
-            models,
-        );
+        let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, geometry);
+        self.unaided[i].receive(encoders, || (bank(), self.belief.tangent_force(frame).norm()), models);
         let repetition = if away { Fault::None } else { self.unaided[i].judge(sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
