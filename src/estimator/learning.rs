@@ -282,12 +282,17 @@ impl Learning {
         });
     }
 
-    /// Completes the expectation of a sample by what it shows of lengths and mounting angles, by `row`; returns its covariance with the parameters in
+    /// Completes the expectation of a sample of encoder i by what it shows of lengths and mounting angles, by `row`; returns its covariance with the parameters in
     /// each model. Lengths and mounting angles that are not learned at present are part of its noise.
-    pub(super) fn expect(&self, expected: &mut PredictedSample, sample: &Innovation, row: &Shown) -> [Learned; MODELS] {
+    pub(super) fn expect(
+        &self,
+        expected: &mut PredictedSample,
+        (i, sample): (usize, &Innovation),
+        row: &Shown,
+    ) -> [Learned; MODELS] {
         let row = if self.geometry { *row } else { Shown::zeros() };
-        // Without delay a sample shows angles and persistent errors alone.
-        let (own, persistent) = (sample.row.fixed_rows::<2>(0), sample.row.fixed_rows::<2>(READINGS));
+        // Without delay a sample shows angles and a persistent error alone.
+        let own = sample.row.fixed_rows::<2>(0);
         let mut columns = [Learned::zeros(); MODELS];
         for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
             if expected.weights[j] == 0.0 {
@@ -298,8 +303,8 @@ impl Learning {
             *residual -= row.dot(&model.error.fixed_rows::<GEOMETRY>(LOADS));
             *variance += 2.0 * sample.row.dot(&by_errors) + row.dot(&by_parameters.fixed_rows::<GEOMETRY>(LOADS));
             *of_errors += by_errors;
-            let of_readings = model.cross.fixed_rows::<2>(READINGS).tr_mul(&persistent);
-            columns[j] = model.cross.fixed_rows::<2>(0).tr_mul(&own) + of_readings + by_parameters;
+            let of_reading = model.cross.row(READINGS + i).transpose() * sample.row[READINGS + i];
+            columns[j] = model.cross.fixed_rows::<2>(0).tr_mul(&own) + of_reading + by_parameters;
         }
         columns
     }
@@ -310,7 +315,7 @@ impl Learning {
     /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise, which counts an error of the standard
     /// deviation σ = `persistent`, rad, once in n = `samples`, of variance R = n σ². With the gain c/(S + R) of a covariance c with the innovation their own is
     /// reduced by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation
-    /// that parameters explain, of variance d², lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
+    /// that parameters explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
     pub(super) fn update(
         &mut self,
         expected: &mut PredictedSample,
@@ -324,14 +329,14 @@ impl Learning {
             if weight == 0.0 {
                 continue;
             }
-            model.cross.ger(-1.0, own, &(column / *variance), 1.0);
+            let gain = column / *variance;
+            model.cross.ger(-1.0, own, &gain, 1.0);
             if !rests {
                 let cautious = variance + further;
-                if further > 0.0 {
-                    let lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
-                    expected.lasting = expected.lasting.max(lasting);
+                if further > 0.0 && expected.lasting == 0.0 {
+                    expected.lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
                 }
-                model.error += column * (residual / cautious);
+                model.error += gain * (residual * variance / cautious);
                 reduce(&mut model.covariance, column, cautious * cautious / (cautious + further));
             }
         }
@@ -438,8 +443,9 @@ pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, geomet
 
 /// Variance of the part of an innovation that parameters explain, by their covariance with it, as if they were independent of each other.
 fn explained(column: &Learned, covariance: &Square) -> f64 {
-    let free = (0..LEARNED).filter(|i| covariance[(*i, *i)] > 0.0);
-    free.map(|i| column[i] * column[i] / covariance[(i, i)]).sum()
+    // Parameters that are known have no covariance with anything.
+    let variances = covariance.diagonal().map(|variance| variance.max(f64::MIN_POSITIVE));
+    column.component_mul(column).component_div(&variances).sum()
 }
 
 /// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.

@@ -294,14 +294,13 @@ impl Estimator {
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             let alone = !self.encoders[1 - i].is_believed();
-            let counted = |sample: &Sample| if alone { sample.alone(i, &self.encoders[i]) } else { *sample };
-            // Lengths and mounting angles that are learned are no errors of a reading.
-            let learned = learns_geometry.then(|| counted(&sample.with_persistent_error(i, further)));
-            let sample = &counted(sample);
+            let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
+            let sample = by_one.as_ref().unwrap_or(sample);
+            let learned = learns_geometry.then(|| sample.learned(i, further));
             let used = learned.as_ref().unwrap_or(sample);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(rows);
-            let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, &used.innovation, &rows[i]));
+            let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, (i, &used.innovation), &rows[i]));
             let own = expected.nis();
             nis += own;
             self.watch(constants, (motion, frame), (i, sample), own, geometry);
