@@ -462,3 +462,53 @@ fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
         _ => [0.0, f64::MAX],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::error_state::Error;
+
+    /// Covariances after a cautious update are those of a joint filter with its gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ with the noise R of the sample, which is
+    /// larger in the gain of parameters alone.
+    #[test]
+    fn cautious_updates_keep_true_covariances() {
+        const ALL: usize = ERRORS + LEARNED;
+        type All = SMatrix<f64, ALL, ALL>;
+        let root = All::from_fn(|i, k| libm::sin((3 * i + 7 * k + 1) as f64));
+        let all = root * root.transpose();
+        let mut bank = Bank::new([1.0; 3]).with_priors([1.0, 0.0, 0.0, 0.0]);
+        bank.members[0].covariance = all.fixed_view::<ERRORS, ERRORS>(0, 0).into();
+        let prior = Prior { values: Learned::zeros(), sigma: Learned::zeros() };
+        let mut learning = Learning { geometry: true, ..Learning::new(&prior) };
+        learning.models[0].cross = all.fixed_view::<ERRORS, LEARNED>(0, ERRORS).into();
+        learning.models[0].covariance = all.fixed_view::<LEARNED, LEARNED>(ERRORS, ERRORS).into();
+
+        let (noise, persistent, samples) = (0.3, 0.5, 4.0);
+        let row = Error::from_fn(|i, _| [0.7, -0.4, 0.0, 0.0, 0.0, 0.0, persistent, 0.0][i]);
+        let shown = Shown::from_fn(|i, _| 0.1 * (i as f64) - 0.2);
+        let sample = Innovation { residual: 1.3, row, noise };
+        let mut expected = bank.predict_sample(&sample);
+        let columns = learning.expect(&mut expected, (0, &sample), &shown);
+        learning.update(&mut expected, &columns, (persistent, samples), false);
+        bank.update(&expected);
+
+        let h = SVector::<f64, ALL>::from_fn(|i, _| match i {
+            _ if i < ERRORS => row[i],
+            _ if i < ERRORS + LOADS => 0.0,
+            _ => shown[i - ERRORS - LOADS],
+        });
+        let column = all * h;
+        let (variance, cautious) = (h.dot(&column) + noise, h.dot(&column) + noise + persistent * persistent * samples);
+        let gain = SVector::<f64, ALL>::from_fn(|i, _| column[i] / if i < ERRORS { variance } else { cautious });
+        let left = All::identity() - gain * h.transpose();
+        let true_one = left * all * left.transpose() + gain * gain.transpose() * noise;
+        let Moments { cross, covariance, error } = &learning.models[0];
+        // Tolerance: round-off of sums of 26 products.
+        let near = |off: f64| assert!(off < 1e-12 * all.amax(), "{off}");
+        near((bank.members[0].covariance - true_one.fixed_view::<ERRORS, ERRORS>(0, 0)).amax());
+        near((cross - true_one.fixed_view::<ERRORS, LEARNED>(0, ERRORS)).amax());
+        near((covariance - true_one.fixed_view::<LEARNED, LEARNED>(ERRORS, ERRORS)).amax());
+        near((error - gain.fixed_rows::<LEARNED>(ERRORS) * sample.residual).amax());
+        assert!(expected.lasting > 0.0);
+    }
+}

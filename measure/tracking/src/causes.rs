@@ -191,14 +191,16 @@ pub fn table(runs: u64, first: u64) -> Table {
             let name = format!("causes of probability {least} to {most}, {}", encoder.name);
             table.push(Figure::told(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
         }
-        for (name, uncertain) in [("start values", by_start_values as fn(Scenario) -> Scenario), ("learned", learned)] {
+        let ways: [(&str, fn(Scenario) -> Scenario, f64); 2] = [("start values", by_start_values, 0.0), ("learned", learned, 90.0)];
+        for (name, uncertain, least) in ways {
             let all = trials(&encoder, uncertain, runs, first);
             let silent = all.iter().filter(|told| told.fault > 0 && told.cause == 0).count();
-            table.push(Figure::told(
-                format!("all, {name}, {}", encoder.name),
-                share(&all),
-                format!("of {}; {silent} told as nothing", all.len()),
-            ));
+            let (label, of) = (format!("all, {name}, {}", encoder.name), format!("of {}; {silent} told as nothing", all.len()));
+            table.push(if least > 0.0 {
+                Figure::at_least(label, share(&all), least, of)
+            } else {
+                Figure::told(label, share(&all), of)
+            });
         }
     }
     table

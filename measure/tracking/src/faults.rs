@@ -24,11 +24,15 @@ const SOON: f64 = 0.2;
 /// Distance of the axis from a frozen reading that an observer sees, in quantisation intervals and in standard deviations of the angle.
 const VISIBLE: [f64; 2] = [2.0, 4.0];
 
+/// Whether the tip of a twin, which is off by so much, m, is beyond its band.
+fn is_beyond(twin: &Following, time: f64, off: f64) -> bool {
+    time > 0.1 && off > SILENT.0.max(SILENT.1 * half_width(twin.tip_covariance()))
+}
+
 /// Whether the tip of a twin, which is off by so much, m, is beyond its band while nothing is said.
 pub fn is_wrong_in_silence(twin: &Following, time: f64, off: f64) -> bool {
-    let half_width = half_width(twin.tip_covariance());
-    let fine = twin.status() == Status::Following && !twin.estimator().alarm();
-    time > 0.1 && off > SILENT.0 && off > SILENT.1 * half_width && fine
+    let is_fine = twin.status() == Status::Following && !twin.estimator().alarm();
+    is_beyond(twin, time, off) && is_fine
 }
 
 /// Failure of encoder 1, of both clocks, or of the start.
@@ -243,8 +247,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let off = (x - v).hypot(y - w);
         wrong = if is_wrong_in_silence(&twin, time, off) { wrong + h } else { 0.0 };
         outcome.silent |= wrong >= SILENT.2;
-        let is_beyond = time > 0.1 && off > SILENT.0.max(SILENT.1 * half_width(twin.tip_covariance()));
-        beyond = if is_beyond { beyond + h } else { 0.0 };
+        beyond = if is_beyond(&twin, time, off) { beyond + h } else { 0.0 };
         outcome.beyond |= beyond >= SILENT.2;
         outcome.lost = off > SILENT.0;
         let [first, second] = [0, 1].map(|i| twin.estimator().encoder(i).1 == Fault::Stuck);
