@@ -170,9 +170,9 @@ pub(super) const LARGEST_SIGMA_ALONE: f64 = 0.4;
 pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
 pub(super) const CORRELATION_TIME: f64 = 0.3;
-/// Correlation time of a persistent error of readings, s, in which it counts once to parameters that are learned. Errors of constant lengths and mounting angles last for longer, those of eccentric discs for less in
-/// fast motion. Of 160 slow crossings with geometry off 33 are lost with 0.05 s, 29 with 0.1 s, 17 with 0.3 s and 7 with 1 s, 5, 2, 4 and 8 of them in
-/// silence (table `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow crossings, told*).
+/// Correlation time of a persistent error of readings, s, in which it counts once to parameters that are learned. Errors of constant lengths and mounting
+/// angles last for longer, those of eccentric discs for less in fast motion. Of 160 slow crossings with geometry off 33 are lost with 0.05 s, 29 with 0.1 s,
+/// 17 with 0.3 s and 7 with 1 s, 5, 2, 4 and 8 of them in silence (table `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow crossings, told*).
 pub(super) const PERSISTENT_TIME: f64 = 0.3;
 /// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
 pub(super) const DITHER: f64 = 0.4;

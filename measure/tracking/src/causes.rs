@@ -191,7 +191,8 @@ pub fn table(runs: u64, first: u64) -> Table {
             let name = format!("causes of probability {least} to {most}, {}", encoder.name);
             table.push(Figure::told(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
         }
-        let ways: [(&str, fn(Scenario) -> Scenario, f64); 2] = [("start values", by_start_values, 0.0), ("learned", learned, 90.0)];
+        type Way = fn(Scenario) -> Scenario;
+        let ways: [(&str, Way, f64); 2] = [("start values", by_start_values, 0.0), ("learned", learned, 90.0)];
         for (name, uncertain, least) in ways {
             let all = trials(&encoder, uncertain, runs, first);
             let silent = all.iter().filter(|told| told.fault > 0 && told.cause == 0).count();
