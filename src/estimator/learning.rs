@@ -333,6 +333,7 @@ impl Learning {
             model.cross.ger(-1.0, own, &gain, 1.0);
             if !rests {
                 let cautious = variance + further;
+                // The quietest model comes first.
                 if further > 0.0 && expected.lasting == 0.0 {
                     expected.lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
                 }

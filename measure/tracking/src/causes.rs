@@ -192,15 +192,14 @@ pub fn table(runs: u64, first: u64) -> Table {
             table.push(Figure::told(name, share(&of), format!("of {}; mean probability {mean:.0} %", of.len())));
         }
         type Way = fn(Scenario) -> Scenario;
-        let ways: [(&str, Way, f64); 2] = [("start values", by_start_values, 0.0), ("learned", learned, 90.0)];
+        let ways: [(&str, Way, Option<f64>); 2] = [("start values", by_start_values, None), ("learned", learned, Some(90.0))];
         for (name, uncertain, least) in ways {
             let all = trials(&encoder, uncertain, runs, first);
             let silent = all.iter().filter(|told| told.fault > 0 && told.cause == 0).count();
             let (label, of) = (format!("all, {name}, {}", encoder.name), format!("of {}; {silent} told as nothing", all.len()));
-            table.push(if least > 0.0 {
-                Figure::at_least(label, share(&all), least, of)
-            } else {
-                Figure::told(label, share(&all), of)
+            table.push(match least {
+                Some(least) => Figure::at_least(label, share(&all), least, of),
+                None => Figure::told(label, share(&all), of),
             });
         }
     }
