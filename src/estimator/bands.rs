@@ -36,7 +36,7 @@ impl Estimator {
             let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, belief));
             let added = mixed(
                 &belief.bank,
-                &by_geometry(constants, &frame, (belief, learning), (&frame.basis, &frame.links_by_geometry())),
+                &by_geometry(constants, (motion, &frame), (belief, learning), (&frame.basis, &frame.links_by_geometry())),
             );
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
@@ -65,8 +65,8 @@ impl Estimator {
         };
         let by_models = || of_models(motion, &self.belief, self.learning.as_deref());
         let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| {
-            let added =
-                tip_by_geometry(constants, &constants.linkage.frame(&motion.theta), (&self.belief, self.learning.as_deref()));
+            let frame = constants.linkage.frame(&motion.theta);
+            let added = tip_by_geometry(constants, (motion, &frame), (&self.belief, self.learning.as_deref()));
             about + mixed(&self.belief.bank, &added)
         });
         // Sigma points of the motion may contradict the geometry that has been learned.
@@ -125,16 +125,16 @@ fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) ->
 /// further errors of encoders do at any time.
 fn by_geometry<const R: usize>(
     constants: &Constants,
-    frame: &Frame,
+    (motion, frame): (&LinkState, &Frame),
     (belief, learning): (&Belief, Option<&Learning>),
     (by_error, by_parameters): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, GEOMETRY>),
 ) -> [SMatrix<f64, R, R>; MODELS] {
     let parameters = &constants.parameters;
-    if learning.is_none() && parameters.persistent_errors() == [0.0; 2] {
+    if learning.is_none() && parameters.takes_geometry_as_exact() {
         return [SMatrix::zeros(); MODELS];
     }
-    let by_encoders = by_error * frame.holding();
-    let further = by_encoders * by_encoders.transpose() * parameters.eccentricity_variance();
+    let by_encoders = by_error * frame.holding() * Matrix2::from_diagonal(&parameters.errors_of_encoders(&motion.theta).into());
+    let further = by_encoders * by_encoders.transpose();
     let while_held = by_parameters + by_error * frame.held_by_geometry();
     let added = learning.map_or_else(
         || {
@@ -147,8 +147,12 @@ fn by_geometry<const R: usize>(
 }
 
 /// Second moments, in each model, that errors of lengths and encoders add to those of the tip, m².
-fn tip_by_geometry(constants: &Constants, frame: &Frame, belief: (&Belief, Option<&Learning>)) -> [Matrix2<f64>; MODELS] {
-    by_geometry(constants, frame, belief, (&frame.tip(), &frame.tip_by_geometry()))
+fn tip_by_geometry(
+    constants: &Constants,
+    (motion, frame): (&LinkState, &Frame),
+    belief: (&Belief, Option<&Learning>),
+) -> [Matrix2<f64>; MODELS] {
+    by_geometry(constants, (motion, frame), belief, (&frame.tip(), &frame.tip_by_geometry()))
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
@@ -159,7 +163,7 @@ fn tip_of_models(
     learning: Option<&Learning>,
 ) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
-    let (tip, added) = (frame.tip(), tip_by_geometry(constants, &frame, (belief, learning)));
+    let (tip, added) = (frame.tip(), tip_by_geometry(constants, (motion, &frame), (belief, learning)));
     std::array::from_fn(|j| {
         let Member { weight, error, covariance } = &belief.bank.members[j];
         let off: Pair = tip * error.fixed_rows::<2>(0);

@@ -111,8 +111,8 @@ impl Sample {
         alone
     }
 
-    /// The sample of encoder i where lengths and mounting angles are learned: they are no errors of its reading, but those of a disc, of the standard deviation
-    /// `further`, rad, and of the model are.
+    /// The sample of encoder i where lengths and mounting angles are learned: they are no errors of its reading, but those of disc and scale, of the standard
+    /// deviation `further`, rad, and of the model are.
     pub(super) fn learned(&self, i: usize, further: f64) -> Self {
         let of_model = if self.unrevealed > 0.0 { ERROR_ALONE } else { 0.0 };
         self.with_persistent_error(i, further.max(of_model))

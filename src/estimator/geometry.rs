@@ -10,14 +10,14 @@ use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
 pub(super) const LENGTH_COUNT: usize = 5;
 
 impl Frame {
-    /// Variances of the motor angles that the encoders show, rad², by persistent errors of lengths, m, and encoders, rad: the loop closes by J⁺ for
-    /// lengths that are off, and encoders add.
-    pub(super) fn motors_by_geometry(&self, [length, encoder]: [f64; 2]) -> [f64; 2] {
+    /// Variances of the motor angles that the encoders show, rad², by errors of each length of this standard deviation, m: the loop closes by J⁺ for
+    /// lengths that are off.
+    pub(super) fn motors_by_lengths(&self, length: f64) -> [f64; 2] {
         if length == 0.0 {
-            return [encoder * encoder; 2];
+            return [0.0; 2];
         }
         let turned = self.turned_by_lengths();
-        MEASURED.map(|link| encoder * encoder + length * length * turned.row(link).norm_squared())
+        MEASURED.map(|link| length * length * turned.row(link).norm_squared())
     }
 
     /// Tangent coordinates by the angles of the motors, as far as motors determine them.

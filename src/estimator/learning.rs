@@ -36,9 +36,17 @@ type Cross = SMatrix<f64, ERRORS, LEARNED>;
 /// Derivatives Ψ of the errors of the motion by the parameters.
 type Moving = SMatrix<f64, FORCE, LEARNED>;
 /// Derivatives of a reading by lengths and mounting angles.
-pub(super) type Shown = SVector<f64, GEOMETRY>;
+type Shown = SVector<f64, GEOMETRY>;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
+
+/// What both readings are off by beside the motion.
+pub(super) struct ReadingErrors {
+    /// Derivatives of each by lengths and mounting angles.
+    pub(super) rows: [Shown; 2],
+    /// Standard deviations of the errors by discs and scales, rad.
+    pub(super) further: [f64; 2],
+}
 
 /// Moments of the errors of the parameters in a model of the estimate's bank.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -133,10 +141,9 @@ impl Learning {
         })
     }
 
-    /// Standard deviations of what lengths and mounting angles, which both readings show by `rows`, and discs of the standard deviation `further`, rad, add to
-    /// the readings, rad; never 0.
-    pub(super) fn sigma_of_readings(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> [f64; 2] {
-        rows.map(|row| (self.variance(own, &row) + further * further).sqrt().max(LEAST_SIGMA))
+    /// Standard deviations of all errors of the readings, rad; never 0.
+    pub(super) fn sigma_of_readings(&self, own: &Bank, ReadingErrors { rows, further }: &ReadingErrors) -> [f64; 2] {
+        [0, 1].map(|i| (self.variance(own, &rows[i]) + further[i] * further[i]).sqrt().max(LEAST_SIGMA))
     }
 
     /// Variance of what lengths and mounting angles add to a sample that shows them by `row`, rad².
@@ -153,16 +160,15 @@ impl Learning {
             .sum()
     }
 
-    /// Errors of motion and force with those of both readings by lengths and mounting angles, which show them by `rows`, and by discs of the standard
-    /// deviation `further`, rad, as persistent errors of the encoders.
-    fn shown(&self, own: &Bank, rows: &[Shown; 2], further: f64) -> Bank {
+    /// Errors of motion and force with all errors of both readings as persistent errors of the encoders.
+    fn shown(&self, own: &Bank, errors: &ReadingErrors) -> Bank {
         let mut bank = *own;
         if !self.geometry {
             return bank;
         }
-        let sigma = self.sigma_of_readings(own, rows, further);
-        // Persistent errors of the readings by those of discs, and by parameters.
-        let by_discs = Matrix2::from_diagonal(&sigma.map(|sigma| further / sigma).into());
+        let (sigma, ReadingErrors { rows, further }) = (self.sigma_of_readings(own, errors), errors);
+        // Persistent errors of the readings by those of discs and scales, and by parameters.
+        let by_discs = Matrix2::from_diagonal(&[0, 1].map(|i| further[i] / sigma[i]).into());
         let by_parameters = SMatrix::from_columns(&[rows[0] / sigma[0], rows[1] / sigma[1]]).transpose();
         for (model, member) in self.models.iter().zip(&mut bank.members) {
             let cross = model.cross.fixed_columns::<GEOMETRY>(LOADS);
@@ -433,13 +439,9 @@ impl Moments {
     }
 }
 
-/// Errors of the estimate's bank for filters without parameters: see [`Learning::shown`]. `geometry`: derivatives of both readings by lengths and mounting
-/// angles, and the standard deviation of discs, rad.
-pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, geometry: Option<(&[Shown; 2], f64)>) -> Bank {
-    match learning.zip(geometry) {
-        Some((learning, (rows, further))) => learning.shown(own, rows, further),
-        None => *own,
-    }
+/// Errors of the estimate's bank for filters without parameters: see [`Learning::shown`].
+pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, errors: Option<&ReadingErrors>) -> Bank {
+    learning.zip(errors).map_or(*own, |(learning, errors)| learning.shown(own, errors))
 }
 
 /// Variance of the part of an innovation that parameters explain, by their covariance with it, as if they were independent of each other.

@@ -66,7 +66,7 @@ use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, Hypothesis};
-use learning::{Learning, Shown, without_parameters};
+use learning::{Learning, ReadingErrors, without_parameters};
 pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
@@ -167,8 +167,8 @@ impl Estimator {
     fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let mut motion = *motion;
         let mut frame = constants.linkage.frame(&motion.theta);
-        let mut rows = self.rows_by_geometry(&frame);
-        let systematic = self.systematic_errors(constants, &frame, rows.as_ref());
+        let mut errors = self.errors_beside_learned(constants, &motion, &frame);
+        let systematic = self.systematic_errors(constants, (&motion, &frame), errors.as_ref());
         let mut samples =
             [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
         // Samples of encoders that are believed end a forecast even where their values cannot be used.
@@ -192,10 +192,10 @@ impl Estimator {
         let favoured = self.hypotheses.favoured(&constants.linkage, &self.belief, &samples);
         if let Some(other) = favoured {
             frame = self.take_over(other, constants, &mut motion);
-            rows = self.rows_by_geometry(&frame);
+            errors = self.errors_beside_learned(constants, &motion, &frame);
             samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
         }
-        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), rows.as_ref(), &samples);
+        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), errors.as_ref(), &samples);
         let used = samples.iter().flatten().count();
         if used == 0 {
             return favoured.map(|_| motion);
@@ -212,7 +212,7 @@ impl Estimator {
         match self.belief.inject_error(linkage, &frame, &mut motion) {
             Some((mut error, turn, to)) => {
                 if let Some((_, corrected)) = &learned
-                    && let Some(rows) = &rows
+                    && let Some(ReadingErrors { rows, .. }) = &errors
                 {
                     // Persistent errors of the readings are those about what is learned.
                     for i in 0..2 {
@@ -256,20 +256,27 @@ impl Estimator {
         Some(motion)
     }
 
-    /// Derivatives of both readings by lengths and mounting angles; `None` where nothing is learned.
-    fn rows_by_geometry(&self, frame: &Frame) -> Option<[Shown; 2]> {
-        self.learning.is_some().then(|| frame.readings_by_geometry())
+    /// Errors of both readings beside those of the motion; `None` where nothing is learned.
+    fn errors_beside_learned(&self, constants: &Constants, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
+        let further = || constants.parameters.errors_of_encoders(&motion.theta);
+        self.learning.is_some().then(|| ReadingErrors { rows: frame.readings_by_geometry(), further: further() })
     }
 
     /// Standard deviation and known part, rad, of the persistent error of each encoder.
-    fn systematic_errors(&self, constants: &Constants, frame: &Frame, rows: Option<&[Shown; 2]>) -> [(f64, f64); 2] {
-        match self.learning.as_ref().zip(rows) {
-            Some((learning, rows)) => {
-                let sigma = learning.sigma_of_readings(&self.belief.bank, rows, constants.parameters.sigma0_eccentricity);
-                [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]))
-            }
-            None => frame.motors_by_geometry(constants.parameters.persistent_errors()).map(|variance| (variance.sqrt(), 0.0)),
+    fn systematic_errors(
+        &self,
+        constants: &Constants,
+        (motion, frame): (&LinkState, &Frame),
+        errors: Option<&ReadingErrors>,
+    ) -> [(f64, f64); 2] {
+        if let Some((learning, errors)) = self.learning.as_ref().zip(errors) {
+            let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
+            return [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]));
         }
+        let Parameters { sigma0_length, sigma0_offset, .. } = constants.parameters;
+        let (by_lengths, further) =
+            (frame.motors_by_lengths(sigma0_length), constants.parameters.errors_of_encoders(&motion.theta));
+        [0, 1].map(|i| ((by_lengths[i] + sigma0_offset * sigma0_offset + further[i] * further[i]).sqrt(), 0.0))
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
@@ -277,7 +284,7 @@ impl Estimator {
         &mut self,
         constants: &Constants,
         (motion, frame): (&LinkState, &Frame),
-        rows: Option<&[Shown; 2]>,
+        errors: Option<&ReadingErrors>,
         samples: &[Option<Sample>; 2],
     ) -> Update {
         if self.are_exchanged((motion, frame), samples) {
@@ -289,28 +296,27 @@ impl Estimator {
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
         let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
-        let further = constants.parameters.sigma0_eccentricity;
-        let geometry = rows.map(|rows| (rows, further));
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             let alone = !self.encoders[1 - i].is_believed();
             let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
             let sample = by_one.as_ref().unwrap_or(sample);
-            let learned = learns_geometry.then(|| sample.learned(i, further));
+            let learned = errors.filter(|_| learns_geometry).map(|errors| sample.learned(i, errors.further[i]));
             let used = learned.as_ref().unwrap_or(sample);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
-            let by_learned = self.learning.as_ref().zip(rows);
-            let columns = by_learned.map(|(learning, rows)| learning.expect(&mut expected, (i, &used.innovation), &rows[i]));
+            let by_learned = self.learning.as_ref().zip(errors);
+            let columns =
+                by_learned.map(|(learning, errors)| learning.expect(&mut expected, (i, &used.innovation), &errors.rows[i]));
             let own = expected.nis();
             nis += own;
-            self.watch(constants, (motion, frame), (i, sample), own, geometry);
-            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, geometry);
+            self.watch(constants, (motion, frame), (i, sample), own, errors);
+            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, errors);
             let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
             if let Some(mut told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    let errors = (used.persistent, self.encoders[i].samples_of_persistent_error());
-                    learning.update(&mut told, columns, errors, used.rests());
+                    let persistent = (used.persistent, self.encoders[i].samples_of_persistent_error());
+                    learning.update(&mut told, columns, persistent, used.rests());
                 }
                 self.belief.bank.update(&told);
                 if self.hypotheses.are_open() {
@@ -351,10 +357,10 @@ impl Estimator {
         (motion, frame): (&LinkState, &Frame),
         (i, sample): (usize, &Sample),
         nis: f64,
-        geometry: Option<(&[Shown; 2], f64)>,
+        errors: Option<&ReadingErrors>,
     ) {
         let before = || {
-            let belief = Belief { bank: without_parameters(self.learning.as_deref(), &self.belief.bank, geometry), ..self.belief };
+            let belief = Belief { bank: without_parameters(self.learning.as_deref(), &self.belief.bank, errors), ..self.belief };
             belief.with_force(&(self.alarm.reference_force(frame) - belief.tangent_force(frame)))
         };
         self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
@@ -377,13 +383,13 @@ impl Estimator {
         (i, sample): (usize, &Sample),
         frame: &Frame,
         models: &[f64; MODELS],
-        geometry: Option<(&[Shown; 2], f64)>,
+        errors: Option<&ReadingErrors>,
     ) -> (GateConditions, f64) {
         let change = self.innovation_change(i, sample);
         let witnessed = self.encoders[1 - i].is_settled();
         let away = self.encoders[i].stays_away(sample, change, witnessed);
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
-        let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, geometry);
+        let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, errors);
         self.unaided[i].receive(encoders, || (bank(), self.belief.tangent_force(frame).norm()), models);
         let repetition = if away { Fault::None } else { self.unaided[i].judge(sample) };
         (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)

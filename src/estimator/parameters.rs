@@ -6,7 +6,7 @@ use super::constants::UNKNOWN_FORCE;
 use super::error_state::{GEOMETRY, LENGTHS, Learned};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
-use super::tangent::Linkage;
+use super::tangent::{Linkage, Links, MEASURED};
 use crate::mechanism::{Geometry, SceneError};
 
 /// Method of the covariance in a forecast without samples.
@@ -40,6 +40,8 @@ pub struct Parameters {
     pub sigma0_offset: f64,
     /// Standard deviation of further errors of each encoder that persist and are not constant, rad.
     pub sigma0_eccentricity: f64,
+    /// Relative standard deviation of the scale of each encoder.
+    pub sigma0_scale: f64,
     /// Whether masses, friction, lengths and mounting angles are learned.
     pub learn_enabled: bool,
     /// Relative standard deviation of the mass of each link at the start; 0: known.
@@ -63,17 +65,19 @@ pub struct Parameters {
 impl Parameters {
     /// Takes lengths and encoders as exact.
     pub fn take_geometry_as_exact(&mut self) {
-        (self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity) = (0.0, 0.0, 0.0);
+        (self.sigma0_length, self.sigma0_offset) = (0.0, 0.0);
+        (self.sigma0_eccentricity, self.sigma0_scale) = (0.0, 0.0);
     }
 
-    /// Variance of the error of a reading by an eccentric disc, rad².
-    pub(super) fn eccentricity_variance(&self) -> f64 {
-        self.sigma0_eccentricity * self.sigma0_eccentricity
+    /// Whether lengths and encoders are taken as exact.
+    pub(super) fn takes_geometry_as_exact(&self) -> bool {
+        [self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity, self.sigma0_scale] == [0.0; 4]
     }
 
-    /// Standard deviations of each length, m, and of the persistent error of each encoder, rad, which count as noise where nothing is learned.
-    pub(super) fn persistent_errors(&self) -> [f64; 2] {
-        [self.sigma0_length, libm::hypot(self.sigma0_offset, self.sigma0_eccentricity)]
+    /// Standard deviations of the errors of both readings by discs and scales of the encoders, rad, which are never learned. That of a scale grows with the
+    /// angle from where the reading is 0.
+    pub(super) fn errors_of_encoders(&self, theta: &Links) -> [f64; 2] {
+        MEASURED.map(|link| libm::hypot(self.sigma0_eccentricity, self.sigma0_scale * theta[link]))
     }
 
     /// Standard deviations of lengths, m, and mounting angles, rad, before any sample.

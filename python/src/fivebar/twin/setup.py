@@ -22,6 +22,7 @@ EXACT: Final[dict[str, float | int | bool]] = {
     "estimator.sigma0.length": 0.0,
     "estimator.sigma0.offset": 0.0,
     "estimator.sigma0.eccentricity": 0.0,
+    "estimator.sigma0.scale": 0.0,
 }
 """Start values of a twin that takes lengths and encoders as exact."""
 
