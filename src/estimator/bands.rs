@@ -133,8 +133,9 @@ fn by_geometry<const R: usize>(
     if learning.is_none() && parameters.takes_geometry_as_exact() {
         return [SMatrix::zeros(); MODELS];
     }
-    let by_encoders = by_error * frame.holding() * Matrix2::from_diagonal(&parameters.errors_of_encoders(&motion.theta).into());
-    let further = by_encoders * by_encoders.transpose();
+    let by_encoders = by_error * frame.holding();
+    let variances = Matrix2::from_diagonal(&parameters.variances_of_encoders(&motion.theta).into());
+    let further = by_encoders * variances * by_encoders.transpose();
     let while_held = by_parameters + by_error * frame.held_by_geometry();
     let added = learning.map_or_else(
         || {

@@ -20,6 +20,7 @@ use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
+    PRODUCTS,
 };
 use super::error_state::{
     DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, READINGS, Transition, combine,
@@ -318,18 +319,18 @@ impl Learning {
     /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
     /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
     ///
-    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise, which counts an error of the standard
-    /// deviation σ = `persistent`, rad, once in n = `samples`, of variance R = n σ². With the gain c/(S + R) of a covariance c with the innovation their own is
+    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise, which counts an error once in n = `samples`,
+    /// of variance R = n σ²: with the standard deviation `persistent`, rad, of what is never learned, and that of products of errors, which a linear filter
+    /// does not know: of masses, and of readings by lengths and mounting angles, `shown`, rad. With the gain c/(S + R) of a covariance c with the innovation their own is
     /// reduced by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation
     /// that parameters explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
     pub(super) fn update(
         &mut self,
         expected: &mut PredictedSample,
         columns: &[Learned; MODELS],
-        (persistent, samples): (f64, f64),
+        ([persistent, shown], samples): ([f64; 2], f64),
         rests: bool,
     ) {
-        let further = persistent * persistent * samples;
         let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
         for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
@@ -338,9 +339,11 @@ impl Learning {
             let gain = column / *variance;
             model.cross.ger(-1.0, own, &gain, 1.0);
             if !rests {
+                let products = PRODUCTS * PRODUCTS * shown * shown * model.mass_variance();
+                let further = (persistent * persistent + products) * samples;
                 let cautious = variance + further;
                 // The quietest model comes first.
-                if further > 0.0 && expected.lasting == 0.0 {
+                if persistent > 0.0 && expected.lasting == 0.0 {
                     expected.lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
                 }
                 model.error += gain * (residual * variance / cautious);
@@ -407,6 +410,11 @@ impl Moments {
         cross: Cross::from_array_storage(ArrayStorage([[0.0; ERRORS]; LEARNED])),
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
+
+    /// Mean variance of the logarithm of a link's mass.
+    fn mass_variance(&self) -> f64 {
+        MASSES.map(|i| self.covariance[(i, i)]).sum::<f64>() / MASSES.len() as f64
+    }
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
@@ -492,7 +500,7 @@ mod tests {
         let sample = Innovation { residual: 1.3, row, noise };
         let mut expected = bank.predict_sample(&sample);
         let columns = learning.expect(&mut expected, (0, &sample), &shown);
-        learning.update(&mut expected, &columns, (persistent, samples), false);
+        learning.update(&mut expected, &columns, ([persistent, 0.0], samples), false);
         bank.update(&expected);
 
         let h = SVector::<f64, ALL>::from_fn(|i, _| match i {

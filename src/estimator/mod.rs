@@ -258,7 +258,7 @@ impl Estimator {
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
     fn errors_beside_learned(&self, constants: &Constants, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
-        let further = || constants.parameters.errors_of_encoders(&motion.theta);
+        let further = || constants.parameters.variances_of_encoders(&motion.theta).map(f64::sqrt);
         self.learning.is_some().then(|| ReadingErrors { rows: frame.readings_by_geometry(), further: further() })
     }
 
@@ -274,9 +274,9 @@ impl Estimator {
             return [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]));
         }
         let Parameters { sigma0_length, sigma0_offset, .. } = constants.parameters;
-        let (by_lengths, further) =
-            (frame.motors_by_lengths(sigma0_length), constants.parameters.errors_of_encoders(&motion.theta));
-        [0, 1].map(|i| ((by_lengths[i] + sigma0_offset * sigma0_offset + further[i] * further[i]).sqrt(), 0.0))
+        let by_lengths = frame.motors_by_lengths(sigma0_length);
+        let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
+        [0, 1].map(|i| ((by_lengths[i] + sigma0_offset * sigma0_offset + by_encoders[i]).sqrt(), 0.0))
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
@@ -315,7 +315,7 @@ impl Estimator {
             let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
             if let Some(mut told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    let persistent = (used.persistent, self.encoders[i].samples_of_persistent_error());
+                    let persistent = ([used.persistent, sample.persistent], self.encoders[i].samples_of_persistent_error());
                     learning.update(&mut told, columns, persistent, used.rests());
                 }
                 self.belief.bank.update(&told);

@@ -74,10 +74,13 @@ impl Parameters {
         [self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity, self.sigma0_scale] == [0.0; 4]
     }
 
-    /// Standard deviations of the errors of both readings by discs and scales of the encoders, rad, which are never learned. That of a scale grows with the
-    /// angle from where the reading is 0.
-    pub(super) fn errors_of_encoders(&self, theta: &Links) -> [f64; 2] {
-        MEASURED.map(|link| libm::hypot(self.sigma0_eccentricity, self.sigma0_scale * theta[link]))
+    /// Variances of the errors of both readings by discs and scales of the encoders, rad², which are never learned. That of a scale grows with the angle from
+    /// where the reading is 0.
+    pub(super) fn variances_of_encoders(&self, theta: &Links) -> [f64; 2] {
+        MEASURED.map(|link| {
+            let by_scale = self.sigma0_scale * theta[link];
+            self.sigma0_eccentricity * self.sigma0_eccentricity + by_scale * by_scale
+        })
     }
 
     /// Standard deviations of lengths, m, and mounting angles, rad, before any sample.
