@@ -41,7 +41,7 @@ type Shown = SVector<f64, GEOMETRY>;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
-/// What both readings are off by beside the motion.
+/// Errors of both readings beside those of the motion.
 pub(super) struct ReadingErrors {
     /// Derivatives of each by lengths and mounting angles.
     pub(super) rows: [Shown; 2],
@@ -411,9 +411,11 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
-    /// Mean variance of the logarithm of a link's mass.
+    /// Mean variance of the logarithm of a link's mass about the mean of all, so that a common factor, which a fall never tells, does not count.
     fn mass_variance(&self) -> f64 {
-        MASSES.map(|i| self.covariance[(i, i)]).sum::<f64>() / MASSES.len() as f64
+        const COUNT: usize = MASSES.end - MASSES.start;
+        let masses = self.covariance.fixed_view::<COUNT, COUNT>(MASSES.start, MASSES.start);
+        (masses.trace() - masses.sum() / COUNT as f64) / COUNT as f64
     }
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
