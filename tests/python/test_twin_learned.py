@@ -34,6 +34,7 @@ TRUE_DISCS = {"estimator.sigma0.eccentricity": 0.0}
 """Of a twin whose machine has no eccentric discs, and which knows it: a second of a fall then tells lengths and mounting angles."""
 
 MASSES = tuple(f"link[{i}].mass" for i in (1, 2, 3, 4))
+LENGTHS = (*(f"link[{i}].length" for i in (1, 2, 3, 4)), "base.distance")
 
 
 @pytest.fixture(scope="module")
@@ -109,8 +110,8 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
 def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fmu: Path, library: Library) -> None:
     """A machine whose lengths are 0.1 % and whose encoders are 2 and 1.5 mrad off is learned in falls, handed over, and followed again.
 
-    The tip is 0.32 mm off by the scene's values, 0.012 mm by what was learned, and 0.26 mm by the learned lengths without their mounting angles. Bands are
-    those of the scene's widths, 1.7 mm, in all runs.
+    The tip is 0.32 mm off by the scene's values, 0.053 mm by what was learned, and 0.23 mm by the learned lengths without their mounting angles. The machine's
+    own lengths and mounting angles with the scene's masses leave 0.089 mm. Bands are those of the scene's widths, 1.7 to 1.8 mm, in all runs.
     """
     folder = tmp_path / "first"
     config = configured(folder, fmu, library, "fall_90_120", learn=True)
@@ -127,6 +128,9 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     values = learned.extra["values"]
     for name in OFFSETS:
         assert abs(values[name] - truth[name]) < 2e-5, (name, values[name])
+    # A fiftieth of what they are off; bands claim 5e-6 m.
+    for name in LENGTHS:
+        assert abs(values[name] - truth[name]) < 5e-6, (name, values[name])
 
     found = {}
     for name, handed in (("scene", {}), ("all", values), ("lengths", {name: value for name, value in values.items() if name not in OFFSETS})):
@@ -135,7 +139,7 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
         again = configured(tmp_path / name, fmu, library, file)
         found[name] = followed(replace(again, machine=config.machine), library, 1000)
     error, width, inside = found["all"]
-    assert error < found["scene"][0] / 10 and error < found["lengths"][0] / 10, found
+    assert error < found["scene"][0] / 4 and error < found["lengths"][0] / 4, found
     assert inside > 0.95 and error < width and 0.5 < width / found["scene"][1] < 2, found
 
     # Learned on, mounting angles add up.
