@@ -16,7 +16,7 @@
 //! slipVelocity F_t/(mu N).
 
 use super::finite_motion::{FiniteMotion, end_weight};
-use super::force_law::ForceLaw;
+use super::force_law::{ForceLaw, Properties};
 use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
 use crate::hybrid::{
     CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralGuard, UnilateralGuards,
@@ -100,6 +100,11 @@ impl Contact {
         dot(self.tangent(), at.velocity)
     }
 
+    /// Whether friction may stick.
+    fn may_stick(&self) -> bool {
+        self.law == Law::Stick && self.mu > 0.0
+    }
+
     /// Unit tangent t of the plane.
     fn tangent(&self) -> Planar {
         [-self.normal[1], self.normal[0]]
@@ -151,8 +156,8 @@ impl Contact {
 }
 
 impl ForceLaw for Contact {
-    fn conservative(&self) -> bool {
-        self.spring.damping == 0.0 && self.mu == 0.0
+    fn properties(&self) -> Properties {
+        Properties { may_stick: self.may_stick(), ..Properties::contact(self.spring.damping == 0.0 && self.mu == 0.0) }
     }
 
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
@@ -207,16 +212,8 @@ impl ForceLaw for Contact {
         self.guard(at).potential(&at.joints.mode)
     }
 
-    fn may_make_contact(&self) -> bool {
-        true
-    }
-
     fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {
         guards.push(self.guard(at));
-    }
-
-    fn may_stick(&self) -> bool {
-        self.law == Law::Stick && self.mu > 0.0
     }
 
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {

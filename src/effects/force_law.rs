@@ -1,8 +1,8 @@
 //! Force law of an effect: wrench, slopes and energy at an instant and over a finite step.
 //!
-//! A law in the joints states torques, slopes and [`PowerFlow`]; the methods for an instant and for a finite step follow from them. A law
-//! with a contact states these methods itself: the mean force of its potential over a step is a discrete gradient, the change of the
-//! potential divided by the displacement.
+//! A law in the joints states torques, slopes and, among its [`Properties`], where its power goes; the methods for an instant and for a
+//! finite step follow from them. A law with a contact states these methods itself: the mean force of its potential over a step is a discrete
+//! gradient, the change of the potential divided by the displacement.
 
 use super::Inputs;
 use super::finite_motion::FiniteMotion;
@@ -31,14 +31,51 @@ impl PowerFlow {
     }
 }
 
+/// Properties of a force law by which methods treat it; they follow from its parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Properties {
+    /// Account to which the power of the joint torques belongs.
+    pub power_flow: PowerFlow,
+    /// Whether the whole force has a potential.
+    pub conservative: bool,
+    /// Whether the force has regions so stiff and so short that a long step may miss them.
+    pub stiff: bool,
+    /// Whether the force is smooth but has a region so narrow that the stages of a step may lie on both sides of the region and none in it.
+    pub sharp: bool,
+    /// Rate of a joint over which smooth friction reverses its direction, rad/s; infinite without such a force.
+    pub regularization_velocity: f64,
+    /// Whether the effect has unilateral springs, whose guards a method may locate.
+    pub may_make_contact: bool,
+    /// Whether friction of the effect may stick, by its set-valued law.
+    pub may_stick: bool,
+}
+
+impl Properties {
+    /// Smooth torques in the joints with this account of their power.
+    pub(super) const fn smooth(power_flow: PowerFlow) -> Self {
+        Self {
+            power_flow,
+            conservative: matches!(power_flow, PowerFlow::Stored),
+            stiff: false,
+            sharp: false,
+            regularization_velocity: f64::INFINITY,
+            may_make_contact: false,
+            may_stick: false,
+        }
+    }
+
+    /// Unilateral springs, which are stiff.
+    pub(super) const fn contact(conservative: bool) -> Self {
+        Self { conservative, stiff: true, may_make_contact: true, ..Self::smooth(PowerFlow::Stored) }
+    }
+}
+
 /// Force law of an effect, made ready from its parameters. The head of the effect's file gives formula and source.
 ///
 /// The bodies of [`ForceLaw::act`] and its kin are reached through a table of functions: a step holds no copy of them.
 pub trait ForceLaw {
-    /// Account to which the power of the joint torques belongs.
-    fn power_flow(&self) -> PowerFlow {
-        PowerFlow::Stored
-    }
+    /// Properties by which methods treat the force.
+    fn properties(&self) -> Properties;
 
     /// Torques in the joints, N·m.
     fn torques(&self, _joints: &JointMotion) -> [f64; JOINTS] {
@@ -65,16 +102,11 @@ pub trait ForceLaw {
         0.0
     }
 
-    /// Whether the whole force has a potential.
-    fn conservative(&self) -> bool {
-        self.power_flow() == PowerFlow::Stored
-    }
-
     /// Adds the wrench at an instant and returns input power and dissipated power, W. The power of the wrench is input − dissipation −
     /// dU/dt.
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
         let torques = self.torques(&at.joints);
-        self.power_flow().books(add_torques(&torques, &at.joints.rates, wrench))
+        self.properties().power_flow.books(add_torques(&torques, &at.joints.rates, wrench))
     }
 
     /// Adds the slopes at an instant, with the force on the tip.
@@ -88,7 +120,7 @@ pub trait ForceLaw {
     /// input − dissipation − the change of the potential.
     fn act_over(&self, over: &FiniteMotion, wrench: &mut Wrench) -> [f64; 2] {
         let torques = self.torques(&over.joints(&end_weights(self, over)));
-        self.power_flow().books(add_torques(&torques, &over.changes, wrench))
+        self.properties().power_flow.books(add_torques(&torques, &over.changes, wrench))
     }
 
     /// Adds the slopes of the mean wrench by the increments and by the rates at the step's end, with the mean force on the tip.
@@ -102,33 +134,8 @@ pub trait ForceLaw {
         }
     }
 
-    /// Whether the force has regions so stiff and so short that a long step may miss them, as contacts have.
-    fn has_stiff_forces(&self) -> bool {
-        self.may_make_contact()
-    }
-
-    /// Whether the force is smooth but has a region so narrow that the stages of a step may lie on both sides of the region and none in it.
-    fn has_sharp_nonlinearity(&self) -> bool {
-        false
-    }
-
-    /// Rate of a joint over which smooth friction reverses its direction, rad/s; infinite without such a force.
-    fn regularization_velocity(&self) -> f64 {
-        f64::INFINITY
-    }
-
-    /// Whether the effect has unilateral springs, whose guards a method may locate.
-    fn may_make_contact(&self) -> bool {
-        false
-    }
-
     /// Adds the unilateral springs of the effect, with their guard values.
     fn add_guards<'a>(&'a self, _at: &Motion, _guards: &mut UnilateralGuards<'a>) {}
-
-    /// Whether friction of the effect may stick, by its set-valued law.
-    fn may_stick(&self) -> bool {
-        false
-    }
 
     /// Adds the friction places of the effect that are active.
     fn add_friction(&self, _at: &Motion, _elements: &mut FrictionElements) {}
@@ -147,7 +154,7 @@ fn add_torques(torques: &[f64; JOINTS], rates: &[f64; JOINTS], wrench: &mut Wren
 /// Weight of the step's end in each joint (`finite_motion.rs`): 0 for a linear force with a potential, whose mean over a step is the force
 /// at the mean angle.
 fn end_weights<L: ForceLaw + ?Sized>(law: &L, over: &FiniteMotion) -> [f64; JOINTS] {
-    if law.power_flow() == PowerFlow::Stored {
+    if law.properties().power_flow == PowerFlow::Stored {
         return [0.0; JOINTS];
     }
     law.largest_slopes(over.softening).map(|[stiffness, damping]| over.end_weight(0.5 * over.h * stiffness + damping))

@@ -22,7 +22,7 @@
 //! near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Above w_brk the slope is negative. By the
 //! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
 
-use super::force_law::{ForceLaw, PowerFlow};
+use super::force_law::{ForceLaw, PowerFlow, Properties};
 use super::wrench::{FrictionElement, FrictionElements, JOINT_ARMS, JOINTS, JointMotion, Motion, Wrench};
 use crate::hybrid::{FrictionPlace, Law};
 use crate::mechanism::exponential::gaussian_and_tanh;
@@ -132,8 +132,12 @@ impl Friction {
 }
 
 impl ForceLaw for Friction {
-    fn power_flow(&self) -> PowerFlow {
-        PowerFlow::Dissipated
+    fn properties(&self) -> Properties {
+        let dissipated = Properties { stiff: true, ..Properties::smooth(PowerFlow::Dissipated) };
+        match self.law {
+            Law::Smooth => Properties { sharp: true, regularization_velocity: self.coulomb_rate, ..dissipated },
+            Law::Stick => Properties { may_stick: true, ..dissipated },
+        }
     }
 
     fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
@@ -150,24 +154,8 @@ impl ForceLaw for Friction {
         self.by_joint([0.0; 2], |_, curve| [0.0, curve.stribeck / stribeck_rate + curve.coulomb / coulomb_rate])
     }
 
-    fn has_stiff_forces(&self) -> bool {
-        true
-    }
-
-    fn has_sharp_nonlinearity(&self) -> bool {
-        !self.may_stick()
-    }
-
-    fn regularization_velocity(&self) -> f64 {
-        if self.may_stick() { f64::INFINITY } else { self.coulomb_rate }
-    }
-
-    fn may_stick(&self) -> bool {
-        self.law == Law::Stick
-    }
-
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
-        if !self.may_stick() {
+        if self.law != Law::Stick {
             return;
         }
         for (joint, curve) in self.curves.iter().enumerate() {

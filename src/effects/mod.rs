@@ -14,7 +14,7 @@ mod wrench;
 
 pub use crate::hybrid::{Law, Mode};
 pub use finite_motion::{FiniteMotion, TypicalInertia};
-pub use force_law::{ForceLaw, PowerFlow};
+pub use force_law::{ForceLaw, PowerFlow, Properties};
 pub use loads::Inputs;
 pub use wrench::{
     FrictionElement, FrictionElements, JOINT_LINKS, JOINTS, JointMotion, MOTOR_ANGLES, Matrix, Motion, MotionChange, Planar,

@@ -10,7 +10,7 @@
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::Inputs;
-use super::force_law::{ForceLaw, PowerFlow};
+use super::force_law::{ForceLaw, PowerFlow, Properties};
 use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES};
 use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Mechanism, SceneError};
@@ -68,8 +68,9 @@ impl Servo {
 }
 
 impl ForceLaw for Servo {
-    fn power_flow(&self) -> PowerFlow {
-        PowerFlow::Supplied
+    fn properties(&self) -> Properties {
+        let sharp = (0..2).any(|i| self.limit[i] < SHARP_SATURATION * self.kp[i]);
+        Properties { stiff: true, sharp, ..Properties::smooth(PowerFlow::Supplied) }
     }
 
     fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
@@ -94,13 +95,5 @@ impl ForceLaw for Servo {
             torques[joint] = openness[i] * (self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i]);
         }
         torques
-    }
-
-    fn has_stiff_forces(&self) -> bool {
-        true
-    }
-
-    fn has_sharp_nonlinearity(&self) -> bool {
-        (0..2).any(|i| self.limit[i] < SHARP_SATURATION * self.kp[i])
     }
 }

@@ -3,7 +3,7 @@
 //! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about the weight torque of the
 //! paper's links, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
-use super::force_law::ForceLaw;
+use super::force_law::{ForceLaw, PowerFlow, Properties};
 use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES, Motion};
 use crate::mechanism::{Mechanism, SceneError};
 
@@ -28,6 +28,10 @@ impl Spring {
 }
 
 impl ForceLaw for Spring {
+    fn properties(&self) -> Properties {
+        Properties::smooth(PowerFlow::Stored)
+    }
+
     fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
         let mut torques = [0.0; JOINTS];
         for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {

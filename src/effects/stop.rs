@@ -6,7 +6,7 @@
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
 use super::finite_motion::FiniteMotion;
-use super::force_law::ForceLaw;
+use super::force_law::{ForceLaw, Properties};
 use super::wrench::{JOINT_ARMS, MOTOR_ANGLES, Motion, Slopes, Wrench};
 use crate::hybrid::{MeanReaction, STOPS, UnilateralGuard, UnilateralGuards, UnilateralSpring};
 use crate::mechanism::{Mechanism, SceneError};
@@ -95,8 +95,8 @@ impl Stop {
 }
 
 impl ForceLaw for Stop {
-    fn conservative(&self) -> bool {
-        self.spring.damping == 0.0
+    fn properties(&self) -> Properties {
+        Properties::contact(self.spring.damping == 0.0)
     }
 
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
@@ -133,10 +133,6 @@ impl ForceLaw for Stop {
 
     fn potential(&self, at: &Motion) -> f64 {
         (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(&at.joints.mode)).sum()
-    }
-
-    fn may_make_contact(&self) -> bool {
-        true
     }
 
     fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {

@@ -4,7 +4,7 @@
 //! C = b_j over the two links, K = 0; the power b_j w_j² is dissipated. Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with its
 //! seal. Limits: linear; no dependence on load or temperature.
 
-use super::force_law::{ForceLaw, PowerFlow};
+use super::force_law::{ForceLaw, PowerFlow, Properties};
 use super::wrench::{JOINTS, JointMotion};
 use crate::mechanism::{Mechanism, SceneError};
 
@@ -27,8 +27,8 @@ impl Viscous {
 }
 
 impl ForceLaw for Viscous {
-    fn power_flow(&self) -> PowerFlow {
-        PowerFlow::Dissipated
+    fn properties(&self) -> Properties {
+        Properties::smooth(PowerFlow::Dissipated)
     }
 
     fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {

@@ -5,7 +5,7 @@ use arrayvec::ArrayVec;
 use super::bindings::check_bounds;
 use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
-use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
+use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, Properties, TypicalInertia, Wrench};
 use crate::estimator;
 use crate::hybrid::UnilateralGuards;
 use crate::integrator::Features;
@@ -114,20 +114,20 @@ impl Model {
 
     /// Notes the properties of the active effects that methods ask for in every step.
     fn note_properties(&mut self) {
-        let any = |property: &dyn Fn(&Effect) -> bool| self.effects.iter().any(property);
-        let (may_make_contact, may_stick) = (any(&|effect| effect.may_make_contact()), any(&|effect| effect.may_stick()));
-        let velocities = self.effects.iter().map(|effect| effect.regularization_velocity());
-        self.conservative = !any(&|effect| !effect.conservative());
+        let properties = || self.effects.iter().map(|effect| effect.properties());
+        let any = |property: fn(&Properties) -> bool| properties().any(|of| property(&of));
+        let may_stick = any(|of| of.may_stick);
+        self.conservative = properties().all(|of| of.conservative);
+        self.may_make_contact = any(|of| of.may_make_contact);
+        self.has_servo = self.effects.iter().any(|effect| matches!(effect, Effect::Servo(_)));
         self.features = Features {
             work: !self.conservative,
-            stiff: any(&|effect| effect.has_stiff_forces()),
-            events: self.settings.follows_error() && (may_make_contact || may_stick),
+            stiff: any(|of| of.stiff),
+            events: self.settings.follows_error() && (self.may_make_contact || may_stick),
             may_stick,
-            sharp: !may_stick && any(&|effect| effect.has_sharp_nonlinearity()),
-            regularization_velocity: velocities.fold(f64::INFINITY, f64::min),
+            sharp: !may_stick && any(|of| of.sharp),
+            regularization_velocity: properties().map(|of| of.regularization_velocity).fold(f64::INFINITY, f64::min),
         };
-        self.may_make_contact = may_make_contact;
-        self.has_servo = any(&|effect| matches!(effect, Effect::Servo(_)));
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
@@ -174,7 +174,7 @@ impl Model {
     /// Wrench of the effects whose work is put in.
     pub(super) fn drives(&self, at: &Motion) -> Wrench {
         let mut wrench = Wrench::default();
-        for drive in self.effects.iter().filter(|effect| effect.power_flow() == PowerFlow::Supplied) {
+        for drive in self.effects.iter().filter(|effect| effect.properties().power_flow == PowerFlow::Supplied) {
             drive.act(at, &mut wrench);
         }
         wrench
