@@ -76,67 +76,25 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn resolved(&self, q: &Vector<N>, v: &Vector<N>) -> StickSlips {
         let constraints = self.friction_constraints((q, &self.pose(q), v), all);
         if v.max_norm() <= REST_RATE * self.stick_velocity() {
-            let at_rest = self.friction_problem(q, &Vector::ZERO, &|_| true);
+            let at_rest = FrictionProblem::new(self, q, &Vector::ZERO, &|_| true);
             if at_rest.can_rest() {
                 return self.stick_slip().resting(at_rest.places.into_iter());
             }
         }
-        let mut stick_slip = self.slipping(&constraints);
+        let mut stick_slip = slipping(self.stick_slip(), &constraints);
         let rests = |constraint: &FrictionConstraint<N>| constraint.at.rate.abs() <= STICKING_RATE * self.stick_velocity();
         if constraints.iter().any(rests) {
-            self.friction_problem(q, v, &rests).resolve_motion(&mut stick_slip);
+            FrictionProblem::new(self, q, v, &rests).resolve_motion(&mut stick_slip);
         }
         stick_slip
-    }
-
-    /// All places slip but those that the closure branch keeps still.
-    fn slipping(&self, constraints: &FrictionConstraints<N>) -> StickSlips {
-        let mut stick_slip = self.stick_slip().opened();
-        for FrictionConstraint { at, .. } in
-            constraints.iter().filter(|constraint| !self.stick_slip().is_still(constraint.at.place))
-        {
-            stick_slip.set(at.place, StickSlip::Slips(SlipDirection::of(at.rate)));
-        }
-        stick_slip
-    }
-
-    /// Whether a place can stick: its bound is positive and the closure branch lets it move.
-    fn is_able(&self, constraint: &FrictionConstraint<N>) -> bool {
-        constraint.at.bound > 0.0 && !self.stick_slip().is_still(constraint.at.place)
-    }
-
-    /// Friction problem of the places that may stick, while the others slip.
-    fn friction_problem(&self, q: &Vector<N>, v: &Vector<N>, rests: &dyn Fn(&FrictionConstraint<N>) -> bool) -> FrictionProblem {
-        let pose = self.pose(q);
-        let constraints = self.friction_constraints((q, &pose, v), all);
-        let resting: FrictionConstraints<N> =
-            constraints.iter().filter(|constraint| self.is_able(constraint) && rests(constraint)).copied().collect();
-        let mut stick_slip = self.slipping(&constraints);
-        for constraint in &resting {
-            stick_slip.set(constraint.at.place, StickSlip::Sticks(SlipDirection::Forward));
-        }
-        let mass = self.factor_mass(&pose, self.regularization());
-        let forces = self.with_stick_slip(stick_slip).forces(q, &pose, v).0;
-        let (a, _) = mass.solve(&forces, &-self.phi_q_dot_times(&pose, v));
-        let mut friction_problem = FrictionProblem::default();
-        for (i, constraint) in resting.iter().enumerate() {
-            let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
-            friction_problem.places.push(constraint.at.place);
-            friction_problem.bounds[i] = constraint.at.bound;
-            friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
-            for (j, other) in resting.iter().enumerate() {
-                friction_problem.mobility[j][i] = other.row.dot(&by_torque);
-            }
-        }
-        friction_problem
     }
 
     /// Constraint or reaction by which friction holds the system.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
         if self.stick_slip().at_rest() {
             let constraints = self.friction_constraints((q, pose, v), all);
-            let able = constraints.iter().filter(|constraint| self.is_able(constraint));
-            let parts = able.zip(self.friction_problem(q, v, &|_| true).resting_torques());
+            let able = constraints.iter().filter(|constraint| is_able(self.stick_slip(), constraint));
+            let parts = able.zip(FrictionProblem::new(self, q, v, &|_| true).resting_torques());
             let force = parts.fold(Vector::ZERO, |sum, (constraint, torque)| sum + torque * constraint.row);
             return StickingConstraint::All { force };
         }
@@ -148,7 +106,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     fn holding(&self, (q, pose, v): (&Vector<N>, &Self::Pose, &Vector<N>)) -> [f64; FRICTION_PLACES] {
         let mut holding = [0.0; FRICTION_PLACES];
         if self.stick_slip().at_rest() {
-            let friction_problem = self.friction_problem(q, v, &|_| true);
+            let friction_problem = FrictionProblem::new(self, q, v, &|_| true);
             for (place, torque) in friction_problem.places.iter().zip(friction_problem.resting_torques()) {
                 holding[*place] = torque;
             }
@@ -210,7 +168,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         const LARGEST_CONTRADICTION: f64 = 2.0 * CARRIED_RATE;
         let stick_slip = self.stick_slip();
         if stick_slip.at_rest() {
-            let all = self.friction_problem(q, &Vector::ZERO, &|_| true);
+            let all = FrictionProblem::new(self, q, &Vector::ZERO, &|_| true);
             let slowest = if just_stopped { REST_RATE * self.stick_velocity() } else { 0.0 };
             return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
         }
@@ -243,6 +201,20 @@ const CARRIED_RATE: f64 = 50.0;
 /// Takes places in every state.
 fn all(_: StickSlip) -> bool {
     true
+}
+
+/// The states in which all places slip but those that the closure branch keeps still.
+fn slipping<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickSlips {
+    let mut slipping = stick_slip.opened();
+    for FrictionConstraint { at, .. } in constraints.iter().filter(|constraint| !stick_slip.is_still(constraint.at.place)) {
+        slipping.set(at.place, StickSlip::Slips(SlipDirection::of(at.rate)));
+    }
+    slipping
+}
+
+/// Whether a place can stick: its bound is positive and the closure branch lets it move.
+fn is_able<const N: usize>(stick_slip: &StickSlips, constraint: &FrictionConstraint<N>) -> bool {
+    constraint.at.bound > 0.0 && !stick_slip.is_still(constraint.at.place)
 }
 
 /// Constraint on the motion by places that all hold one direction of it.
@@ -356,6 +328,37 @@ const RIDGE: f64 = 1e-12;
 type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
+    /// Problem of a system at q and q̇ of the places that may stick and satisfy `rests`, while the others slip.
+    fn new<const N: usize, const M: usize>(
+        system: &impl Frictional<N, M>,
+        q: &Vector<N>,
+        v: &Vector<N>,
+        rests: &dyn Fn(&FrictionConstraint<N>) -> bool,
+    ) -> Self {
+        let pose = system.pose(q);
+        let constraints = system.friction_constraints((q, &pose, v), all);
+        let is_resting = |constraint: &&FrictionConstraint<N>| is_able(system.stick_slip(), constraint) && rests(constraint);
+        let resting: FrictionConstraints<N> = constraints.iter().filter(is_resting).copied().collect();
+        let mut stick_slip = slipping(system.stick_slip(), &constraints);
+        for constraint in &resting {
+            stick_slip.set(constraint.at.place, StickSlip::Sticks(SlipDirection::Forward));
+        }
+        let mass = system.factor_mass(&pose, system.regularization());
+        let forces = system.with_stick_slip(stick_slip).forces(q, &pose, v).0;
+        let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
+        let mut friction_problem = Self::default();
+        for (i, constraint) in resting.iter().enumerate() {
+            let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
+            friction_problem.places.push(constraint.at.place);
+            friction_problem.bounds[i] = constraint.at.bound;
+            friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
+            for (j, other) in resting.iter().enumerate() {
+                friction_problem.mobility[j][i] = other.row.dot(&by_torque);
+            }
+        }
+        friction_problem
+    }
+
     fn len(&self) -> usize {
         self.places.len()
     }
