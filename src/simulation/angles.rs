@@ -1,17 +1,17 @@
 //! The five-bar in its four absolute link angles, the coordinates of the error-controlled methods: `src/dynamics/angles.rs` under the loads
 //! of a model.
 
-mod loads;
-
 use super::Inputs;
 use super::five_bar::FiveBar;
 use super::model::Model;
 pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
 use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
 pub(super) use crate::dynamics::angles::{angles, legs};
+use crate::effects::Motion;
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work};
 use crate::mechanism::constraints::directions_turned;
+use crate::mechanism::legs::Legs2;
 use crate::mechanism::placement::{by_links, joint_forces};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
@@ -20,12 +20,8 @@ use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multip
 #[derive(Clone, Copy, Debug)]
 pub struct AngleSystem<'a> {
     five_bar: FiveBar<'a>,
-    mechanism: &'a Mechanism,
-    inertia: &'a Inertia,
     /// Whether the weight is the only load, so that no force law is asked.
     only_weight: bool,
-    /// Closure branch on which the motion stays, where there are several.
-    closure_branch: Option<ClosureBranch>,
     closure: Closure,
 }
 
@@ -37,10 +33,9 @@ impl<'a> AngleSystem<'a> {
 
     /// Five-bar in its link angles, of a model under given inputs.
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        let FiveBar { model, inputs, mode: Mode { closure_branch, .. }, .. } = five_bar;
-        let (mechanism, inertia) = (&model.mechanism, &model.inertia);
-        let closure = Closure::new(mechanism, closure_branch);
-        Self { five_bar, mechanism, inertia, only_weight: model.effects.is_empty() && !inputs.load(), closure_branch, closure }
+        let FiveBar { model, inputs, mode, .. } = five_bar;
+        let closure = Closure::new(&model.mechanism, mode.closure_branch);
+        Self { five_bar, only_weight: model.effects.is_empty() && !inputs.load(), closure }
     }
 
     /// System in a given mode, on the mode's closure branch.
@@ -58,6 +53,16 @@ impl<'a> AngleSystem<'a> {
         self.five_bar.model
     }
 
+    /// Mechanism of the system.
+    fn mechanism(&self) -> &'a Mechanism {
+        &self.model().mechanism
+    }
+
+    /// Constant part of the mass matrix.
+    fn inertia(&self) -> &'a Inertia {
+        &self.model().inertia
+    }
+
     /// e of the saddle-point systems in the link angles, 1/kg.
     pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
@@ -73,7 +78,7 @@ impl<'a> AngleSystem<'a> {
     /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
     /// configuration: they turn together.
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
-        if self.mechanism.geometry.base_distance == 0.0 {
+        if self.mechanism().geometry.base_distance == 0.0 {
             return None;
         }
         vertex::offset(legs(q)).map(angles)
@@ -85,7 +90,7 @@ impl<'a> AngleSystem<'a> {
         let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
         let force = in_order(&self.forces(q, &pose, &Angles::ZERO).0);
         let mass = LINK_INDICES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
-        let branch = vertex::least_constraint(&self.mechanism.geometry, in_order(q), force, mass)?;
+        let branch = vertex::least_constraint(&self.mechanism().geometry, in_order(q), force, mass)?;
         let mut direction = Angles::ZERO;
         for (i, value) in LINK_INDICES.into_iter().zip(branch.direction) {
             direction[i] = value;
@@ -103,13 +108,41 @@ impl<'a> AngleSystem<'a> {
     ) -> (Coordinates, Multipliers, Work) {
         let (applied, power) = self.five_bar.forces(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
-        let torques = self.inertia.with_centripetal(pose.torques_of(&applied), pose, v);
+        let torques = self.inertia().with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
         // Force on a link less its mass times acceleration: the joints supply the difference.
-        let left = applied - self.mechanism.mass_times(&accelerations);
+        let left = applied - self.mechanism().mass_times(&accelerations);
         let from_rest = self.acceleration_from_rest(q, v).map(|a| pose.velocities(legs(&a)));
         (from_rest.unwrap_or(accelerations), joint_forces(&left, *tip), power)
+    }
+
+    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
+    pub(super) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
+        let pose = self.pose(q);
+        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
+        let x = self.mechanism().coordinates(&pose, legs(q));
+        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&self.motion(&pose, q, v))]
+    }
+
+    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
+    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    #[inline(never)]
+    fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
+        let pose = self.mechanism().pose_along(directions);
+        let (torques, power) = self.five_bar.torques_and_power(&pose, &self.motion(&pose, &q, &v));
+        let forces = self.inertia().with_centripetal(torques, &pose, &v);
+        (forces, if self.features().work { power } else { Work::default() })
+    }
+
+    /// Motion of joints and tip.
+    pub(super) fn motion(&self, pose: &Pose, q: &Angles, v: &Angles) -> Motion<'_> {
+        self.five_bar.conditions().motion_of_links(self.mechanism(), [legs(q), legs(v)], pose)
+    }
+
+    /// The twelve coordinates and their velocities.
+    pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
+        (self.mechanism().coordinates(pose, legs(q)), pose.velocities(legs(v)))
     }
 }
 
@@ -118,19 +151,19 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_at(legs(q))
+        self.mechanism().pose_at(legs(q))
     }
 
     #[inline(always)]
     fn pose_near(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
+        self.mechanism().pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
 
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
-        if let Some(closure_branch) = self.closure_branch {
+        if let Some(closure_branch) = self.five_bar.mode.closure_branch {
             return self.off_branch(closure_branch, *q);
         }
-        self.closure.gap(self.mechanism, pose)
+        self.closure.gap(self.mechanism(), pose)
     }
 
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
@@ -142,21 +175,21 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
-        self.inertia.mass_times(pose, x)
+        self.inertia().mass_times(pose, x)
     }
 
     #[inline(always)]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
             let torques = self.model().weight_torques.torques(pose);
-            return (self.inertia.with_centripetal(torques, pose, v), Work::default());
+            return (self.inertia().with_centripetal(torques, pose, v), Work::default());
         }
         self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v)
     }
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        Factor::new(self.inertia, &self.closure, pose, regularization)
+        Factor::new(self.inertia(), &self.closure, pose, regularization)
     }
 
     fn features(&self) -> Features {
@@ -182,7 +215,7 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
         let State { q, v, a, lambda, .. } = at;
-        let equations = Equations::new((self.inertia, &self.closure), pose, v, regularization);
+        let equations = Equations::new((self.inertia(), &self.closure), pose, v, regularization);
         let slopes = self.five_bar.slopes_of_torques(pose, self.motion(pose, q, v), by_links(legs(v)));
         let [by_q, by_v] = equations.linearised((a, lambda), slopes).columns();
         Some(AccelerationTangents { by_q, by_v })

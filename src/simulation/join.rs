@@ -22,15 +22,8 @@ use crate::vector::Vector;
 pub(super) struct Discontinuity {
     /// Input work and dissipated energy, J.
     pub(super) work: Work,
-    /// Motion after a change of masses: the coordinates change with the centre of mass.
-    pub(super) motion: Option<Motion>,
-}
-
-/// Coordinates, velocities, and rates of the links.
-pub(super) struct Motion {
-    pub(super) q: Coordinates,
-    pub(super) v: Coordinates,
-    pub(super) rates: Angles,
+    /// Coordinates and velocities after a change of masses: the coordinates change with the centre of mass.
+    pub(super) motion: Option<[Coordinates; 2]>,
 }
 
 impl Discontinuity {
@@ -51,7 +44,7 @@ impl Discontinuity {
         let lifted = state.potential_energy(after) - potential;
         let work =
             if impact { Work { input: lifted, dissipated: -gained } } else { Work { input: lifted + gained, dissipated: 0.0 } };
-        Self { work, motion: Some(Motion { q, v, rates }) }
+        Self { work, motion: Some([q, v]) }
     }
 }
 

@@ -8,12 +8,10 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::Angles;
 use super::five_bar::FiveBar;
 use super::run::Integrator;
 use super::state::Core;
 use super::{Inputs, Model, Simulation};
-use crate::dynamics::angles::in_link_order;
 use crate::integrator::{Bounds, Inconsistency, Work};
 use crate::mechanism::{Assembly, SceneError, Start, closure};
 
@@ -68,11 +66,11 @@ impl ModelExchangeState {
         self.work += work;
     }
 
-    /// Changes the rates, where given, and adds work, J.
-    pub(super) fn jump(&mut self, work: Work, rates: Option<Angles>) {
+    /// Changes the rates of links 1 to 4, rad/s, where given, and adds work, J.
+    pub(super) fn jump(&mut self, work: Work, rates: Option<[f64; 4]>) {
         self.work += work;
         if let Some(rates) = rates {
-            self.omega = in_link_order(&rates);
+            self.omega = rates;
         }
     }
 

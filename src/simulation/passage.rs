@@ -285,10 +285,6 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         AngleSystem::new(self.general()).energy_scale_unless(f64::INFINITY, before, [&angles_of(q), &angles_of(v)], h)
     }
 
-    fn can_project(&self, q: &Coordinates) -> bool {
-        AngleSystem::new(self.general()).can_project(&angles_of(q))
-    }
-
     fn is_near_vertex(&self, q: &Coordinates) -> bool {
         AngleSystem::new(self.general()).is_near_vertex(&angles_of(q))
     }

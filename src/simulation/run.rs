@@ -5,6 +5,7 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::angles::angles_of;
 use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
 use super::join::Discontinuity;
@@ -200,21 +201,21 @@ impl Run {
         let held = (&tuned.inputs, &tuned.turns);
         match &mut tuned.integrator {
             Integrator::DenseOutput(run) => {
-                if let Some(motion) = motion {
-                    run.step.jump(&motion.rates);
+                if let Some([_, v]) = motion {
+                    run.step.jump(&angles_of(&v));
                 }
                 run.resume(after, held, work);
             }
             Integrator::Conserving(Conserving { state, .. }) => {
-                if let Some(motion) = motion {
-                    (state.q, state.v) = (motion.q, motion.v);
+                if let Some([q, v]) = motion {
+                    (state.q, state.v) = (q, v);
                 }
                 state.restart(work);
             }
-            Integrator::ModelExchange(run) => run.jump(work, motion.map(|motion| motion.rates)),
+            Integrator::ModelExchange(run) => run.jump(work, motion.map(|[_, v]| THETA.map(|i| v[i]))),
             Integrator::MacroStepped(run) => {
-                if let Some(motion) = motion {
-                    (run.core.q, run.core.v) = (motion.q, motion.v);
+                if let Some([q, v]) = motion {
+                    (run.core.q, run.core.v) = (q, v);
                 }
                 run.restart(after, held, work);
             }

@@ -159,7 +159,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
         if weights.has_sharp_nonlinearity
             && let Some(second) = T::SECOND
         {
-            let second = weights.mean_square_of(self.stages.sums(&second), rates, Work::default());
+            let second = weights.mean_square(self.stages.sums(&second), rates, Work::default);
             fine = fine.max(second.min(SECOND_ERROR_WEIGHT * coarse));
         }
         let damped = fine + T::DAMPING * coarse;

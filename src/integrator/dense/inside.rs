@@ -60,8 +60,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let ([q, v], work) = self.shown(system, settings).interpolated(&*system.on(self.mode), settings);
         let (mut on_q, mut on_v, mut pose) = (q, v, system.pose(&q));
-        let projected =
-            if self.is_linear { None } else { project(settings, &*system.on(self.mode), &mut pose, [&mut on_q, &mut on_v]).ok() };
+        let projected = if self.is_linear {
+            None
+        } else {
+            project(settings, &*system.on(self.mode), None, &mut pose, [&mut on_q, &mut on_v]).ok()
+        };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |_| (on_q, on_v, pose));
         let configuration_signs = system.configuration_signs(&pose);
         Sample { q, v, pose, work, configuration_signs }
@@ -126,11 +129,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             start.work
         };
         ([q, v], work)
-    }
-
-    /// Interpolant of the work of a DOP853 step, J.
-    pub(super) fn work_interpolant(&self) -> Interpolant<2> {
-        work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
     }
 
     /// Interpolated q and q̇ at a part of the step.
@@ -231,7 +229,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let [mut q, mut v] = self.interpolated_state(when / self.length);
         let mut pose = system.pose(&q);
-        let (iterations, mass) = project(settings, system, &mut pose, [&mut q, &mut v]).ok()?;
+        let (iterations, mass) = project(settings, system, None, &mut pose, [&mut q, &mut v]).ok()?;
         Some((iterations, [q, v], pose, mass))
     }
 
@@ -247,7 +245,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     {
         let Ok(end_state) = StepEnd::in_balance(system, state, &pose, &mass).finite() else { return false };
         let part = when / self.length;
-        let (positions, velocities, work) = (self.positions(), self.velocities(), self.work_interpolant());
+        let (positions, velocities) = (self.positions(), self.velocities());
+        let work = work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()));
         let slip = |part: f64| part * (positions.rate_at(part) - self.length * velocities.at(part));
         let defects = [
             max_magnitude(&max_magnitude(&Vector::ZERO, &slip(part)), &slip(0.5 * part)),

@@ -16,10 +16,10 @@ mod tableau;
 
 use std::marker::PhantomData;
 
-use super::trial::{self, ErrorWeights, Origin, StageDerivative, Trial, for_each};
+use super::trial::{ErrorWeights, Origin, StageDerivative, Trial, for_each};
 use super::{Scheme, Settings};
 use crate::integrator::dense_output::{Interpolant, Quintic};
-use crate::integrator::{AccelerationTangents, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction};
+use crate::integrator::{AccelerationTangents, Kkt, Projection, State, StepError, System, Work};
 use crate::matrix::{Inverse, combination};
 use crate::vector::Vector;
 use tableau::{MAX_STAGES, Tableau};
@@ -46,7 +46,8 @@ pub(super) struct Linearization<const N: usize> {
 }
 
 impl<const N: usize> Linearization<N> {
-    /// Tangents at a state with its pose; `None` where they are unknown.
+    /// Tangents at a state with its pose; `None` where they are unknown, so that no implicit step begins there.
+    #[inline(never)]
     pub(super) fn about<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
@@ -115,39 +116,36 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 }
 
-/// Projection onto the constraints with stiff forces, independent of the tableau.
-struct StiffProjection<'a, const N: usize> {
+/// Metric of an implicit step, in which corrections of q and q̇ are (1 − hγ C − (hγ)² K)⁻¹ times those of the mass metric, which would
+/// leave stiff forces out of balance.
+pub(super) struct StiffMetric<'a, const N: usize> {
     inverse: &'a Inverse<N>,
     h: f64,
 }
 
-impl<const N: usize> StiffProjection<'_, N> {
-    /// Projects q and q̇ onto the constraints in the metric of the implicit step: corrections are (1 − hγ C − (hγ)² K)⁻¹ times
-    /// those of the mass metric, which would leave stiff forces out of balance. Returns iterations and mass factor.
-    fn project<const M: usize, S: System<N, M>>(
+impl<const N: usize> StiffMetric<'_, N> {
+    /// Projects q with its pose onto the constraints, and q̇ where q has moved; returns the iterations.
+    pub(super) fn project<const M: usize, S: System<N, M>>(
         &self,
+        projection: &Projection,
         system: &S,
-        settings: &Settings,
         pose: &mut S::Pose,
         [q, v]: [&mut Vector<N>; 2],
-    ) -> Result<(u32, S::Mass), StepError> {
+    ) -> Result<u32, StepError> {
         let mut directions = None;
         let along = |pose: &S::Pose, missing| {
-            combination(directions.get_or_insert_with(|| self.directions(system, settings, pose)), &missing)
+            combination(directions.get_or_insert_with(|| self.directions(system, projection.regularization, pose)), &missing)
         };
-        let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
         let iterations = projection.position_along(system, pose, q, along)?;
         if let Some(directions) = &directions {
             *v += combination(directions, &-system.phi_q_times(pose, v));
         }
-        let mass = system.factor_mass(pose, settings.regularization);
-        *v += velocity_correction(system, pose, &mass, v);
-        Ok((iterations, mass))
+        Ok(iterations)
     }
 
     /// Corrections of q or q̇ per unit of each constraint residual.
-    fn directions<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
-        let mass = system.factor_mass(pose, settings.regularization);
+    fn directions<const M: usize, S: System<N, M>>(&self, system: &S, regularization: f64, pose: &S::Pose) -> [Vector<N>; M] {
+        let mass = system.factor_mass(pose, regularization);
         let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
         // Loads couple the corrections, which are combined again so that each belongs to one constraint.
         let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
@@ -203,24 +201,15 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     ) -> (f64, [Vector<N>; 2]) {
         let end = self.at::<MAX_STAGES>();
         let judged = if weights.work.is_some() { self.work_by(system, const { &T::QUADRATURE_ERROR }) } else { Work::default() };
-        (weights.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt(), end)
+        (weights.mean_square(self.u[T::STAGES - 1], [&self.start[1], &end[1]], || judged).sqrt(), end)
     }
 
     fn work<const M: usize>(&self, system: &impl System<N, M>) -> Work {
         self.work_by(system, const { &T::QUADRATURE })
     }
 
-    fn project<const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        settings: &Settings,
-        system: &S,
-        pose: &mut S::Pose,
-        [q, v]: [&mut Vector<N>; 2],
-    ) -> Result<(u32, S::Mass), StepError> {
-        if !system.can_project(q) {
-            return trial::project(settings, system, pose, [q, v]);
-        }
-        StiffProjection { inverse: &self.inverse, h: self.h }.project(system, settings, pose, [q, v])
+    fn stiff_metric(&self) -> Option<StiffMetric<'_, N>> {
+        Some(StiffMetric { inverse: &self.inverse, h: self.h })
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {

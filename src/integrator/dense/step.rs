@@ -41,14 +41,6 @@ struct Plan {
     horizon: Horizon,
 }
 
-impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
-    /// Tangents at the beginning of the step by a system in its mode; `None` where an implicit step cannot begin.
-    #[inline(never)]
-    fn linearized(&self, system: &S) -> Option<Linearization<N>> {
-        Linearization::about(system, self.settings, (&self.step.start, self.pose))
-    }
-}
-
 impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Attempt<'_, S, N, M> {
     fn start(&self) -> &State<N, M> {
         &self.step.start
@@ -99,7 +91,8 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
             _ if self.step.start.substep.is_finite() => self.step.start.substep,
             _ => settings.first_step,
         };
-        self.linearization = if scheme.is_implicit() { self.linearized(system) } else { None };
+        self.linearization =
+            if scheme.is_implicit() { Linearization::about(system, settings, (&self.step.start, self.pose)) } else { None };
         self.scheme = if scheme.is_implicit() && self.linearization.is_none() { Scheme::Dop853 } else { scheme };
         self.plan.wanted.min(longest)
     }

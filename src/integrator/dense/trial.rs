@@ -2,6 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::rosenbrock::StiffMetric;
 use super::{Scheme, Settings};
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
@@ -46,16 +47,9 @@ pub(super) trait Trial<const N: usize>: Sized {
     /// Work over the step, J.
     fn work<const M: usize>(&self, system: &impl System<N, M>) -> Work;
 
-    /// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex; returns iterations and mass factor.
-    #[inline(always)]
-    fn project<const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        settings: &Settings,
-        system: &S,
-        pose: &mut S::Pose,
-        [q, v]: [&mut Vector<N>; 2],
-    ) -> Result<(u32, S::Mass), StepError> {
-        project(settings, system, pose, [q, v])
+    /// Metric of the projection onto the constraints, where it is not that of the masses.
+    fn stiff_metric(&self) -> Option<StiffMetric<'_, N>> {
+        None
     }
 
     /// Completes the step: its error in tolerances and, if that is at most 1, its projected end, scaled to `energy_target` (energy
@@ -90,7 +84,7 @@ pub(super) trait Trial<const N: usize>: Sized {
         work: Work,
     ) -> Option<StepResult<N, M>> {
         let mut pose = origin.pose_at(system, &(q - origin.q));
-        let (iterations, mass) = self.project(settings, system, &mut pose, [&mut q, &mut v]).ok()?;
+        let (iterations, mass) = project(settings, system, self.stiff_metric(), &mut pose, [&mut q, &mut v]).ok()?;
         if let Some((energy, h)) = &energy_target {
             v = system.energy_scale(energy, &q, &v, *h).ok()? * v;
         }
@@ -174,12 +168,6 @@ impl ErrorWeights {
             true => checked_work(settings, work()),
         }
     }
-
-    /// Mean square as in [`Self::mean_square`], as one shared copy of the code for rare operations.
-    #[inline(never)]
-    pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
-        self.mean_square(error, ends, || work)
-    }
 }
 
 /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
@@ -189,12 +177,13 @@ pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64>
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
 }
 
-/// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; returns
-/// iterations and mass factor.
+/// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; `stiff` is the
+/// metric, where it is not that of the masses. Returns iterations and mass factor.
 #[inline(always)]
 pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
     settings: &Settings,
     system: &S,
+    stiff: Option<StiffMetric<'_, N>>,
     pose: &mut S::Pose,
     [q, v]: [&mut Vector<N>; 2],
 ) -> Result<(u32, S::Mass), StepError> {
@@ -202,7 +191,10 @@ pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<
         return Ok((0, system.factor_mass(pose, settings.regularization)));
     }
     let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-    let iterations = projection.position_from(system, pose, q)?;
+    let iterations = match stiff {
+        Some(metric) => metric.project(&projection, system, pose, [q, v])?,
+        None => projection.position_from(system, pose, q)?,
+    };
     let mass = system.factor_mass(pose, settings.regularization);
     *v += velocity_correction(system, pose, &mass, v);
     if system.stuck() != Stuck::Nothing {
