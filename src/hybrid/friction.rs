@@ -134,10 +134,10 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(at) } else { [0.0; FRICTION_PLACES] };
         let first = (0..FRICTION_PLACES).find(|place| watched && self.stick_slip().at(*place).sticks());
-        let guard = |at: FrictionPlace| FrictionGuard {
-            at,
-            reaction: holding[at.place],
-            carried: first.is_some_and(|first| first < at.place) && self.stick_slip().at(at.place).sticks(),
+        let guard = |at: FrictionPlace| {
+            let state = self.stick_slip().at(at.place);
+            let carried = first.is_some_and(|first| first < at.place) && state.sticks();
+            FrictionGuard { at, state, reaction: holding[at.place], carried }
         };
         places.map(guard).collect()
     }
@@ -178,7 +178,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         let far = LARGEST_CONTRADICTION * self.stick_velocity();
         let there = |place: usize| guards.iter().any(|guard| guard.at.place == place);
         (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
-            && guards.iter().all(|FrictionGuard { at, reaction, .. }| match stick_slip.at(at.place) {
+            && guards.iter().all(|FrictionGuard { at, state, reaction, .. }| match state {
                 StickSlip::Inactive => false,
                 StickSlip::Still => at.rate.abs() <= far,
                 StickSlip::Slips(way) => way.sign() * at.rate >= -far,
@@ -244,6 +244,8 @@ fn shares<'a, const N: usize>(
 pub struct FrictionGuard {
     /// The place with its sliding rate.
     pub at: FrictionPlace,
+    /// State of the place.
+    pub state: StickSlip,
     /// Friction torque or force while sticking, N·m or N; 0 while slipping.
     pub reaction: f64,
     /// Whether the place sticks by the constraint of another, which holds one motion with it until a singularity is left behind.
@@ -261,9 +263,9 @@ pub fn stick_velocity(tolerance: f64) -> f64 {
 impl FrictionGuard {
     /// Guard value in units of the event tolerance, positive past the guard: reversed rate while slipping, load above its bound while
     /// sticking.
-    pub fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
-        let FrictionPlace { place, rate, bound, .. } = self.at;
-        match stick_slip.at(place) {
+    pub fn guard_residual(&self, tolerance: f64) -> f64 {
+        let FrictionPlace { rate, bound, .. } = self.at;
+        match self.state {
             StickSlip::Inactive | StickSlip::Still => f64::NEG_INFINITY,
             StickSlip::Slips(direction) => -direction.sign() * rate / stick_velocity(tolerance),
             StickSlip::Sticks(_) => (self.reaction.abs() - bound) / (1e-7 * bound.abs() + 1e-12),
@@ -286,16 +288,16 @@ impl FrictionGuard {
     }
 
     /// Whether the sliding rate provably keeps its sign for `duration` seconds from this state on, whatever the end.
-    pub fn is_out_of_reach(&self, stick_slip: &StickSlips, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let StickSlip::Slips(direction) = stick_slip.at(self.at.place) else { return true };
+    pub fn is_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let StickSlip::Slips(direction) = self.state else { return true };
         let [steepest, _] = self.rate_bounds(extremes);
         direction.sign() * self.at.rate - steepest * duration >= stick_velocity(tolerance)
     }
 
     /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
     /// derivative of the rate, or on the distance of the rate from its chord.
-    pub fn stays(&self, to: &Self, stick_slip: &StickSlips, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let StickSlip::Slips(direction) = stick_slip.at(self.at.place) else { return true };
+    pub fn stays(&self, to: &Self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let StickSlip::Slips(direction) = self.state else { return true };
         let [from, to] = [self.at.rate, to.at.rate].map(|rate| direction.sign() * rate);
         let [steepest, curvature] = self.rate_bounds(extremes);
         if from + to - steepest * duration >= -2.0 * stick_velocity(tolerance) {

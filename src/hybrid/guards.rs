@@ -61,11 +61,10 @@ impl Guards for GuardValues<'_> {
 
     /// Nothing breaks away where everything sticks. The tolerance is an angle, rad.
     fn residuals(&self, tolerance: f64) -> Residuals {
-        let stick_slip = &self.mode.stick_slip;
         let largest = self.springs.iter().fold(f64::NEG_INFINITY, |most, guard| most.max(guard.deciding(&self.mode, tolerance).1));
         self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
-            let residual = guard.guard_residual(stick_slip, tolerance);
-            let sticks = !stick_slip.at_rest() && stick_slip.at(guard.at.place).sticks();
+            let residual = guard.guard_residual(tolerance);
+            let sticks = !self.mode.stick_slip.at_rest() && guard.state.sticks();
             Residuals {
                 largest: most.largest.max(residual).max(guard.carried_residual(tolerance)),
                 breakaway: if sticks { most.breakaway.max(residual) } else { most.breakaway },
@@ -86,17 +85,15 @@ impl Guards for GuardValues<'_> {
 
     /// Springs stay in their phases, and slip keeps its direction.
     fn are_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let Self { mode, springs, friction_guards } = self;
-        friction_guards.iter().all(|guard| guard.is_out_of_reach(&mode.stick_slip, duration, extremes, tolerance))
-            && springs.iter().all(|guard| guard.is_out_of_reach(mode, duration, extremes, tolerance))
+        self.friction_guards.iter().all(|guard| guard.is_out_of_reach(duration, extremes, tolerance))
+            && self.springs.iter().all(|guard| guard.is_out_of_reach(&self.mode, duration, extremes, tolerance))
     }
 
     /// Springs stay in their phases, and slip keeps its direction.
     fn stay_until(&self, to: &Self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let Self { mode, springs, friction_guards } = self;
-        let mut slips = friction_guards.iter().zip(&to.friction_guards);
-        let mut phases = springs.iter().zip(&to.springs);
-        slips.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
-            && phases.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
+        let mut slips = self.friction_guards.iter().zip(&to.friction_guards);
+        let mut phases = self.springs.iter().zip(&to.springs);
+        slips.all(|(from, to)| from.stays(to, duration, extremes, tolerance))
+            && phases.all(|(from, to)| from.stays(to, &self.mode, duration, extremes, tolerance))
     }
 }
