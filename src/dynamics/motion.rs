@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::wrench::TipArm;
 use crate::effects::{FiniteMotion, Inputs, JOINTS, JointMotion, Mode, Motion, MotionChange, TypicalInertia, across_joints};
-use crate::mechanism::coordinates::{THETA, X, Y};
+use crate::mechanism::coordinates::{THETA, X, Y, link_angles};
 use crate::mechanism::placement::{ByLink, by_links, tip_levers};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Mechanism, Pose};
@@ -22,7 +22,7 @@ pub struct Conditions<'a> {
 
 /// Rates of the joints, or increments of their angles, from those of the links among the coordinates.
 fn of_joints(x: &Coordinates) -> [f64; JOINTS] {
-    across_joints(THETA.map(|i| x[i]))
+    across_joints(link_angles(x))
 }
 
 impl<'a> Conditions<'a> {
@@ -48,7 +48,7 @@ impl<'a> Conditions<'a> {
         let TipArm { column: [rx, ry], .. } = TipArm::of_pose(pose, v);
         let (x, y, rate) = (X[1], Y[1], v[THETA[1]]);
         Motion {
-            joints: self.joints([q[THETA[0]], q[THETA[3]]], THETA.map(|i| v[i])),
+            joints: self.joints([q[THETA[0]], q[THETA[3]]], link_angles(v)),
             position: [q[x] + rx, q[y] + ry],
             velocity: [v[x] - rate * ry, v[y] + rate * rx],
         }

@@ -234,6 +234,7 @@ mod tests {
     use crate::dynamics::angles::{angles_of, legs};
     use crate::effects::{FiniteMotion, Inputs, JOINTS, Mode, Motion, TypicalInertia, across_joints};
     use crate::mechanism::Mechanism;
+    use crate::mechanism::coordinates::link_angles;
     use crate::simulation::bindings::default_parameters;
 
     const INPUTS: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2], servo_theta: [0.0; 2], servo_omega: [0.0; 2] };
@@ -385,7 +386,7 @@ mod tests {
             let (law, q, v) = (Linear::new(seed), coordinates(seed), coordinates(seed + 50));
             let wrench = |q: &Coordinates, v: &Coordinates| {
                 let at = conditions().motion([q, v], &mechanism.pose(q));
-                law.at(THETA.map(|i| q[i]), &at)
+                law.at(link_angles(q), &at)
             };
             let forces = |q: Coordinates, v: Coordinates| wrench(&q, &v).in_coordinates(&mechanism.pose(&q)).into();
             let arm = TipArm::of_pose(&mechanism.pose(&q), &v);

@@ -75,7 +75,7 @@ struct ElbowSpan {
 impl ElbowSpan {
     /// Elbows at the proximal angles `theta`, rad, which an error calls `name`.
     fn new(geometry: &Geometry, name: &str, theta: [f64; 2]) -> Result<Self, SceneError> {
-        let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+        let [l1, l2, l3, l4] = geometry.lengths();
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
         let distance = libm::hypot(arrow.x, arrow.y);
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
@@ -128,7 +128,7 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 
 /// Angles of the four links, rad, from the proximal angles.
 fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
-    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
+    let [_, l2, l3, _] = geometry.lengths();
     // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
     let &ElbowSpan { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
@@ -149,7 +149,7 @@ pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 
     let [(_, n1), (u2, _), (u3, _), (_, n4)] = theta.map(direction);
     check_direct_singularity(u2.perp(&u3))?;
     let [w1, w4] = start.omega;
-    let [l1, _, _, l4] = geometry.links.map(|link| link.length);
+    let [l1, _, _, l4] = geometry.lengths();
     let [w2, w3] = distal_rates(geometry, [u2, u3], n4 * (l4 * w4) - n1 * (l1 * w1));
     Ok([theta, [w1, w2, w3, w4]])
 }
@@ -169,7 +169,7 @@ pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
 /// Rates of the distal links, rad/s, with directions û, from the velocity `parting` of the right elbow relative to the left one, m/s:
 /// l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = parting is solved by products with û₃ and û₂.
 fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vector2<f64>) -> [f64; 2] {
-    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
+    let [_, l2, l3, _] = geometry.lengths();
     let sine = u2.perp(&u3);
     [parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine)]
 }
@@ -178,7 +178,7 @@ fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vecto
 fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let [(_, n1), (u2, n2), (u3, n3), (_, n4)] = theta.map(direction);
-    let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+    let [l1, l2, l3, l4] = geometry.lengths();
     let (left_elbow, right_elbow) = (n1 * (l1 * w1), n4 * (l4 * w4));
     let parting = right_elbow - left_elbow;
     if !span.in_line {
@@ -260,7 +260,7 @@ pub fn varied(
 /// along the links.
 fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
     let [(u1, n1), (u2, _), (u3, _), (u4, n4)] = theta.map(direction);
-    let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+    let [l1, l2, l3, l4] = geometry.lengths();
     let left = n1 * (l1 * first) + u1 * (l1 * along[0]) + u2 * (l2 * along[1]);
     let right = n4 * (l4 * fourth) + u4 * (l4 * along[3]) + u3 * (l3 * along[2]);
     let [second, third] = distal_rates(geometry, [u2, u3], right - left);

@@ -61,7 +61,7 @@ impl ClosureBranch {
 
     /// Whether a mechanism has the branch.
     pub fn is_of(self, geometry: &Geometry) -> bool {
-        let [left, distal_left, distal_right, right] = geometry.links.map(|link| link.length);
+        let [left, distal_left, distal_right, right] = geometry.lengths();
         let pairs = match self {
             Self::Parallelogram => [[left, distal_right], [right, distal_left]],
             Self::Coincident => [[left, right], [distal_left, distal_right]],

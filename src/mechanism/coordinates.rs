@@ -76,6 +76,11 @@ pub fn angles_by_leg(x: &Coordinates) -> [Legs; 2] {
     [legs_of(x, P_THETA), legs_of(x, D_THETA)]
 }
 
+/// The angle entries of coordinates: links 1 to 4.
+pub fn link_angles(x: &Coordinates) -> [f64; 4] {
+    THETA.map(|i| x[i])
+}
+
 /// Sets the angle entries of coordinates: proximal and distal links.
 pub fn set_angles(x: &mut Coordinates, [p, d]: [Legs; 2]) {
     set_legs(x, P_THETA, p);

@@ -51,6 +51,11 @@ impl Geometry {
         self.base_distance + (arm(left_proximal) + arm(left_distal)).max(arm(right_proximal) + arm(right_distal))
     }
 
+    /// Lengths of links 1 to 4, m.
+    pub fn lengths(&self) -> [f64; LINKS] {
+        self.links.map(|link| link.length)
+    }
+
     /// Mean mass of the links, kg.
     pub fn mean_mass(&self) -> f64 {
         self.links.iter().map(|link| link.mass).sum::<f64>() / 4.0

@@ -91,7 +91,7 @@ pub fn rank_indicator(sigma_phi: f64) -> f64 {
 impl Geometry {
     /// Determinants, smallest singular values and modes from the directions û of links 1 to 4.
     pub fn jacobians<T: Scalar>(&self, directions: [[T; 2]; 4]) -> Jacobians<T> {
-        let [p1, l2, l3, p4] = self.links.map(|link| link.length);
+        let [p1, l2, l3, p4] = self.lengths();
         let sine = |from: usize, to: usize| {
             let ([x, y], [x_to, y_to]) = (directions[from], directions[to]);
             x * y_to - y * x_to
@@ -117,7 +117,7 @@ impl Geometry {
 
     /// Kind of the gravest singularity, given the Jacobians and the smallest singular value of Φ_q.
     pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
-        let [p1, l2, l3, p4] = self.links.map(|link| link.length);
+        let [p1, l2, l3, p4] = self.lengths();
         let direct = jacobians.det_jx.abs() < SINGULARITY_THRESHOLD * l2 * l3;
         let inverse = jacobians.det_jq.abs() < SINGULARITY_THRESHOLD * p1 * l2 * p4 * l3;
         match (direct, inverse) {

@@ -25,9 +25,9 @@ pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
 
 /// The branch of least constraint of a motion that starts from rest in a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Branch<A = [f64; 4]> {
-    /// Unit direction of the initial accelerations of the link angles.
-    pub direction: A,
+pub struct Branch {
+    /// Unit direction of the initial accelerations of the angles of links 1 to 4.
+    pub direction: [f64; 4],
     /// Number of other local maxima of the gain, each a possible branch.
     pub alternatives: u32,
 }

@@ -5,15 +5,15 @@ use super::Inputs;
 use super::five_bar::FiveBar;
 use super::model::Model;
 pub use crate::dynamics::angles::{ANGLES, Angles, CLOSURES, LINK_INDICES, angles_of};
-use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia};
+use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia, in_link_order};
 pub(super) use crate::dynamics::angles::{angles, legs};
 use crate::effects::Motion;
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{AccelerationTangents, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work};
 use crate::mechanism::constraints::directions_turned;
 use crate::mechanism::legs::Legs2;
-use crate::mechanism::placement::{by_links, joint_forces};
-use crate::mechanism::vertex::{self, Branch};
+use crate::mechanism::placement::{by_legs, by_links, joint_forces};
+use crate::mechanism::vertex;
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
 
 /// A five-bar seen in its link angles.
@@ -28,7 +28,7 @@ pub struct AngleSystem<'a> {
 impl<'a> AngleSystem<'a> {
     /// Five-bar of a model in its link angles, with `inputs` held and whole turns of the links counted separately.
     pub(super) fn of(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
-        Self::new(FiveBar::<false>::new(model, inputs, turns))
+        Self::new(FiveBar::new(model, inputs, turns))
     }
 
     /// Five-bar in its link angles, of a model under given inputs.
@@ -84,18 +84,14 @@ impl<'a> AngleSystem<'a> {
         vertex::offset(legs(q)).map(angles)
     }
 
-    /// Closure branch along which the forces start the motion from rest in a vertex (Gauss's principle of least constraint).
-    pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
+    /// Direction in which the forces start the motion from rest in a vertex (Gauss's principle of least constraint), and the number of
+    /// other branches open to it.
+    pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<(Angles, u32)> {
         let pose = self.pose(q);
-        let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
-        let force = in_order(&self.forces(q, &pose, &Angles::ZERO).0);
-        let mass = LINK_INDICES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
-        let branch = vertex::least_constraint(&self.mechanism().geometry, in_order(q), force, mass)?;
-        let mut direction = Angles::ZERO;
-        for (i, value) in LINK_INDICES.into_iter().zip(branch.direction) {
-            direction[i] = value;
-        }
-        Some(Branch { direction, alternatives: branch.alternatives })
+        let force = in_link_order(&self.forces(q, &pose, &Angles::ZERO).0);
+        let mass = LINK_INDICES.map(|i| in_link_order(&self.mass_times(&pose, &Angles::unit(i))));
+        let branch = vertex::least_constraint(&self.mechanism().geometry, in_link_order(q), force, mass)?;
+        Some((angles(by_legs(branch.direction)), branch.alternatives))
     }
 
     /// q̈ and λ of the twelve coordinates and the power, W, without sticking contacts: link by link from the angles and the force at the

@@ -10,12 +10,12 @@ use crate::estimator::LinkState;
 use crate::integrator::{Implicit, System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
-use crate::mechanism::coordinates::THETA;
+use crate::mechanism::coordinates::link_angles;
 
 impl Run {
     /// Angles of links 1 to 4, rad, without the whole turns that are counted separately, and their rates, rad/s.
     pub(super) fn motion(&self, model: &Model) -> LinkState {
-        let of = |q: &Coordinates, v: &Coordinates| LinkState::new(THETA.map(|i| q[i]), THETA.map(|i| v[i]));
+        let of = |q: &Coordinates, v: &Coordinates| LinkState::new(link_angles(q), link_angles(v));
         match &self.integrator {
             Integrator::MacroStepped(run) => of(&run.core.q, &run.core.v),
             Integrator::Conserving(run) => of(&run.state.q, &run.state.v),
@@ -38,14 +38,14 @@ impl Run {
             closure::assemble(&model.mechanism.geometry, theta.into(), omega.into())
         };
         let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
-            let five_bar = FiveBar::<false>::new(model, inputs, &turns);
+            let five_bar = FiveBar::new(model, inputs, &turns);
             five_bar.energy(q, &five_bar.pose(q), v)
         };
         let left = assembled(before, self.motion(before));
         let anew @ (q, v) = assembled(model, *motion);
         let external_work = energy(model, &anew) - energy(before, &left);
         let held = std::mem::replace(&mut self.inputs, *inputs);
-        let system = FiveBar::<false>::new(model, inputs, &turns);
+        let system = FiveBar::new(model, inputs, &turns);
         let signs = || system.configuration_signs(&system.pose(&q));
         let work = Work { input: external_work, dissipated: 0.0 };
         match &mut self.integrator {

@@ -70,9 +70,9 @@ impl DenseRun {
         let mut core = Core::of_motion([q, v], 0);
         self.step.record(&sample, &mut core);
         let system = if held == inputs {
-            FiveBar::<false>::new(model, inputs, turns).on(Mode::of_stick_slip(self.step.mode().stick_slip))
+            FiveBar::new(model, inputs, turns).on(Mode::of_stick_slip(self.step.mode().stick_slip))
         } else {
-            FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
+            FiveBar::resolved(model, inputs, turns, [&core.q, &core.v])
         };
         if system.stuck() != Stuck::Nothing {
             core.balance(&system, &system.pose(&core.q), model.regularization);

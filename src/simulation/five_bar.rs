@@ -25,7 +25,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
 /// Point at which a tangent is evaluated.
 type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
 
-impl<'a, const BARE: bool> FiveBar<'a, BARE> {
+impl<'a> FiveBar<'a> {
     /// System of `model` under `inputs`; `turns` holds the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, mode: Mode::OF_STATE }
@@ -35,6 +35,14 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     pub(super) fn resolved(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4], [q, v]: [&Coordinates; 2]) -> Self {
         let system = Self::new(model, inputs, turns);
         system.on(Events::mode_of(&system, q, v))
+    }
+}
+
+impl<'a, const BARE: bool> FiveBar<'a, BARE> {
+    /// System in another form; the bare one only of a model that is solved leg by leg, without effects that depend on the motion.
+    pub fn in_form<const OTHER: bool>(&self) -> FiveBar<'a, OTHER> {
+        let &Self { model, inputs, turns, follows_work, mode } = self;
+        FiveBar { model, inputs, turns, follows_work, mode }
     }
 
     /// System with other whole turns.
@@ -210,8 +218,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
     type General = FiveBar<'a>;
 
     fn general(&self) -> FiveBar<'a> {
-        let &Self { model, inputs, turns, follows_work, mode } = self;
-        FiveBar { model, inputs, turns, follows_work, mode }
+        self.in_form()
     }
 
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {

@@ -152,12 +152,12 @@ mod tests {
     fn mean_forces_do_the_work_of_energies() {
         let (model, inputs, [q, d, v]) = loaded();
         let turns = [0; 4];
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let system = FiveBar::new(&model, &inputs, &turns);
         let secant = system.secant(&system.pose(&q), &d);
         let step = StepIncrement { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
         let work = system.work_over(&step);
         let none = Inputs::default();
-        let unloaded = FiveBar::<false>::new(&model, &none, &turns);
+        let unloaded = FiveBar::new(&model, &none, &turns);
         let potential = |q: &Coordinates| unloaded.potential_energy(q, &system.pose(q));
         let gained = potential(&(q + d)) - potential(&q);
         let total = system.mean_forces(&step).dot(&d);
@@ -171,7 +171,7 @@ mod tests {
     fn mean_tangents_are_derivatives() {
         let (model, inputs, [q, d, v]) = loaded();
         let turns = [0; 4];
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let system = FiveBar::new(&model, &inputs, &turns);
         let begin = system.pose(&q);
         let forces = |d: &Coordinates, v: &Coordinates| {
             let secant = system.secant(&begin, d);
@@ -207,7 +207,7 @@ mod tests {
     fn discrete_derivatives_are_differences() {
         let (model, q, d) = step();
         let (inputs, turns) = (default_inputs(), [0; 4]);
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let system = FiveBar::new(&model, &inputs, &turns);
         let (begin, end) = (system.pose(&q), system.pose(&(q + d)));
         let secant = system.secant(&begin, &d);
         let (lambda, z) = (numbers(1.0), Coordinates::from_fn(|i| (i as f64).cos()));
@@ -231,7 +231,7 @@ mod tests {
     fn the_cut_loop_has_the_equations_of_all_coordinates() {
         let (model, q, _) = step();
         let (inputs, turns, h) = (Inputs { tau: [0.01, 0.02], tip_force: [0.03, -0.04], ..default_inputs() }, [0; 4], 1e-3);
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let system = FiveBar::new(&model, &inputs, &turns);
         let begin = system.pose(&q);
         let (v0, _) = closure_rates(&system, &begin);
         let cut = system.cut(&begin, [&q, &v0], h, 1.0);
@@ -282,7 +282,7 @@ mod tests {
     fn the_whole_tangent_is_the_derivative_of_the_equations() {
         let (model, inputs, [q, _, v0]) = loaded();
         let (turns, h) = ([0; 4], 1e-3);
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let system = FiveBar::new(&model, &inputs, &turns);
         let begin = system.pose(&q);
         let cut = system.cut(&begin, [&q, &v0], h, 1.0);
         let left = |x: &CutUnknowns| {
@@ -322,7 +322,7 @@ mod tests {
         let (inputs, turns) = (default_inputs(), [0; 4]);
         let simulation = Simulation::new(&default_parameters(), &inputs).expect("the start of the paper's fall");
         let (model, q) = (simulation.model(), simulation.state().core.q);
-        let system = FiveBar::<false>::new(model, &inputs, &turns);
+        let system = FiveBar::new(model, &inputs, &turns);
         let begin = system.pose(&q);
         let (v0, open) = closure_rates(&system, &begin);
         assert!(open < 1e-14);

@@ -14,7 +14,7 @@ use super::{Model, State};
 use crate::dynamics::angles::in_link_order;
 use crate::effects::payload::Join;
 use crate::integrator::{Kkt, System, Work};
-use crate::mechanism::coordinates::THETA;
+use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
@@ -37,7 +37,7 @@ impl Discontinuity {
         }
         let impact = join == Join::AtRest && mass(after) > mass(before);
         let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
-        let (q, v) = closure::assemble(&after.mechanism.geometry, THETA.map(|i| present.core.q[i]), in_link_order(&rates));
+        let (q, v) = closure::assemble(&after.mechanism.geometry, link_angles(&present.core.q), in_link_order(&rates));
         let mut state = *present;
         (state.core.q, state.core.v) = (q, v);
         let gained = state.kinetic_energy(after) - present.kinetic_energy(before);

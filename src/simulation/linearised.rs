@@ -75,7 +75,7 @@ impl FollowedScene<'_> {
         answer: impl FnOnce(&FiveBar<'_>, &Equations<'_>, &Pose, Motion<'_>) -> T,
     ) -> T {
         let (model, inputs) = (self.model, with_unknown_force(self.inputs, force));
-        let five_bar = FiveBar::<false>::new(model, &inputs, self.turns);
+        let five_bar = FiveBar::new(model, &inputs, self.turns);
         let (turned, rates) = (by_legs(at.theta.into()), by_legs(at.omega.into()));
         let pose = model.mechanism.pose_at(turned);
         let motion = five_bar.conditions().motion_of_links(&model.mechanism, [turned, rates], &pose);

@@ -77,7 +77,7 @@ impl ModelExchangeState {
     /// Present state, with the q̈ and λ that belong to `inputs`.
     pub(super) fn core(&self, model: &Model, inputs: &Inputs) -> Core {
         let (q, v) = closure::assemble(&model.mechanism.geometry, self.theta, self.omega);
-        let core = Core::start(&FiveBar::<false>::new(model, inputs, &[0; 4]), q, v, model.regularization);
+        let core = Core::start(&FiveBar::new(model, inputs, &[0; 4]), q, v, model.regularization);
         Core { work: self.work, ..core }
     }
 
@@ -86,7 +86,7 @@ impl ModelExchangeState {
         if !self.completed.iter().all(|angle| angle.is_finite()) {
             return Err("an angle is not finite");
         }
-        self.core(model, inputs).check(&FiveBar::<false>::new(model, inputs, &[0; 4]), bounds)
+        self.core(model, inputs).check(&FiveBar::new(model, inputs, &[0; 4]), bounds)
     }
 }
 

@@ -96,8 +96,8 @@ impl Passage<ANGLES> for AngleSystem<'_> {
         if self.offset(q)?.norm() >= AT_REST || v.norm() > 0.0 || self.stuck() == Stuck::Wholly {
             return None;
         }
-        let branch = self.branch_of_least_constraint(q)?;
-        Some(self.acceleration_along(q, &branch.direction, 0.0) * branch.direction)
+        let (direction, _) = self.branch_of_least_constraint(q)?;
+        Some(self.acceleration_along(q, &direction, 0.0) * direction)
     }
 }
 
@@ -166,10 +166,10 @@ impl AngleSystem<'_> {
     fn leave_from_rest(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let rest = self.rest(limits, from);
         let branch = self.branch_of_least_constraint(from.q);
-        let alternatives = branch.as_ref().map_or(0, |branch| branch.alternatives);
-        let along_branch = branch.and_then(|branch| {
-            let (acceleration, duration) = self.along(from.q, &branch.direction, [0.0, limits.radius, 0.0], rest)?;
-            Some((branch.direction, acceleration, duration))
+        let alternatives = branch.map_or(0, |(_, alternatives)| alternatives);
+        let along_branch = branch.and_then(|(direction, _)| {
+            let (acceleration, duration) = self.along(from.q, &direction, [0.0, limits.radius, 0.0], rest)?;
+            Some((direction, acceleration, duration))
         });
         let (direction, acceleration, duration) = along_branch.unwrap_or((Angles::ZERO, 0.0, f64::INFINITY));
         let vertex = *from.q - offset;

@@ -23,7 +23,7 @@ impl Run {
         if !inputs.are_finite() || !energy_at_start.is_finite() {
             return Err(SceneError("an input or an energy is not finite".into()));
         }
-        let system = FiveBar::<false>::new(model, inputs, turns);
+        let system = FiveBar::new(model, inputs, turns);
         let bounds = bounds(&parameters.settings);
         match integrator {
             Integrator::MacroStepped(run) => {

@@ -19,7 +19,7 @@ use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::i3alp_conserving::{self, ConservingRun};
 use crate::integrator::{Counters, Implicit, StepError, System, Work};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
-use crate::mechanism::coordinates::THETA;
+use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Assembly, COORDINATES, Coordinates};
 
 /// Changing part of a simulation. A copy is a complete snapshot.
@@ -102,7 +102,7 @@ impl MacroStepped {
     /// Continues from a state that has jumped, or with other inputs, which did the given work, J: the mode follows from the state.
     pub(super) fn restart(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
         let Self { core, mode, .. } = self;
-        let system = FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v]);
+        let system = FiveBar::resolved(model, inputs, turns, [&core.q, &core.v]);
         *mode = system.mode;
         core.work += work;
         core.restart(&system, &system.pose(&core.q), model.regularization);
@@ -113,7 +113,7 @@ impl Run {
     /// Starts from q and q̇, which satisfy the constraints.
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
-        let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
+        let system = FiveBar::resolved(model, inputs, &turns, [&q, &v]);
         let (mode, mut core) = (system.mode, Core::start(&system, q, v, model.regularization));
         remove_whole_turns(&mut core.q, &mut turns);
         let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, stick_slip: mode.stick_slip };
@@ -122,7 +122,7 @@ impl Run {
         let integrator = match method_settings(model, energy_at_start) {
             MethodSettings::MacroStep(method) => Integrator::MacroStepped(MacroStepped { method, core, mode }),
             MethodSettings::Conserving(settings) => {
-                let system = FiveBar::<false>::new(model, inputs, &turns);
+                let system = FiveBar::new(model, inputs, &turns);
                 Integrator::Conserving(Conserving { settings, state: ConservingRun::start(&system, core.q, core.v) })
             }
             MethodSettings::Dense(settings) => Integrator::DenseOutput(DenseRun::start(model, settings, &state)),
@@ -132,7 +132,7 @@ impl Run {
 
     /// Starts a run whose proximal angles and rates are set by a master; they keep their whole turns. The distal links stay in `assembly`.
     pub(super) fn start_for_model_exchange(model: &Model, [q, v]: [Coordinates; 2], inputs: &Inputs, assembly: Assembly) -> Self {
-        let states = ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]), assembly);
+        let states = ModelExchangeState::start(link_angles(&q), link_angles(&v), assembly);
         let core = states.core(model, inputs);
         let state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0, stick_slip: StickSlips::OPEN };
         let energy_at_start = state.energy(model);
@@ -174,12 +174,12 @@ impl Run {
             Integrator::MacroStepped(run) if model.same_active_inputs(&self.inputs, inputs) => (run.core, run.mode.stick_slip),
             Integrator::MacroStepped(MacroStepped { core, .. }) => {
                 let mut core = *core;
-                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
+                let system = FiveBar::resolved(model, inputs, &turns, [&core.q, &core.v]);
                 core.balance(&system, &system.pose(&core.q), model.regularization);
                 (core, system.mode.stick_slip)
             }
             Integrator::Conserving(run) => {
-                (run.state.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), StickSlips::OPEN)
+                (run.state.state(&FiveBar::new(model, inputs, &turns), model.regularization), StickSlips::OPEN)
             }
             Integrator::DenseOutput(run) => run.core(model, [&self.inputs, inputs], &turns),
             Integrator::ModelExchange(run) => (run.core(model, inputs), StickSlips::OPEN),
@@ -212,7 +212,7 @@ impl Run {
                 }
                 state.restart(work);
             }
-            Integrator::ModelExchange(run) => run.jump(work, motion.map(|[_, v]| THETA.map(|i| v[i]))),
+            Integrator::ModelExchange(run) => run.jump(work, motion.map(|[_, v]| link_angles(&v))),
             Integrator::MacroStepped(run) => {
                 if let Some([q, v]) = motion {
                     (run.core.q, run.core.v) = (q, v);
@@ -265,7 +265,7 @@ trait ByMacroSteps: Copy {
         steps: MacroSteps,
     ) -> Result<(), StepFailure> {
         let turns_at_start = *turns;
-        let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
+        let system = FiveBar::new(model, inputs, &turns_at_start).in_form::<BARE>();
         for step in 0..steps.count {
             self.step(&system.with_turns(turns), steps.h).map_err(|cause| steps.failure(step, cause))?;
             let (q, counters) = self.counted();

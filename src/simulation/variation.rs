@@ -10,7 +10,7 @@ use crate::dynamics::angles::{AtTip, Closure, Equations, in_link_order};
 use crate::dynamics::change_of_motion;
 use crate::effects::{Effect, Inputs, Motion, MotionChange, Slopes, Wrench};
 use crate::hybrid::Frictional;
-use crate::mechanism::coordinates::{THETA, TIP_X, TIP_Y, set_angles};
+use crate::mechanism::coordinates::{TIP_X, TIP_Y, link_angles, set_angles};
 use crate::mechanism::legs::both;
 use crate::mechanism::placement::joint_forces;
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
@@ -52,7 +52,7 @@ impl State {
             let geometry = &model.mechanism.geometry;
             let [_, left, right, _] = pose.directions();
             closure::check_direct_singularity(left[0] * right[1] - left[1] * right[0])?;
-            (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
+            (q, v) = closure::varied(geometry, link_angles(&core.q), link_angles(&core.v), proximal);
         }
         let motion = change_of_motion(&pose, &core.v, [&q, &v]);
 

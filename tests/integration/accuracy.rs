@@ -17,7 +17,7 @@ fn fall_at_1s() -> (Reference, [Coordinates; 3]) {
     let (q, v) = reference.coordinates(&parameters.geometry);
     let simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
     let inputs = Inputs::default();
-    let system = FiveBar::<false>::new(simulation.model(), &inputs, &[0; 4]);
+    let system = FiveBar::new(simulation.model(), &inputs, &[0; 4]);
     let (a, _) = integrator::equilibrium(&system, &q, &v, simulation.model().regularization);
     (reference, [q, v, a])
 }
@@ -56,7 +56,7 @@ fn rk4_is_of_fourth_order() {
     let scene = Simulation::new(&fall_90_120(Method::Rk4), &Inputs::default()).expect("scene");
     let model = scene.model();
     let inputs = Inputs::default();
-    let system = FiveBar::<false>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::new(model, &inputs, &[0; 4]);
     let settings = rk4::Settings { regularization: model.regularization, tolerance: 5e-13, max_iterations: 10 };
     let mut points = vec![];
     for h in [1e-3, 5e-4, 2.5e-4, 1e-4] {

@@ -57,7 +57,7 @@ fn tangents_of_accelerations_are_derivatives() {
         for simulation in [simulation, moving] {
             let state = simulation.state();
             let (q, v) = (angles_of(&state.core.q), angles_of(&state.core.v) + Vector::from([0.3, -0.2, 0.5, 0.1]));
-            let system = AngleSystem::new(FiveBar::<false>::new(simulation.model(), &loads, &state.turns));
+            let system = AngleSystem::new(FiveBar::new(simulation.model(), &loads, &state.turns));
             let at = State::start(&system, q, v, REGULARIZATION);
             let tangents = system.acceleration_tangents(&at, &system.pose(&at.q), REGULARIZATION).expect("tangents");
             let step = 1e-6;

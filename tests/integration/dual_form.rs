@@ -26,7 +26,7 @@ fn penalty_step(
     state: &integrator::State<COORDINATES, MULTIPLIERS>,
     h: f64,
 ) -> [Vector<COORDINATES>; 3] {
-    let system = FiveBar::<true>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::new(model, inputs, &[0; 4]).in_form::<true>();
     let mechanism = &model.mechanism;
     let beta = h * h / 4.0;
     let alpha = KAPPA * mechanism.geometry.mean_mass() / beta;
@@ -102,7 +102,7 @@ fn penalty_and_dual_steps_agree() {
                 energy_at_start: 0.0,
                 regularization: model.regularization,
             };
-            let system = FiveBar::<true>::new(model, &inputs, &[0; 4]);
+            let system = FiveBar::new(model, &inputs, &[0; 4]).in_form::<true>();
             i3alp::MacroStep::of(h).advance(&system, &settings, &mut dual, &mut { Mode::OF_STATE }).expect("step");
             // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6 leaves
             // 1e-6 of the violation, itself below 1e-6 of the velocity.

@@ -83,7 +83,7 @@ fn tangents_are_derivatives_of_forces() {
     for (name, parameters) in each_and_all() {
         let inputs = references();
         let simulation = Simulation::new(&parameters, &inputs).expect(&name);
-        let system = FiveBar::<false>::new(simulation.model(), &inputs, &[1, 0, 0, -2]);
+        let system = FiveBar::new(simulation.model(), &inputs, &[1, 0, 0, -2]);
         for (q, v) in random_states(20) {
             let pose = system.pose(&q);
             for j in 0..COORDINATES {
@@ -115,7 +115,7 @@ fn powers_and_potentials_account_for_every_force() {
         let inputs = references();
         let simulation = Simulation::new(&parameters, &inputs).expect(&name);
         let (model, turns) = (simulation.model(), [1, 0, 0, -2]);
-        let system = FiveBar::<false>::new(model, &inputs, &turns);
+        let system = FiveBar::new(model, &inputs, &turns);
         for (q, v) in random_states(50) {
             let pose = system.pose(&q);
             let (forces, power) = system.forces(&q, &pose, &v);
@@ -180,7 +180,9 @@ fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve
     let MethodSettings::MacroStep(method) = method_settings(&model, 0.0) else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
-        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, &mut { Mode::OF_STATE }, 1e-3).expect("step");
+        method
+            .advance(&FiveBar::new(&model, inputs, &[0; 4]).in_form::<BARE>(), &mut core, &mut { Mode::OF_STATE }, 1e-3)
+            .expect("step");
     }
     core.q
 }

@@ -310,7 +310,7 @@ fn absurd_machines_take_bounded_work() {
         energy_at_start: 0.0,
         regularization: simulation.model().regularization,
     };
-    let system = FiveBar::<false>::new(simulation.model(), &inputs, &[0; 4]);
+    let system = FiveBar::new(simulation.model(), &inputs, &[0; 4]);
     let mut core = before.core;
     i3alp::MacroStep::of(0.5).advance(&system, &settings, &mut core, &mut { Mode::OF_STATE }).expect_err("more than it may do");
     assert_eq!(system.iteration_work(), 16);

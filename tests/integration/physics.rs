@@ -77,7 +77,7 @@ fn a_reversed_motion_returns() {
     assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
 
     let model = there.model();
-    let system = FiveBar::<false>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::new(model, &inputs, &[0; 4]);
     let MethodSettings::MacroStep(method) = method_settings(model, 0.0) else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, -end.v, model.regularization);
     for _ in 0..2000 {

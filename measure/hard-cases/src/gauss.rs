@@ -30,7 +30,7 @@ const DIRECTIONS: u32 = 3600;
 pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, SceneError> {
     let simulation = Simulation::at(parameters, inputs, vertex.theta, [0.0; 4])?;
     let model = simulation.model();
-    let system = FiveBar::<false>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::new(model, inputs, &[0; 4]);
     let q = simulation.state().core.q;
     let forces = system.forces(&q, &system.pose(&q), &Vector::ZERO).0;
     let motions: [_; 4] = std::array::from_fn(|i| unit_motion(&parameters.geometry, vertex.theta, i));

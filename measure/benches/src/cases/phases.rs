@@ -31,7 +31,7 @@ fn phase(name: &str, run: impl Fn(&FiveBar<'_>, &Core, f64) + Copy + 'static) ->
             .collect();
         let work: Work = Box::new(move || {
             let (model, turns) = (simulation.model(), &simulation.state().turns);
-            let system = FiveBar::<false>::new(model, &scene.inputs, turns);
+            let system = FiveBar::new(model, &scene.inputs, turns);
             for state in &states {
                 run(black_box(&system), black_box(state), model.regularization);
             }
