@@ -63,11 +63,6 @@ impl<'a> AngleSystem<'a> {
         &self.model().inertia
     }
 
-    /// e of the saddle-point systems in the link angles, 1/kg.
-    pub(super) fn regularization_by_angles(&self) -> f64 {
-        self.five_bar.model.regularization_by_angles
-    }
-
     /// Deviation of angles from a closure branch, m.
     #[cold]
     #[inline(never)]
@@ -103,7 +98,7 @@ impl<'a> AngleSystem<'a> {
         [x, rates]: [&Coordinates; 2],
     ) -> (Coordinates, Multipliers, Work) {
         let (applied, power) = self.five_bar.forces(x, pose, rates);
-        let mass = self.factor_mass(pose, self.regularization_by_angles());
+        let mass = self.factor_mass(pose, self.regularization());
         let torques = self.inertia().with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));

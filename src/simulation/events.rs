@@ -5,6 +5,7 @@ use std::borrow::Cow;
 
 use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
 use super::five_bar::FiveBar;
+use super::model::Model;
 use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
     Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
@@ -76,7 +77,8 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn regularization(&self) -> f64 {
-        self.regularization_by_angles()
+        let &Model { regularization_by_angles: e, .. } = self.model();
+        e
     }
 
     fn stick_velocity(&self) -> f64 {

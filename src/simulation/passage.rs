@@ -12,6 +12,7 @@
 use super::angles::{ANGLES, AngleSystem, Angles, angles_of};
 use super::bifurcation;
 use super::five_bar::FiveBar;
+use crate::hybrid::Frictional;
 use crate::integrator::{
     Approach, Departure, EnergyBalance, Implicit, Passage, PassageLimits, Projection, StepError, StepLimits, Stuck, System,
     Transit, equilibrium, velocity_correction,
@@ -154,7 +155,7 @@ impl AngleSystem<'_> {
             return limited(f64::INFINITY);
         };
         // The displacement by forces across the ray must stay below the impact parameter. A start from rest is on its branch already.
-        let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization_by_angles());
+        let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization());
         if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
         }
@@ -197,7 +198,7 @@ impl AngleSystem<'_> {
         let mut v = (speed + acceleration * duration) * direction;
         if leaves {
             let (_, pose) = self.projection().position(self, &mut q).ok()?;
-            v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization_by_angles()), &v);
+            v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization()), &v);
         }
         // The energy determines the rate along the ray better than the acceleration, which was taken as constant.
         let before = self.energy_balance(from.q, from.v);
@@ -252,7 +253,7 @@ impl AngleSystem<'_> {
     /// Projection onto the closure down to round-off.
     fn projection(&self) -> Projection {
         let model = self.model();
-        Projection::to_round_off(model.length_scale, self.regularization_by_angles(), model.settings.max_iterations)
+        Projection::to_round_off(model.length_scale, self.regularization(), model.settings.max_iterations)
     }
 }
 
