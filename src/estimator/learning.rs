@@ -319,11 +319,11 @@ impl Learning {
     /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
     /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
     ///
-    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise, which counts an error once in n = `samples`,
-    /// of variance R = n σ²: with the standard deviation `persistent`, rad, of what is never learned, and that of products of errors, which a linear filter
-    /// does not know: of masses, and of readings by lengths and mounting angles, `shown`, rad. With the gain c/(S + R) of a covariance c with the innovation their own is
-    /// reduced by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation
-    /// that parameters explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
+    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise of variance R, which counts two errors once in
+    /// n = `samples`: one of the standard deviation `persistent`, rad, that is never learned, and the product of the errors of masses and of the readings by lengths
+    /// and mounting angles, `shown`, rad, which a linear filter does not know. With the gain c/(S + R) of a covariance c with the innovation their own is reduced
+    /// by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation that
+    /// parameters explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
     pub(super) fn update(
         &mut self,
         expected: &mut PredictedSample,
@@ -411,7 +411,7 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
-    /// Mean variance of the logarithm of a link's mass about the mean of all, so that a common factor, which a fall never tells, does not count.
+    /// Mean variance of the logarithms of the links' masses about their mean, so that a common factor does not count, which a free fall without torques never tells.
     fn mass_variance(&self) -> f64 {
         const COUNT: usize = MASSES.end - MASSES.start;
         let masses = self.covariance.fixed_view::<COUNT, COUNT>(MASSES.start, MASSES.start);
@@ -496,13 +496,13 @@ mod tests {
         learning.models[0].cross = all.fixed_view::<ERRORS, LEARNED>(0, ERRORS).into();
         learning.models[0].covariance = all.fixed_view::<LEARNED, LEARNED>(ERRORS, ERRORS).into();
 
-        let (noise, persistent, samples) = (0.3, 0.5, 4.0);
+        let (noise, persistent, shown_by_readings, samples) = (0.3, 0.5, 40.0, 4.0);
         let row = Error::from_fn(|i, _| [0.7, -0.4, 0.0, 0.0, 0.0, 0.0, persistent, 0.0][i]);
         let shown = Shown::from_fn(|i, _| 0.1 * (i as f64) - 0.2);
         let sample = Innovation { residual: 1.3, row, noise };
         let mut expected = bank.predict_sample(&sample);
         let columns = learning.expect(&mut expected, (0, &sample), &shown);
-        learning.update(&mut expected, &columns, ([persistent, 0.0], samples), false);
+        learning.update(&mut expected, &columns, ([persistent, shown_by_readings], samples), false);
         bank.update(&expected);
 
         let h = SVector::<f64, ALL>::from_fn(|i, _| match i {
@@ -511,7 +511,12 @@ mod tests {
             _ => shown[i - ERRORS - LOADS],
         });
         let column = all * h;
-        let (variance, cautious) = (h.dot(&column) + noise, h.dot(&column) + noise + persistent * persistent * samples);
+        let masses = all.fixed_view::<4, 4>(ERRORS, ERRORS);
+        let centred = SMatrix::<f64, 4, 4>::identity() - SMatrix::<f64, 4, 4>::from_element(0.25);
+        let product = PRODUCTS * shown_by_readings * ((centred * masses * centred).trace() / 4.0).sqrt();
+        let variance = h.dot(&column) + noise;
+        let cautious = variance + (persistent * persistent + product * product) * samples;
+        assert!(product > persistent, "{product}");
         let gain = SVector::<f64, ALL>::from_fn(|i, _| column[i] / if i < ERRORS { variance } else { cautious });
         let left = All::identity() - gain * h.transpose();
         let true_one = left * all * left.transpose() + gain * gain.transpose() * noise;
