@@ -130,7 +130,7 @@ fn by_geometry<const R: usize>(
     (by_error, by_parameters): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, GEOMETRY>),
 ) -> [SMatrix<f64, R, R>; MODELS] {
     let parameters = &constants.parameters;
-    if learning.is_none() && parameters.takes_geometry_as_exact() {
+    if learning.is_none() && parameters.has_exact_geometry() {
         return [SMatrix::zeros(); MODELS];
     }
     let by_encoders = by_error * frame.holding();

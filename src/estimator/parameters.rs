@@ -69,8 +69,8 @@ impl Parameters {
         (self.sigma0_eccentricity, self.sigma0_scale) = (0.0, 0.0);
     }
 
-    /// Whether lengths and encoders are taken as exact.
-    pub(super) fn takes_geometry_as_exact(&self) -> bool {
+    /// Whether lengths and encoders are told to be exact.
+    pub(super) fn has_exact_geometry(&self) -> bool {
         [self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity, self.sigma0_scale] == [0.0; 4]
     }
 

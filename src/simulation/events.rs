@@ -5,7 +5,6 @@ use std::borrow::Cow;
 
 use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles, legs};
 use super::five_bar::FiveBar;
-use super::model::Model;
 use crate::effects::{FrictionElement, FrictionElements, Motion, Wrench};
 use crate::hybrid::{
     Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
@@ -76,9 +75,9 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
         })
     }
 
+    #[expect(clippy::misnamed_getters, reason = "the regularisation of the twelve coordinates is another one")]
     fn regularization(&self) -> f64 {
-        let &Model { regularization_by_angles: e, .. } = self.model();
-        e
+        self.model().regularization_by_angles
     }
 
     fn stick_velocity(&self) -> f64 {
