@@ -34,7 +34,7 @@ LEGS: Final = (1, 2)
 
 ESTIMATED: Final = (
     *(f"{name}[{i}]" for name in ("theta", "omega", "passive.theta") for i in LEGS),
-    *("tip.x", "tip.y", "tip.vx", "tip.vy", "mode.assembly"),
+    *("tip.x", "tip.y", "tip.vx", "tip.vy", "tip.ax", "tip.ay", "mode.assembly"),
     *(f"estimated.{name}.sigma[{i}]" for name in ("theta", "omega") for i in LEGS),
     *(f"estimated.tip.cov[{i}]" for i in (1, 2, 3)),
     *(f"estimated.{name}[{i}]" for name in ("tau", "tau.sigma") for i in LEGS),

@@ -82,11 +82,12 @@ function takeEstimate(message) {
   while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
 }
 
-/** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much. */
+/** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much, with its acceleration,
+ * since 3.5 m/s² would be seen as 2 µm of error within 1 ms. */
 function remember(message) {
   const fields = message.fields, sample = state.samples.get(message.seq), machine = sample ? machinePose(sample) : null, seconds = message.time / 1e9;
   const since = sample ? (message.time - sample.time) / 1e9 : 0;
-  const back = ["x", "y"].map((axis) => fields[`tip.${axis}`] - since * (fields[`tip.v${axis}`] ?? 0));
+  const back = ["x", "y"].map((axis) => fields[`tip.${axis}`] - since * ((fields[`tip.v${axis}`] ?? 0) - since / 2 * (fields[`tip.a${axis}`] ?? 0)));
   state.history.push({
     t: seconds,
     error: machine ? Math.hypot(machine.tip[0] - back[0], machine.tip[1] - back[1]) : NaN,
