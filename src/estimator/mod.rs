@@ -201,42 +201,9 @@ impl Estimator {
             return favoured.map(|_| motion);
         }
         self.forecast.end();
-        let learned = self.learning.as_mut().map(|learning| {
-            let before = learning.values();
-            let values = learning.corrected(&mut self.belief.bank, constants);
-            constants.learn(&values);
-            (values, values - before)
-        });
+        frame = self.inject(constants, (&mut motion, &frame), errors.as_ref(), &systematic);
         let constants = &*constants;
         let linkage = &constants.linkage;
-        match self.belief.inject_error(linkage, &frame, &mut motion) {
-            Some((mut error, turn, to)) => {
-                if let Some((_, corrected)) = &learned
-                    && let Some(ReadingErrors { rows, .. }) = &errors
-                {
-                    // Persistent errors of the readings are those about what is learned.
-                    for i in 0..2 {
-                        error[READINGS + i] = rows[i].dot(&corrected.fixed_rows::<GEOMETRY>(LOADS)) / systematic[i].0;
-                    }
-                }
-                self.history.correct(&error, &turn);
-                self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
-                self.causes.correct(&error, &turn);
-                self.doubt.follow(&error, &turn);
-                if let Some((learning, (values, _))) = self.learning.as_mut().zip(learned) {
-                    learning.correct(&self.belief.bank, &turn, values);
-                }
-                frame = to;
-            }
-            // No closed configuration is near the corrected one: the covariance is worthless.
-            None => {
-                self.belief.bank = Bank::new(constants.start_variances());
-                self.unaided = Default::default();
-                self.causes.close(false);
-                self.learn_anew(constants);
-                self.end_doubt();
-            }
-        }
         let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
         let readings = [0, 1].map(|i| {
             let sample = Sample { rate: motion.omega[MEASURED[i]], ..samples[i]? };
@@ -254,6 +221,46 @@ impl Estimator {
         let exceed_masses = || self.causes.exceed_masses(constants);
         self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used), exceed_masses);
         Some(motion)
+    }
+
+    /// Moves the motion by the mean of its error and learned values by that of theirs; the bank is about them then. Returns the frame of the
+    /// corrected motion.
+    fn inject(
+        &mut self,
+        constants: &mut Constants,
+        (motion, frame): (&mut LinkState, &Frame),
+        errors: Option<&ReadingErrors>,
+        systematic: &[(f64, f64); 2],
+    ) -> Frame {
+        let learned = self.learning.as_mut().map(|learning| {
+            let before = learning.values();
+            let values = learning.corrected(&mut self.belief.bank, constants);
+            constants.learn(&values);
+            (values, values - before)
+        });
+        let Some((mut error, turn, corrected)) = self.belief.inject_error(&constants.linkage, frame, motion) else {
+            // No closed configuration is near the corrected one: the covariance is worthless.
+            self.belief.bank = Bank::new(constants.start_variances());
+            self.unaided = Default::default();
+            self.causes.close(false);
+            self.learn_anew(constants);
+            self.end_doubt();
+            return *frame;
+        };
+        if let Some(((_, change), errors)) = learned.as_ref().zip(errors) {
+            // Persistent errors of the readings are those about what is learned.
+            for i in 0..2 {
+                error[READINGS + i] = errors.rows[i].dot(&change.fixed_rows::<GEOMETRY>(LOADS)) / systematic[i].0;
+            }
+        }
+        self.history.correct(&error, &turn);
+        self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
+        self.causes.correct(&error, &turn);
+        self.doubt.follow(&error, &turn);
+        if let Some((learning, (values, _))) = self.learning.as_mut().zip(learned) {
+            learning.correct(&self.belief.bank, &turn, values);
+        }
+        corrected
     }
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
@@ -334,20 +341,25 @@ impl Estimator {
                         self.doubt.receive(i, &told.innovation_of(reading));
                     }
                 }
-            } else if conditions.repetition != Fault::None
-                && let Some(bank) = self.unaided[i].bank()
-            {
-                if conditions.repetition == Fault::Stuck {
-                    self.unaided[i] = Unaided::default();
-                    self.learn_anew(constants);
-                } else if let Some(learning) = &mut self.learning {
-                    learning.pause(&self.belief.bank);
-                }
-                self.belief.bank = bank;
+            } else {
+                self.replace_by_unaided(i, conditions.repetition, constants);
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         update
+    }
+
+    /// Lets the estimate without encoder i, whose readings repeat themselves, replace that by both.
+    fn replace_by_unaided(&mut self, i: usize, repetition: Fault, constants: &Constants) {
+        let bank = if repetition == Fault::None { None } else { self.unaided[i].bank() };
+        let Some(bank) = bank else { return };
+        if repetition == Fault::Stuck {
+            self.unaided[i] = Unaided::default();
+            self.learn_anew(constants);
+        } else if let Some(learning) = &mut self.learning {
+            learning.pause(&self.belief.bank);
+        }
+        self.belief.bank = bank;
     }
 
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
