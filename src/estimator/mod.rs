@@ -201,7 +201,7 @@ impl Estimator {
             return favoured.map(|_| motion);
         }
         self.forecast.end();
-        frame = self.inject(constants, (&mut motion, &frame), errors.as_ref(), &systematic);
+        self.inject(constants, (&mut motion, &mut frame), errors.as_ref(), &systematic);
         let constants = &*constants;
         let linkage = &constants.linkage;
         let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
@@ -223,15 +223,15 @@ impl Estimator {
         Some(motion)
     }
 
-    /// Moves the motion by the mean of its error and learned values by that of theirs; the bank is about them then. Returns the frame of the
-    /// corrected motion.
+    /// Moves the motion by the mean of its error and learned values by that of theirs; the bank is about them then, and the frame that of
+    /// the corrected motion.
     fn inject(
         &mut self,
         constants: &mut Constants,
-        (motion, frame): (&mut LinkState, &Frame),
+        (motion, frame): (&mut LinkState, &mut Frame),
         errors: Option<&ReadingErrors>,
         systematic: &[(f64, f64); 2],
-    ) -> Frame {
+    ) {
         let learned = self.learning.as_mut().map(|learning| {
             let before = learning.values();
             let values = learning.corrected(&mut self.belief.bank, constants);
@@ -245,7 +245,7 @@ impl Estimator {
             self.causes.close(false);
             self.learn_anew(constants);
             self.end_doubt();
-            return *frame;
+            return;
         };
         if let Some(((_, change), errors)) = learned.as_ref().zip(errors) {
             // Persistent errors of the readings are those about what is learned.
@@ -260,7 +260,7 @@ impl Estimator {
         if let Some((learning, (values, _))) = self.learning.as_mut().zip(learned) {
             learning.correct(&self.belief.bank, &turn, values);
         }
-        corrected
+        *frame = corrected;
     }
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
