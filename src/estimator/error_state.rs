@@ -133,6 +133,22 @@ pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column
     }
 }
 
+/// Measurement update of a covariance by a gain K that leaves D = P Hᵀ − K S of the `column` P Hᵀ in place of nothing: P − (P Hᵀ H P − D Dᵀ)/S, which is
+/// Joseph's form (I − K H) P (I − K H)ᵀ + K R Kᵀ; symmetric to the bit.
+pub(super) fn reduce_in_part<const N: usize>(
+    covariance: &mut SMatrix<f64, N, N>,
+    column: &SVector<f64, N>,
+    left: &SVector<f64, N>,
+    variance: f64,
+) {
+    let [taken, left] = [column, left].map(|of| Vector::from(of.data.0[0]) / variance.sqrt());
+    for (k, of) in covariance.data.0.iter_mut().enumerate() {
+        *of = (Vector::from(*of) - taken[k] * taken + left[k] * left).into();
+        // A variance may turn negative by round-off only.
+        of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
+    }
+}
+
 /// Whether a stored matrix is possible as a covariance: symmetric to the bit, no variance below 0, no correlation beyond 1 but by round-off.
 pub(super) fn is_covariance<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {
     *p == p.transpose() && (0..N).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_correlation(p[(i, k)], p[(i, i)], p[(k, k)])))

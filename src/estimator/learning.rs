@@ -24,7 +24,7 @@ use super::constants::{
 };
 use super::error_state::{
     DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, READINGS, Transition, combine,
-    is_correlation, is_covariance, move_errors, reduce, turn_errors,
+    is_correlation, is_covariance, move_errors, reduce_in_part, turn_errors,
 };
 use super::flow::Flow;
 use super::parameters::{Constants, Prior};
@@ -336,18 +336,22 @@ impl Learning {
             if weight == 0.0 {
                 continue;
             }
-            let gain = column / *variance;
-            model.cross.ger(-1.0, own, &gain, 1.0);
+            model.cross.ger(-1.0 / *variance, own, column, 1.0);
             if !rests {
                 let products = PRODUCTS * PRODUCTS * shown * shown * model.mass_variance();
-                let further = (persistent * persistent + products) * samples;
-                let cautious = variance + further;
+                let [loads, geometry] = [products, persistent * persistent + products].map(|single| {
+                    let further = single * samples;
+                    further / (*variance + further)
+                });
+                let mut left = *column;
+                left.fixed_rows_mut::<LOADS>(0).scale_mut(loads);
+                left.fixed_rows_mut::<GEOMETRY>(LOADS).scale_mut(geometry);
                 // The quietest model comes first.
                 if persistent > 0.0 && expected.lasting == 0.0 {
-                    expected.lasting = explained(column, &model.covariance).min(*variance) * samples * further / cautious;
+                    expected.lasting = explained(column, &left, &model.covariance).min(*variance) * samples;
                 }
-                model.error += gain * (residual * variance / cautious);
-                reduce(&mut model.covariance, column, cautious * cautious / (cautious + further));
+                model.error += (column - left) * (residual / *variance);
+                reduce_in_part(&mut model.covariance, column, &left, *variance);
             }
         }
     }
@@ -454,11 +458,12 @@ pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, errors
     learning.zip(errors).map_or(*own, |(learning, errors)| learning.shown(own, errors))
 }
 
-/// Variance of the part of an innovation that parameters explain, by their covariance with it, as if they were independent of each other.
-fn explained(column: &Learned, covariance: &Square) -> f64 {
+/// Variance of the part of an innovation that parameters explain and that is not learned, by their covariances `column` with it and the part of them that stays,
+/// as if they were independent of each other.
+fn explained(column: &Learned, kept: &Learned, covariance: &Square) -> f64 {
     // Parameters that are known have no covariance with anything.
     let variances = covariance.diagonal().map(|variance| variance.max(f64::MIN_POSITIVE));
-    column.component_mul(column).component_div(&variances).sum()
+    column.component_mul(kept).component_div(&variances).sum()
 }
 
 /// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.
