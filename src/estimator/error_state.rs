@@ -125,25 +125,22 @@ pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
 
 /// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
 pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
-    let taken = Vector::from(column.data.0[0]) / variance.sqrt();
-    for (k, of) in covariance.data.0.iter_mut().enumerate() {
-        *of = (Vector::from(*of) - taken[k] * taken).into();
-        // A variance may turn negative by round-off only.
-        of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
-    }
+    reduce_in_part(covariance, column, variance, (N, 1.0));
 }
 
-/// Measurement update of a covariance by a gain K that leaves D = P Hᵀ − K S of the `column` P Hᵀ in place of nothing: P − (P Hᵀ H P − D Dᵀ)/S, which is
-/// Joseph's form (I − K H) P (I − K H)ᵀ + K R Kᵀ; symmetric to the bit.
+/// Measurement update of a covariance of which the errors from `first` on are corrected by part of their gain alone, which reduces their own covariance by
+/// `share` of what all of it would.
 pub(super) fn reduce_in_part<const N: usize>(
     covariance: &mut SMatrix<f64, N, N>,
     column: &SVector<f64, N>,
-    left: &SVector<f64, N>,
     variance: f64,
+    (first, share): (usize, f64),
 ) {
-    let [taken, left] = [column, left].map(|of| Vector::from(of.data.0[0]) / variance.sqrt());
+    let taken = Vector::from(column.data.0[0]) / variance.sqrt();
+    let partly = Vector::from_fn(|i| if i < first { taken[i] } else { taken[i] * share });
     for (k, of) in covariance.data.0.iter_mut().enumerate() {
-        *of = (Vector::from(*of) - taken[k] * taken + left[k] * left).into();
+        let by = if k < first { &taken } else { &partly };
+        *of = (Vector::from(*of) - taken[k] * *by).into();
         // A variance may turn negative by round-off only.
         of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
     }

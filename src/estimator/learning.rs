@@ -319,11 +319,11 @@ impl Learning {
     /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
     /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
     ///
-    /// Learning takes what is not modelled for what it learns. To parameters a sample has therefore a further noise of variance R, which counts two errors once in
-    /// n = `samples`: one of the standard deviation `persistent`, rad, that is never learned, and the product of the errors of masses and of the readings by lengths
-    /// and mounting angles, `shown`, rad, which a linear filter does not know. With the gain c/(S + R) of a covariance c with the innovation their own is reduced
-    /// by c cᵀ (S + 2 R)/(S + R)² (Joseph's form), and that with motion and force as without it. What is not learned of the part of an innovation that
-    /// parameters explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n d² R/(S + R) as well.
+    /// Learning takes what is not modelled for what it learns. To lengths and mounting angles a sample has therefore a further noise of variance R, which counts two
+    /// errors once in n = `samples`: one of the standard deviation `persistent`, rad, that is never learned, and the product of the errors of masses and of the
+    /// readings by lengths and mounting angles, `shown`, rad, which a linear filter does not know. With the gain c/(S + R) = (1 − r) c/S of a covariance c with
+    /// the innovation their own is reduced by (1 − r²) c cᵀ/S (Joseph's form), and all others as without it. What is not learned of the part of an innovation
+    /// that they explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n r d² as well.
     pub(super) fn update(
         &mut self,
         expected: &mut PredictedSample,
@@ -331,6 +331,16 @@ impl Learning {
         ([persistent, shown], samples): ([f64; 2], f64),
         rests: bool,
     ) {
+        // The quietest model comes first.
+        let quietest = &self.models[0];
+        let products = PRODUCTS * PRODUCTS * shown * shown * quietest.mass_variance();
+        let further = (persistent * persistent + products) * samples;
+        let left_of = |variance: f64| further / (variance + further);
+        if persistent > 0.0 && !rests && expected.weights[0] > 0.0 {
+            let (_, variance, _) = expected.each[0];
+            let explained = explained(&columns[0], &quietest.covariance).min(variance);
+            expected.lasting = explained * samples * left_of(variance);
+        }
         let models = self.models.iter_mut().zip(columns).zip(expected.weights).zip(&expected.each);
         for (((model, column), weight), (residual, variance, own)) in models {
             if weight == 0.0 {
@@ -338,20 +348,11 @@ impl Learning {
             }
             model.cross.ger(-1.0 / *variance, own, column, 1.0);
             if !rests {
-                let products = PRODUCTS * PRODUCTS * shown * shown * model.mass_variance();
-                let [loads, geometry] = [products, persistent * persistent + products].map(|single| {
-                    let further = single * samples;
-                    further / (*variance + further)
-                });
-                let mut left = *column;
-                left.fixed_rows_mut::<LOADS>(0).scale_mut(loads);
-                left.fixed_rows_mut::<GEOMETRY>(LOADS).scale_mut(geometry);
-                // The quietest model comes first.
-                if persistent > 0.0 && expected.lasting == 0.0 {
-                    expected.lasting = explained(column, &left, &model.covariance).min(*variance) * samples;
+                let (left, gain) = (left_of(*variance), residual / *variance);
+                for i in 0..LEARNED {
+                    model.error[i] += column[i] * if i < LOADS { gain } else { gain * (1.0 - left) };
                 }
-                model.error += (column - left) * (residual / *variance);
-                reduce_in_part(&mut model.covariance, column, &left, *variance);
+                reduce_in_part(&mut model.covariance, column, *variance, (LOADS, 1.0 - left * left));
             }
         }
     }
@@ -359,11 +360,10 @@ impl Learning {
     /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
-        let mut error = self.mean(own);
+        let (before, mut values) = (self.values, self.values + self.mean(own));
         for i in 0..LEARNED {
             let [least, most] = bounds(i, constants);
-            let value = self.values[i] + error[i];
-            let beyond = value.clamp(least, most) - value;
+            let beyond = values[i].clamp(least, most) - values[i];
             if beyond != 0.0 {
                 // A payload or a friction of 0 is that of a machine without.
                 if least < 0.0 {
@@ -375,21 +375,22 @@ impl Learning {
                     *error += covariance.column(i) * part;
                     member.error += cross.column(i) * part;
                 }
-                error = self.mean(own);
+                // Round-off, and a bound that another one has led beyond.
+                let moved = before + self.mean(own);
+                values = Learned::from_fn(|k, _| {
+                    let [least, most] = bounds(k, constants);
+                    if k > i { moved[k] } else { moved[k].clamp(least, most) }
+                });
             }
         }
-        // Round-off, and a bound that another one has led beyond.
-        Learned::from_fn(|i, _| {
-            let [least, most] = bounds(i, constants);
-            (self.values[i] + error[i]).clamp(least, most)
-        })
+        values
     }
 
     /// Follows a correction of the motion that turns its tangent basis, and of the values.
     pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, values: Learned) {
-        let error = self.mean(own);
+        let change = values - self.values;
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
-            model.error -= error;
+            model.error -= change;
             turn_errors(turn, &mut model.cross);
         }
         self.values = values;
@@ -458,12 +459,10 @@ pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, errors
     learning.zip(errors).map_or(*own, |(learning, errors)| learning.shown(own, errors))
 }
 
-/// Variance of the part of an innovation that parameters explain and that is not learned, by their covariances `column` with it and the part of them that stays,
-/// as if they were independent of each other.
-fn explained(column: &Learned, kept: &Learned, covariance: &Square) -> f64 {
+/// Variance of the part of an innovation that lengths and mounting angles explain, by their covariances with it, as if they were independent of each other.
+fn explained(column: &Learned, covariance: &Square) -> f64 {
     // Parameters that are known have no covariance with anything.
-    let variances = covariance.diagonal().map(|variance| variance.max(f64::MIN_POSITIVE));
-    column.component_mul(kept).component_div(&variances).sum()
+    (LOADS..LEARNED).map(|i| column[i] * column[i] / covariance[(i, i)].max(f64::MIN_POSITIVE)).sum()
 }
 
 /// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.
@@ -487,7 +486,7 @@ mod tests {
     use crate::estimator::error_state::Error;
 
     /// Covariances after a cautious update are those of a joint filter with its gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ with the noise R of the sample, which is
-    /// larger in the gain of parameters alone.
+    /// larger in the gain of lengths and mounting angles alone.
     #[test]
     fn cautious_updates_keep_true_covariances() {
         const ALL: usize = ERRORS + LEARNED;
@@ -522,7 +521,7 @@ mod tests {
         let variance = h.dot(&column) + noise;
         let cautious = variance + (persistent * persistent + product * product) * samples;
         assert!(product > persistent, "{product}");
-        let gain = SVector::<f64, ALL>::from_fn(|i, _| column[i] / if i < ERRORS { variance } else { cautious });
+        let gain = SVector::<f64, ALL>::from_fn(|i, _| column[i] / if i < ERRORS + LOADS { variance } else { cautious });
         let left = All::identity() - gain * h.transpose();
         let true_one = left * all * left.transpose() + gain * gain.transpose() * noise;
         let Moments { cross, covariance, error } = &learning.models[0];
