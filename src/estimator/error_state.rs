@@ -125,7 +125,12 @@ pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
 
 /// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
 pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
-    reduce_in_part(covariance, column, variance, (N, 1.0));
+    let taken = Vector::from(column.data.0[0]) / variance.sqrt();
+    for (k, of) in covariance.data.0.iter_mut().enumerate() {
+        *of = (Vector::from(*of) - taken[k] * taken).into();
+        // A variance may turn negative by round-off only.
+        of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
+    }
 }
 
 /// Measurement update of a covariance of which the errors from `first` on are corrected by part of their gain alone, which reduces their own covariance by
@@ -137,10 +142,12 @@ pub(super) fn reduce_in_part<const N: usize>(
     (first, share): (usize, f64),
 ) {
     let taken = Vector::from(column.data.0[0]) / variance.sqrt();
-    let partly = Vector::from_fn(|i| if i < first { taken[i] } else { taken[i] * share });
     for (k, of) in covariance.data.0.iter_mut().enumerate() {
-        let by = if k < first { &taken } else { &partly };
-        *of = (Vector::from(*of) - taken[k] * *by).into();
+        let mut less = taken[k] * taken;
+        if k >= first {
+            less[first..].iter_mut().for_each(|of| *of *= share);
+        }
+        *of = (Vector::from(*of) - less).into();
         // A variance may turn negative by round-off only.
         of[k] = of[k].max(f64::EPSILON * taken[k] * taken[k]);
     }

@@ -341,7 +341,7 @@ impl Estimator {
                         self.doubt.receive(i, &told.innovation_of(reading));
                     }
                 }
-            } else {
+            } else if conditions.repetition != Fault::None {
                 self.replace_by_unaided(i, conditions.repetition, constants);
             }
         }
@@ -351,8 +351,7 @@ impl Estimator {
 
     /// Lets the estimate without encoder i, whose readings repeat themselves, replace that by both.
     fn replace_by_unaided(&mut self, i: usize, repetition: Fault, constants: &Constants) {
-        let bank = if repetition == Fault::None { None } else { self.unaided[i].bank() };
-        let Some(bank) = bank else { return };
+        let Some(bank) = self.unaided[i].bank() else { return };
         if repetition == Fault::Stuck {
             self.unaided[i] = Unaided::default();
             self.learn_anew(constants);
