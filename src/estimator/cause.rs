@@ -67,7 +67,7 @@ struct Surprise {
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Causes {
     surprise: Option<Surprise>,
-    /// Number and probability of the last cause before the surprise.
+    /// Number and probability of the last cause before the surprise, or of one that was certain.
     last: Option<(u8, f64)>,
     /// Time since something last was wrong, s.
     calm: f64,
@@ -136,6 +136,11 @@ impl Causes {
             surprise.age = surprise.age.max(EVIDENCE_TIME);
             surprise.confirmed |= wrong;
         }
+    }
+
+    /// Takes over a cause that is certain: it explains what has surprised.
+    pub(super) fn know(&mut self, cause: Cause) {
+        *self = Self { surprise: None, last: Some((cause.number() as u8, 1.0)), calm: 0.0 };
     }
 
     /// Follows a correction of the motion by an error that turns its tangent basis.

@@ -302,13 +302,13 @@ impl Estimator {
         }
         let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
         let (mut nis, models) = (0.0, self.models(constants, motion));
-        let learns_geometry = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
+        let beside_learned = errors.filter(|_| self.learning.as_ref().is_some_and(|learning| learning.learns_geometry()));
         for (i, sample) in samples.iter().enumerate() {
             let Some(sample) = sample else { continue };
             let alone = !self.encoders[1 - i].is_believed();
             let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
             let sample = by_one.as_ref().unwrap_or(sample);
-            let learned = errors.filter(|_| learns_geometry).map(|errors| sample.learned(i, errors.further[i]));
+            let learned = beside_learned.map(|errors| sample.learned(i, errors.further[i]));
             let used = learned.as_ref().unwrap_or(sample);
             let mut expected = self.belief.bank.predict_sample(&used.innovation);
             let by_learned = self.learning.as_ref().zip(errors);
@@ -510,7 +510,10 @@ impl Estimator {
     fn leave_assembly(&mut self, other: &Hypothesis, constants: &Constants, motion: &mut LinkState) -> Frame {
         self.learn_anew(constants);
         (*motion, self.belief) = (other.motion, other.belief);
-        self.begin_anew_at(constants, motion)
+        let frame = self.begin_anew_at(constants, motion);
+        // The assembly explains what has surprised.
+        self.causes = Causes::default();
+        frame
     }
 
     /// Forgets what belongs to the motion that another one has replaced. Returns the frame of that.
@@ -624,6 +627,9 @@ impl Estimator {
         let by = || ByFaults::new(scene, [from, to], &self.belief.force, h);
         let accelerations = frame.basis.tr_mul(&(to.omega - from.omega)) / h;
         self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), &accelerations, by);
+        if wrong && let Some(i) = self.encoders.iter().position(|encoder| encoder.fault == Fault::Stuck) {
+            self.causes.know(Cause::Encoder(i));
+        }
         self.held = step.held;
         let about = (&step, [from, to], &self.belief.force);
         if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {
@@ -715,7 +721,9 @@ impl Estimator {
         if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {
             return (Cause::Timing, 1.0);
         }
-        let is_missing = |encoder: &Encoder| encoder.is_silent() && !self.encoders.iter().all(Encoder::is_silent);
+        // An encoder that has never delivered a sample is not connected.
+        let is_missing =
+            |encoder: &Encoder| encoder.is_silent() && encoder.has_received() && !self.encoders.iter().all(Encoder::is_silent);
         match first(&|encoder| matches!(encoder.fault, Fault::Stuck | Fault::Invalid) || is_missing(encoder)) {
             Some(i) => (Cause::Encoder(i), 1.0),
             None => self.causes.most_probable(constants, first(&Encoder::is_away)),
