@@ -231,6 +231,28 @@ fn faults_are_told_once_and_survived() {
     }
 }
 
+/// An encoder that was stuck is the cause for a second after it, whatever its first readings surprise by; one that has never delivered a sample is none.
+#[test]
+fn an_encoder_that_was_stuck_explains_what_follows() {
+    let (host, machine) = (following(1, &[]), machine());
+    follow(&host, &machine, 0..300, at_once);
+    let held = angles(&machine)[0];
+    let frozen = move |theta: [f64; 2], time: f64| ([held, theta[1]], [time; 2]);
+    follow(&host, &machine, 300..450, frozen);
+    assert_eq!(status(&host), "stuck");
+    for step in 450..1440 {
+        follow(&host, &machine, step..step + 1, at_once);
+        assert_eq!(real(&host, "estimated.cause"), 4.0, "{step}");
+    }
+    follow(&host, &machine, 1440..1500, at_once);
+    assert_eq!(real(&host, "estimated.cause"), 0.0);
+
+    let host = following(1, &[]);
+    let machine = self::machine();
+    follow(&host, &machine, 0..200, |theta, time| (theta, [-1e30, time]));
+    assert_eq!(real(&host, "estimated.cause"), 0.0);
+}
+
 /// A push at the tip is named, by a state that was stored while it was judged too, to the bit; a second later nothing is named any more.
 #[test]
 fn a_push_is_named() {
