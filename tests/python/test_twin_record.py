@@ -8,6 +8,7 @@ import socket
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -21,7 +22,7 @@ from fivebar.twin.machine import Mangler, Recording
 from fivebar.twin.messages import Message, decode, encode, topic
 from fivebar.twin.recorder import JOINED, Gaps, Recorder
 from fivebar.twin.starter import check_broker, free_port, parse_faults
-from fivebar.twin.watch import Anomalies, Histogram
+from fivebar.twin.watch import CAUSES, Anomalies, Histogram
 
 TOPIC = topic("bench", "meas")
 
@@ -142,6 +143,58 @@ def test_the_watch_has_hysteresis_and_keeps_quiet_at_the_start() -> None:
     assert states(Anomalies(), [(5.0 + 0.1 * i, 5.02 + 0.1 * i) for i in range(3)], 6.0) == []
     flicker = states(Anomalies(), [(5.0 + 0.2 * i, 5.15 + 0.2 * i) for i in range(10)], 8.5)
     assert [state for _, state in flicker] == ["anomaly", "calibrating"]
+
+
+def faults(
+    anomalies: Anomalies, begin: float, until: float, cause: Callable[[float], float], alarm: Callable[[float], bool] = lambda _: False
+) -> list[tuple[Any, ...]]:
+    """Messages of a watch at 200 Hz while the unit names that cause, with the alarm of forces off unless it is on."""
+    said = []
+    for i in range(round((until - begin) / 0.005)):
+        now = begin + 0.005 * i
+        fields = {"estimated.alarm": float(alarm(now)), "estimated.status": 12.0, "estimated.cause": cause(now), "estimated.cause.probability": 1.0}
+        said += [(now, each["state"], each["cause"], each.get("named")) for each in anomalies.see(fields, now)]
+    return said
+
+
+@pytest.mark.parametrize("number", [4, 5, 7])
+def test_the_watch_raises_an_alarm_for_encoders_and_clocks(number: int) -> None:
+    """A frozen encoder raised none: no force acts. One that stays dead is told once; gone and back, again."""
+    anomalies = Anomalies()
+    said = faults(anomalies, 0.0, 60.0, lambda now: number if now >= 5 else 0)
+    assert [each[1:] for each in said] == [("anomaly", "fault", CAUSES[number])] and said[0][0] == pytest.approx(5.04, abs=0.011)
+    said = faults(anomalies, 60.0, 100.0, lambda now: number if now >= 80 else 0)
+    assert [state for _, state, _, _ in said] == ["calibrating", "cooling down", "listening", "anomaly"]
+    assert [time for time, *_ in said] == pytest.approx([60.5, 62.5, 67.5, 80.04], abs=0.011)
+
+
+def test_a_dead_encoder_that_is_acknowledged_is_not_told_again() -> None:
+    anomalies = Anomalies()
+    faults(anomalies, 0.0, 10.0, lambda now: 4 if now >= 5 else 0)
+    assert [each["state"] for each in anomalies.acknowledge(10.0)] == ["cooling down"]
+    # A loose contact, which comes and goes, is one fault until it has stayed away for 5 s.
+    assert faults(anomalies, 10.0, 30.0, lambda now: 4) == []
+    said = faults(anomalies, 30.0, 60.0, lambda now: 4 if now % 4 < 2 else 0)
+    assert [state for _, state, _, _ in said if state == "anomaly"] == []
+
+
+def test_another_fault_is_told_whatever_else_is_wrong() -> None:
+    """An encoder that fails while a hand pushes, while the watch cools down, or while the other one is dead; and silence then."""
+    anomalies = Anomalies()
+    said = faults(anomalies, 0.0, 20.0, lambda now: 4 if 7 <= now < 12 else 5 if now >= 12 else 3, alarm=lambda now: 5 <= now < 6)
+    raised = [(cause, named) for _, state, cause, named in said if state == "anomaly"]
+    assert raised == [("force", "force at the tip"), ("fault", "encoder 1"), ("fault", "encoder 2")]
+    assert [(each["cause"], each.get("named")) for now in (20.6, 21.0) for each in anomalies.quiet(now)] == [("silence", None)]
+
+
+def test_faults_at_the_start_count_once_the_state_is_found() -> None:
+    """Those that have gone by then never count, nor does what a twin that starts anew takes for one while it finds its state."""
+    assert faults(Anomalies(), 0.0, 5.0, lambda now: 4 if now < 1.9 else 0) == []
+    assert [time for time, *_ in faults(Anomalies(), 0.0, 60.0, lambda _: 4)] == pytest.approx([2.0], abs=0.011)
+    anomalies = Anomalies()
+    faults(anomalies, 0.0, 5.0, lambda _: 0)
+    assert [each["cause"] for each in anomalies.quiet(5.6)] == ["silence"]
+    assert "anomaly" not in [state for _, state, _, _ in faults(anomalies, 6.0, 20.0, lambda now: 4 if now < 7.9 else 0)]
 
 
 def test_the_watch_notices_silence_once_and_can_be_calmed() -> None:

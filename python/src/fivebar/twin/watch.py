@@ -1,7 +1,9 @@
 """The watch's process: looks at the estimates and says when something is wrong, once, with cause and figures.
 
 It goes through the states of the Incubator's supervisor: listening → anomaly → calibrating → cooling down → listening. A cause has to
-last before it counts, and to be gone before it counts as gone; nothing counts while the twin is still finding its state.
+last before it counts, and to be gone before it counts as gone; nothing counts while the twin is still finding its state. Something is
+wrong where the unit's alarm is on or where it names an encoder or the clocks. An encoder that fails during another anomaly is one of its
+own, at once; one that stays dead is told once.
 """
 
 import logging
@@ -18,6 +20,12 @@ from fivebar.twin.process import AGAIN, Worker
 
 CAUSES: Final = ("nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing")
 """Names of the values of `estimated.cause`."""
+
+FAULTS: Final = ("encoder 1", "encoder 2", "timing")
+"""Those of `CAUSES` that are wrong whether or not the alarm is on: an alarm is for forces only."""
+
+FORCE_FIGURES: Final = ("estimated.nis", "estimated.tau[1]", "estimated.tau[2]", "estimated.tau.sigma[1]", "estimated.tau.sigma[2]")
+"""Told with a force; with a fault, the status."""
 
 STARTING: Final = 2.0
 """Seconds after the first estimate, or after a gap, in which nothing is an alarm."""
@@ -48,7 +56,7 @@ class Settings:
     """Time of samples gathered afterwards for a calibration, s."""
 
     cooling: float = 5.0
-    """No further alarm for so long."""
+    """No further alarm of a force for so long, and none of a fault, or of silence, that has been away for less."""
 
     silence: float = 0.5
     """Without estimates."""
@@ -64,6 +72,8 @@ class Cause:
 
     last: float = -math.inf
     most: float = 0.0
+    told: bool = False
+    """Whether it has been an anomaly and not been away for long since."""
 
     def see(self, there: bool, value: float, now: float, on: float, off: float) -> None:
         """Updates the cause: one that has not lasted is gone at once, one that has lasted when it has been away for a while."""
@@ -90,11 +100,13 @@ class Anomalies:
         self.settings = settings
         self.state = "starting"
         self.since = math.nan
-        self.causes = {name: Cause(name) for name in ("force", "silence")}
+        self.causes = {name: Cause(name) for name in ("force", "silence", *FAULTS)}
         self.cause = ""
         self.named: dict[str, Any] = {}
         """The twin's newest name for the cause of this anomaly, and its probability."""
         self.last: float = math.nan
+        self.begun: float = math.nan
+        """Time of the first estimate, or of the first one after a gap."""
         self.gathered = [0.0, 0.0, 0.0]
         """Number of samples and sums of the unknown torques, while calibrating."""
 
@@ -104,12 +116,16 @@ class Anomalies:
             # Earlier samples had another clock, perhaps.
             self.causes["silence"] = Cause("silence")
         if math.isnan(self.last) or now < self.last or now - self.last > self.settings.silence:
+            self.begun = now
             if self.state in ("starting", "listening"):
                 self._go("starting", now)
         self.last = now
-        alarm = fields.get("estimated.alarm", 0.0) != 0.0
-        self.causes["force"].see(alarm, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off)
+        wrong = self._wrong(fields)
+        for name in ("force", *FAULTS):
+            self.causes[name].see(name == wrong, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off)
         self.causes["silence"].see(False, 0.0, now, 0.0, 0.0)
+        for cause in self.causes.values():
+            cause.told &= abs(now - cause.last) <= self.settings.cooling
         if self.state == "anomaly":
             self._name(fields)
         if self.state == "calibrating":
@@ -123,14 +139,14 @@ class Anomalies:
         if self.state != "starting" or now - since <= STARTING + self.settings.silence:
             return []
         self.causes["silence"].see(True, now - since, now, 0.0, 0.0)
-        return self._raise("silence", now, {"seconds": now - since, "samples": float(samples)})
+        return self._raise("silence", now, {"seconds": now - since, "samples": float(samples)}, {})
 
     def quiet(self, now: float) -> list[dict[str, Any]]:
         """No estimate so far, at a time of the same clock."""
         if not math.isnan(self.last) and now - self.last > self.settings.silence:
             self.causes["silence"].see(True, now - self.last, now, 0.0, 0.0)
-            if self.state in ("starting", "listening"):
-                return self._raise("silence", now, {"seconds": now - self.last})
+            if not self.causes["silence"].told:
+                return self._raise("silence", now, {"seconds": now - self.last}, {})
         return []
 
     def acknowledge(self, now: float) -> list[dict[str, Any]]:
@@ -140,17 +156,17 @@ class Anomalies:
         return [self._go("cooling down", now, reason="acknowledged")]
 
     def _advance(self, now: float, fields: dict[str, float]) -> list[dict[str, Any]]:
-        settings, force = self.settings, self.causes["force"]
+        settings, wrong = self.settings, self._wrong(fields)
+        gone = all(cause.gone for cause in self.causes.values())
         if self.state == "starting":
-            if now - self.since >= STARTING and force.gone:
+            # A fault need not go before: it may have been there before the first sample.
+            if now - self.begun >= STARTING and self.causes["force"].gone:
                 self._go("listening", now)
-        elif self.state == "listening":
-            if force.holds(settings.on):
-                self._name(fields)
-                names = ("estimated.nis", "estimated.tau[1]", "estimated.tau[2]", "estimated.tau.sigma[1]", "estimated.tau.sigma[2]")
-                return self._raise("force", now, {name: fields[name] for name in names if name in fields})
+        elif wrong and self._is_news(wrong, now):
+            names = FORCE_FIGURES if wrong == "force" else ("estimated.status",)
+            return self._raise(wrong, now, {name: fields[name] for name in names if name in fields}, fields)
         elif self.state == "anomaly":
-            if all(cause.gone for cause in self.causes.values()):
+            if gone:
                 self.gathered = [0.0, 0.0, 0.0]
                 return [self._go("calibrating", now, lasted=now - self.since, most=self.causes[self.cause].most)]
         elif self.state == "calibrating":
@@ -158,22 +174,36 @@ class Anomalies:
                 count = max(self.gathered[0], 1.0)
                 mean = {f"estimated.tau[{i}]": self.gathered[i] / count for i in (1, 2)}
                 return [self._go("cooling down", now, samples=int(self.gathered[0]), mean=mean)]
-        elif self.state == "cooling down" and now - self.since >= settings.cooling and force.gone:
+        elif self.state == "cooling down" and now - self.since >= settings.cooling and gone:
             return [self._go("listening", now)]
         return []
+
+    def _wrong(self, fields: dict[str, float]) -> str:
+        """The fault or the force that an estimate tells, or nothing."""
+        name = CAUSES[int(fields.get("estimated.cause", 0))]
+        return name if name in FAULTS else "force" if fields.get("estimated.alarm", 0.0) != 0.0 else ""
+
+    def _is_news(self, wrong: str, now: float) -> bool:
+        """Whether a cause has lasted and is to be told: a force while the watch listens, a fault unless it has been told."""
+        cause = self.causes[wrong]
+        may = self.state == "listening" if wrong == "force" else now - self.begun >= STARTING and not cause.told
+        return may and cause.holds(self.settings.on)
 
     def _name(self, fields: dict[str, float]) -> None:
         """Takes over the cause that the twin names; the longer it has gone on, the surer it is."""
         if number := int(fields.get("estimated.cause", 0)):
             self.named = {"named": CAUSES[number], "probability": fields["estimated.cause.probability"]}
 
-    def _raise(self, cause: str, now: float, figures: dict[str, float]) -> list[dict[str, Any]]:
-        self.cause = cause
+    def _raise(self, cause: str, now: float, figures: dict[str, float], fields: dict[str, float]) -> list[dict[str, Any]]:
+        self.cause, self.named = cause, {}
+        self.causes[cause].told = True
+        self._name(fields)
         return [self._go("anomaly", now, figures=figures)]
 
     def _go(self, state: str, now: float, **more: Any) -> dict[str, Any]:
         self.state, self.since = state, now
-        told = {"state": state, "cause": self.cause} | (self.named if state in ("anomaly", "calibrating") else {}) | more
+        cause = "fault" if self.cause in FAULTS else self.cause
+        told = {"state": state, "cause": cause} | (self.named if state in ("anomaly", "calibrating") else {}) | more
         if state != "anomaly":
             self.named = {}
         return told
