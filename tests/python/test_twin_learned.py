@@ -22,6 +22,7 @@ from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import TRACKED
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.unit import Library, Unit
+from fivebar.twin.watch import CAUSES
 from fivebar.variables import of_unit
 
 from conftest import PATIENCE
@@ -249,6 +250,16 @@ def test_learning_is_off_unless_it_is_asked_for(tmp_path: Path, fmu: Path, libra
         assert each["unit"] in ("kg", "N.m.s/rad", "m", "rad") and each["label"] and each["width"] > 0 and each["sigma"] in library.variables
     last = next(each for each in shown if each["name"] == "estimated.viscous[5]")
     assert last["start"] == 0.0 and last["width"] == 2e-5
+
+
+def test_page_and_watch_have_the_same_words_for_causes(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """The page told no cause, and would tell another one than the alarm's beside it by a list of its own."""
+    assert tuple(dashboard.about(configured(tmp_path, fmu, library, "pick_and_place"))["causes"]) == CAUSES
+    script = (Path(dashboard.__file__).with_name("page") / "dashboard.js").read_text(encoding="utf-8")
+    assert "causeOf(f, about.causes)" in script and "force at the tip" not in script
+    # Numbers are those of the unit: a torque at each motor, a force, each encoder, parameters, timing.
+    told = library.variable("estimated.cause").description
+    assert "1 and 2 a torque" in told and "3 a force at the tip, 4 and 5 the left and the right encoder, 6 parameters, 7 timing" in told
 
 
 def test_the_page_counts_what_the_server_counts() -> None:

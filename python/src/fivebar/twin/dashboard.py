@@ -32,6 +32,7 @@ from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import SCHEMA_FILE
 from fivebar.twin.scene import Scene
 from fivebar.twin.unit import Library, Unit, UnitError
+from fivebar.twin.watch import CAUSES
 
 SCRIPT: Final = "text/javascript; charset=utf-8"
 FOLDER: Final = Path(__file__).with_name("page")
@@ -87,6 +88,7 @@ def about(config: Config) -> dict[str, Any]:
             "period": config.period,
             "horizon": config.horizon,
             "statuses": {int(item.value): item.description for item in library.variable("estimated.status").declaredType.items},
+            "causes": CAUSES,
             "login": bool(config.broker.user),
             "learned": learned(config, content, library),
         }

@@ -110,7 +110,7 @@ function takeAlarm(message) {
     const item = document.createElement("li");
     const figures = Object.entries({ ...alarm.figures, ...alarm.mean, ...(alarm.lasted ? { lasted: alarm.lasted } : {}) });
     const seconds = state.first ? (alarm.time / 1e9 - state.first).toFixed(2) : "?";
-    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.named ? ` · ${alarm.named} (${(100 * alarm.probability).toFixed(0)} %)` : ""}${alarm.sentence ? ` · ${alarm.sentence}` : ""}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
+    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.named ? ` · ${withProbability(alarm.named, alarm.probability)}` : ""}${alarm.sentence ? ` · ${alarm.sentence}` : ""}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
     item.className = isRaised(alarm) ? "bad" : alarm.state === "listening" ? "good" : "warn";
     return item;
   }));
@@ -422,6 +422,14 @@ function tellLife() {
   return live;
 }
 
+const withProbability = (name, probability) => `${name} (${(100 * probability).toFixed(0)} %)`;
+
+/** The cause that an estimate names, in the words of the alarms; nothing while there is none. */
+function causeOf(fields, causes) {
+  const number = fields["estimated.cause"] ?? 0;
+  return number === 0 ? "" : withProbability(causes[number] ?? `cause ${number}`, fields["estimated.cause.probability"]);
+}
+
 function tell() {
   const { est, forecast, about } = state, live = tellLife();
   if (silence() >= STALE) return;
@@ -429,10 +437,10 @@ function tell() {
   const f = est.fields, last = state.history[state.history.length - 1], seconds = est.time / 1e9;
   byId("clock").textContent = (seconds - state.first).toFixed(1);
   const name = about.statuses[f["estimated.status"]] ?? `status ${f["estimated.status"]}`;
-  const alarm = f["estimated.alarm"] === 1;
+  const alarm = f["estimated.alarm"] === 1, cause = causeOf(f, about.causes);
   if (live) {
-    byId("status").textContent = alarm ? `${name} · something acts that the twin does not know` : name;
-    byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 ? "good" : "warn";
+    byId("status").textContent = [name, alarm ? "something acts that the twin does not know" : "", cause].filter(Boolean).join(" · ");
+    byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 && !cause ? "good" : "warn";
   }
   show("rate", `${state.rate.toFixed(0)} /s`);
   show("delay", `${median(state.delays).toFixed(0)} ms`);
