@@ -170,14 +170,14 @@ pub(super) const LARGEST_SIGMA_ALONE: f64 = 0.4;
 pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
 pub(super) const CORRELATION_TIME: f64 = 0.3;
-/// Correlation time of a persistent error of readings, s, in which it counts once to parameters that are learned. Errors of constant lengths and mounting
-/// angles last for longer, those of eccentric discs for less in fast motion. Of 160 slow crossings with geometry off 33 are lost with 0.05 s, 29 with 0.1 s,
+/// Correlation time of a persistent error of readings, s, in which it counts once to lengths and mounting angles that are learned. Errors of constant
+/// lengths and mounting angles last for longer, those of eccentric discs for less in fast motion. Of 160 slow crossings with geometry off 33 are lost with
+/// 0.05 s, 29 with 0.1 s,
 /// 17 with 0.3 s and 7 with 1 s, 5, 2, 4 and 8 of them in silence (table `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow crossings, told*).
 pub(super) const PERSISTENT_TIME: f64 = 0.3;
-/// Part of the product of errors of masses, relative, and of readings by lengths and mounting angles, rad, that counts as an error of a sample to parameters:
-/// a torque that is wrong by it moves an axis so far before it is corrected. With 0, 0.03 and 0.1 at least 76, 92 and 94 % of the samples of nine rows of the
-/// table `workshop` are inside by 16 bits with discs told to be true, and sines leave 0.13, 0.15 and 0.27 mm of lengths 0.1 % off
-/// (`--part 1 --seeds 6430000000`).
+/// Part of the product of errors of masses, relative, and of readings by lengths and mounting angles, rad, that counts as an error of a sample to lengths
+/// and mounting angles: a torque that is wrong by it moves an axis so far before it is corrected. With 0 at least 76 % of the samples of nine rows of the table
+/// `workshop` are inside by 16 bits with discs told to be true, with 0.03 95 %; with 0.1 sines leave 0.27 mm of lengths 0.1 % off in place of 0.17.
 pub(super) const PRODUCTS: f64 = 0.03;
 /// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
 pub(super) const DITHER: f64 = 0.4;
