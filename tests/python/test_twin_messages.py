@@ -108,6 +108,15 @@ GOOD: dict[str, dict[str, Any]] = {
 """A message of each kind."""
 
 
+@pytest.mark.parametrize("cause", [8.0, -1.0, 0.5])
+def test_a_cause_that_has_no_name_is_refused(cause: float) -> None:
+    """The watch looks its name up."""
+    fields = GOOD["est"]["fields"] | {"estimated.cause": cause}
+    with pytest.raises(Refused):
+        decode("fivebar/bench/est", json.dumps(of_kind("est", fields=fields)).encode())
+    assert decode("fivebar/bench/est", json.dumps(of_kind("est", fields=fields | {"estimated.cause": 7.0})).encode()).fields["estimated.cause"] == 7
+
+
 def of_kind(kind: str, **changes: Any) -> dict[str, Any]:
     """The good message of a kind, changed."""
     return {"measurement": kind, "time": 5, "seq": 1, "tags": {"unit": "bench"}} | GOOD[kind] | changes
