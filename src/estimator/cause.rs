@@ -157,7 +157,7 @@ impl Causes {
         step: &Propagation,
         (noise, [scale, inertia]): (&ProcessNoise, [f64; 2]),
         (wrong, h): (bool, f64),
-        accelerations: &Pair,
+        accelerations: impl FnOnce() -> Pair,
         by: impl FnOnce() -> ByFaults,
     ) {
         self.calm = if wrong { 0.0 } else { (self.calm + h).min(f64::MAX) };
@@ -172,8 +172,8 @@ impl Causes {
             return;
         }
         if surprise.age < EVIDENCE_TIME && !step.held {
-            let first = (surprise.age == 0.0).then_some(accelerations);
-            surprise.witness.predict(step, (noise, CAUSE_MODEL, [scale, inertia]), &by(), first, h);
+            let first = (surprise.age == 0.0).then(accelerations);
+            surprise.witness.predict(step, (noise, CAUSE_MODEL, [scale, inertia]), &by(), first.as_ref(), h);
             surprise.age += h;
         } else {
             surprise.age = EVIDENCE_TIME;

@@ -625,8 +625,8 @@ impl Estimator {
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
         let by = || ByFaults::new(scene, [from, to], &self.belief.force, h);
-        let accelerations = frame.basis.tr_mul(&(to.omega - from.omega)) / h;
-        self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), &accelerations, by);
+        let accelerations = || frame.basis.tr_mul(&(to.omega - from.omega)) / h;
+        self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), accelerations, by);
         if wrong && let Some(i) = self.encoders.iter().position(|encoder| encoder.fault == Fault::Stuck) {
             self.causes.know(Cause::Encoder(i));
         }
