@@ -172,8 +172,8 @@ pub(super) const SAMPLES_OF_JITTER: f64 = 50.0;
 pub(super) const CORRELATION_TIME: f64 = 0.3;
 /// Correlation time of a persistent error of readings, s, in which it counts once to lengths and mounting angles that are learned. Errors of constant
 /// lengths and mounting angles last for longer, those of eccentric discs for less in fast motion. Of 160 slow crossings with geometry off 33 are lost with
-/// 0.05 s, 29 with 0.1 s,
-/// 17 with 0.3 s and 7 with 1 s, 5, 2, 4 and 8 of them in silence (table `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow crossings, told*).
+/// 0.05 s, 29 with 0.1 s, 17 with 0.3 s and 7 with 1 s, 5, 2, 4 and 8 of them in silence (table `geometry`, `--part 0.2 --seeds 8210000000`, rows *slow
+/// crossings, told*).
 pub(super) const PERSISTENT_TIME: f64 = 0.3;
 /// Part of the product of errors of masses, relative, and of readings by lengths and mounting angles, rad, that counts as an error of a sample to lengths
 /// and mounting angles: a torque that is wrong by it moves an axis so far before it is corrected. With 0 at least 76 % of the samples of nine rows of the table
