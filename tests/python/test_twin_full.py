@@ -1,5 +1,6 @@
 """The twin's pipeline with what needs Debian packages: mosquitto with users, roles and TLS, processes that are killed, Chromium."""
 
+import csv
 import itertools
 import json
 import os
@@ -23,7 +24,9 @@ import pytest
 from fivebar.twin import figures, priority
 from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.soak import configured, machine
 from fivebar.twin.starter import ENDING, free_port
+from fivebar.twin.unit import Library
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -363,6 +366,34 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         run.stop()
         assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
+
+
+def frozen(folder: Path, fmu: Path, scenes: Path) -> Path:
+    """A recording of 60 s of the stand-in, of which the first encoder freezes after 3 s."""
+    library = Library(fmu)
+    source = machine(configured(folder, fmu, library, scenes / "pick_and_place.json", exact=False), library)
+    samples = [source.next().fields for _ in range(12_000)]
+    source.close()
+    library.close()
+    stuck = samples[600]["measured.theta[1]"]
+    file = folder / "frozen.csv"
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(["time", *samples[0]])
+        for k, fields in enumerate(samples):
+            table.writerow([k / 200, *(fields | ({"measured.theta[1]": stuck} if k > 600 else {})).values()])
+    return file
+
+
+def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """The cause stands beside the status, and the run's summary counts one alarm of the encoder."""
+    with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--csv", str(frozen(tmp_path, fmu, scenes))) as run:
+        with open_browser(run.page, tmp_path) as browser:
+            wait_until(lambda: "encoder 1" in browser.find_element("id", "status").text)
+            told = browser.find_element("id", "status").text
+            assert told == "An encoder repeats its value while the machine moves · encoder 1 (100 %)"
+        run.stop()
+        assert run.finish()["causes"] == ["encoder 1"]
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Figures of a run, from its record and the counters of its processes."""
 
+import itertools
 import math
 from array import array
 from collections.abc import Sequence
@@ -176,6 +177,12 @@ def judge(story: Story) -> Judged:
     return Judged(np.linalg.norm(tip(estimated) - truth(estimated["time"]), axis=1), ahead, hit)
 
 
+def _causes(alarms: list[tuple[float, str, str]]) -> list[str]:
+    """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it has not ended."""
+    pairs = itertools.zip_longest(alarms, alarms[1:], fillvalue=(math.inf, "", ""))
+    return [end if after == "calibrating" else begin for (_, state, begin), (_, after, end) in pairs if state == "anomaly"]
+
+
 def _or_none(value: float, digits: int = 6) -> float | None:
     """For JSON, which has no NaN."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
@@ -255,8 +262,7 @@ def summarise(
             "by_ahead": by_ahead,
         },
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
-        # At the end of an anomaly the twin has seen most of it.
-        "causes": [cause for _, state, cause in story.alarms if state == "calibrating"],
+        "causes": _causes(story.alarms),
         "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,
