@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::{Fault, MEASURED, Measured, Status};
+use fivebar::estimator::{Cause, Fault, MEASURED, Measured, Status};
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Following, Method, Signal};
@@ -60,6 +60,8 @@ enum Failure {
     Jitter(f64, &'static Failure),
     /// Stamps are late by a constant, s.
     Late(f64),
+    /// Stamps are late by a constant from the onset on, s, after as long without a sample.
+    Delayed(f64),
     /// The twin starts in the other assembly.
     Assembly,
     /// None.
@@ -69,10 +71,22 @@ enum Failure {
 impl Failure {
     /// Whether both encoders read what is true, so that none is stuck.
     fn leaves_encoders_sound(self) -> bool {
-        use Failure::{Assembly, Gone, Jitter, Late, Lossy, Missing, Nothing, Silence};
+        use Failure::{Assembly, Delayed, Gone, Jitter, Late, Lossy, Missing, Nothing, Silence};
         match self {
             Lossy(_, other) | Jitter(_, other) => other.leaves_encoders_sound(),
-            other => matches!(other, Silence | Missing | Gone | Late(_) | Assembly | Nothing),
+            other => matches!(other, Silence | Missing | Gone | Late(_) | Delayed(_) | Assembly | Nothing),
+        }
+    }
+
+    /// Whether a cause is the name of the failure.
+    fn is_named(self, cause: Cause) -> bool {
+        use Failure::{BothFrozen, Delayed, Frozen, Jitter, Jump, Lossy, Swapped, Zero};
+        match self {
+            Lossy(_, other) | Jitter(_, other) => other.is_named(cause),
+            Frozen | Zero | Jump(_) => cause == Cause::Encoder(0),
+            BothFrozen | Swapped => matches!(cause, Cause::Encoder(_)),
+            Delayed(_) => cause == Cause::Timing,
+            _ => false,
         }
     }
 }
@@ -91,6 +105,8 @@ struct Outcome {
     beyond: bool,
     /// Time from the onset to the first status that tells it, s.
     found: f64,
+    /// Time from the onset to the first sample at which the cause is the failure's name, s.
+    named: f64,
     /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
     /// instant of the failure.
     visible: bool,
@@ -192,7 +208,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         start.omega[i] += omega[link] - from.omega[i];
     }
     let mut twin = told.twin(encoder);
-    let mut outcome = Outcome { found: f64::INFINITY, ..Outcome::default() };
+    let mut outcome = Outcome { found: f64::INFINITY, named: f64::INFINITY, ..Outcome::default() };
     let (mut held, mut wrong, mut beyond, mut refused, mut stamp) = (None, 0.0, 0.0, 0.0, Measured::default().time);
     // A twin that takes no sample of the frozen encoder.
     let mut observer = None;
@@ -216,6 +232,14 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
                 // A sample has the stamp of its arrival.
                 queue.push_back(measured.theta);
                 measured.theta = queue.pop_front().unwrap_or_default();
+            }
+            Failure::Delayed(by) if failing => {
+                queue.push_back(measured.theta);
+                if queue.len() as f64 * h > by + h {
+                    measured.theta = queue.pop_front().unwrap_or_default();
+                } else {
+                    measured.time = stamp;
+                }
             }
             _ => (),
         }
@@ -255,6 +279,9 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         outcome.early |= first && sound || second && (sound || !matches!(failure, Failure::BothFrozen));
         if failing && twin.status() != Status::Following && outcome.found.is_infinite() {
             outcome.found = time - onset;
+        }
+        if failing && failure.is_named(twin.cause().0) && outcome.named.is_infinite() {
+            outcome.named = time - onset;
         }
         let macro_steps = (h / 1e-3).round().max(1.0);
         let middle = time + ahead + h / 2.0;
@@ -357,7 +384,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     const FIFTH: Failure = Failure::Lossy(0.2, &Failure::Nothing);
     const FEW: Encoder = bits("12 bit", 12);
     const FEWEST: Encoder = bits("10 bit", 10);
-    let rows: [(&str, Scene, Failure, Encoder, f64); 100] = [
+    let rows: [(&str, Scene, Failure, Encoder, f64); 104] = [
         ("frozen, swing", swing, Failure::Frozen, FINE, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, MEDIUM, 1e-3),
         ("frozen, swing", swing, Failure::Frozen, FEW, 1e-3),
@@ -376,6 +403,16 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("jitter of 0.3 ms, swing", swing, JITTER, FINE, 1e-3),
         ("jitter of 0.3 ms, sines", fast, JITTER, FINE, 1e-3),
         ("late by 8 ms, sines", fast, Failure::Late(8e-3), FINE, 1e-3),
+        ("late by 8 ms from some instant on, sines", fast, Failure::Delayed(8e-3), FINE, 1e-3),
+        ("late by 8 ms from some instant on, sines", fast, Failure::Delayed(8e-3), COARSE, 1e-3),
+        (
+            "late by 8 ms from some instant on, sines, start values",
+            |random| by_start_values(fast(random)),
+            Failure::Delayed(8e-3),
+            FINE,
+            1e-3,
+        ),
+        ("late by 8 ms from some instant on, sines, learned", |random| learned(fast(random)), Failure::Delayed(8e-3), FINE, 1e-3),
         ("zero, swing", swing, Failure::Zero, FINE, 1e-3),
         ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), FINE, 1e-3),
         ("off by 0.1 rad, swing", swing, Failure::Jump(0.1), COARSE, 1e-3),
@@ -502,9 +539,10 @@ pub fn table(runs: u64, first: u64) -> Table {
         let silent = count(&|o| o.silent);
         let refused = 100.0 * outcomes.iter().map(|o| o.refused).sum::<f64>() / runs as f64;
         let remark = format!(
-            "of {runs}; lost at the end {}, told within 0.2 s {}, not told though visible {}, stuck in error {}, beyond its band {}, refused stamps {refused:.1} %",
+            "of {runs}; lost at the end {}, told within 0.2 s {}, named {}, not told though visible {}, stuck in error {}, beyond its band {}, refused stamps {refused:.1} %",
             count(&|o| o.lost),
             count(&|o| o.found <= SOON),
+            count(&|o| o.named <= SOON),
             count(&|o| o.visible && o.found > SOON),
             count(&|o| o.early),
             count(&|o| o.beyond),
