@@ -9,8 +9,12 @@
 //!     [ Cᵀ  S ]       A' = Φ A Φᵀ + Y + Yᵀ        Y = (Φ C + ½ Ψ S) Ψᵀ           [ Cᵀ Hᵀ + S h ]
 //! ```
 //!
-//! The bank of the estimate has A, each model here C and S. Masses are in logarithms: a fall without torques leaves a common factor of all
-//! masses unknown, which is then one direction wherever the estimate stands.
+//! The bank of the estimate has A, each model here C and S.
+//!
+//! A fall without torques leaves a common factor of all masses, payload and friction included, unknown. That has to be one direction of δp wherever the
+//! estimate stands, or a linear filter takes the turn of the direction for knowledge (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research 29
+//! (2010) 502). Masses are therefore in logarithms, and payload and friction, of the value b, have the error ε = δb − b δc beside what goes with the mean
+//! logarithm c of the masses.
 
 use std::ops::Range;
 
@@ -38,8 +42,13 @@ type Cross = SMatrix<f64, ERRORS, LEARNED>;
 type Moving = SMatrix<f64, FORCE, LEARNED>;
 /// Derivatives of a reading by lengths and mounting angles.
 type Shown = SVector<f64, GEOMETRY>;
+/// Payload and friction by the mean logarithm of the masses.
+type Carried = SVector<f64, { LOADS - MASSES.end }>;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
+
+/// Number of masses.
+const MASS_COUNT: f64 = MASSES.end as f64;
 
 /// Errors of both readings beside those of the motion.
 pub(super) struct ReadingErrors {
@@ -84,7 +93,8 @@ impl Learning {
     /// Nothing learned yet.
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
-        let model = Moments { covariance, ..Moments::ZERO };
+        let mut model = Moments { covariance, ..Moments::ZERO };
+        model.turn(&carried(&prior.values, &covariance), -1.0);
         Self { values: prior.values, models: [model; MODELS], geometry: false, at_bound: 0, told: 0, within_for: 0.0 }
     }
 
@@ -100,7 +110,9 @@ impl Learning {
 
     /// Standard deviations of the parameters.
     pub(super) fn sigma(&self, own: &Bank) -> Learned {
-        self.moments(own).covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
+        let mut all = self.moments(own);
+        all.turn(&self.carried(), 1.0);
+        all.covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 
     /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number.
@@ -108,7 +120,8 @@ impl Learning {
         let Moments { covariance, .. } = self.moments(own);
         let free = |i: usize| which.contains(&i) && covariance[(i, i)] > 0.0;
         let p = Square::from_fn(|i, k| if free(i) && free(k) { covariance[(i, k)] } else { f64::from(u8::from(i == k)) });
-        let error = Learned::from_fn(|i, _| if free(i) { truth[i] - self.values[i] } else { 0.0 });
+        let off = self.error(&(truth - self.values));
+        let error = Learned::from_fn(|i, _| if free(i) { off[i] } else { 0.0 });
         let count = (0..LEARNED).filter(|&i| free(i)).count();
         (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), count)
     }
@@ -189,6 +202,27 @@ impl Learning {
         bank
     }
 
+    /// Values of payload and friction that go with a common factor of all masses.
+    fn carried(&self) -> Carried {
+        carried(&self.values, &self.models[0].covariance)
+    }
+
+    /// Error of the parameters by a change of their values.
+    fn error(&self, change: &Learned) -> Learned {
+        let mut error = *change;
+        let mut loads = error.rows_range_mut(MASSES.end..LOADS);
+        loads -= self.carried() * common(change);
+        error
+    }
+
+    /// Values of the parameters of this error.
+    fn with_error(&self, error: &Learned) -> Learned {
+        let mut values = self.values + error;
+        let mut loads = values.rows_range_mut(MASSES.end..LOADS);
+        loads += self.carried() * common(error);
+        values
+    }
+
     /// Mean error of the mixture.
     fn mean(&self, own: &Bank) -> Learned {
         self.models.iter().zip(&own.members).map(|(model, member)| model.error * member.weight).sum()
@@ -234,14 +268,19 @@ impl Learning {
 
     /// A parameter begins anew.
     pub(super) fn begin_anew(&mut self, prior: &Prior, which: usize) {
+        let before = self.carried();
         self.values[which] = prior.values[which];
-        for Moments { error, cross, covariance } in &mut self.models {
+        for model in &mut self.models {
+            model.turn(&before, 1.0);
+            let Moments { error, cross, covariance } = model;
             error[which] = 0.0;
             cross.column_mut(which).fill(0.0);
             covariance.row_mut(which).fill(0.0);
             covariance.column_mut(which).fill(0.0);
             covariance[(which, which)] = prior.sigma[which] * prior.sigma[which];
         }
+        let now = self.carried();
+        self.models.iter_mut().for_each(|model| model.turn(&now, -1.0));
     }
 
     /// Time update along a step with its flow, and that of the bank of the estimate: see [`Bank::predict`].
@@ -262,6 +301,8 @@ impl Learning {
         for (i, by_learned) in flow.by_learned.iter().enumerate() {
             psi.fixed_rows_mut::<2>(2 * i).copy_from(&step.to.basis.tr_mul(by_learned));
         }
+        let with_common_factor = psi.columns_range(MASSES.end..LOADS) * self.carried() / MASS_COUNT;
+        psi.columns_range_mut(MASSES).column_iter_mut().for_each(|mut column| column += &with_common_factor);
         if !self.geometry {
             psi.fixed_columns_mut::<GEOMETRY>(LOADS).fill(0.0);
         }
@@ -360,7 +401,7 @@ impl Learning {
     /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
-        let (before, mut values) = (self.values, self.values + self.mean(own));
+        let mut values = self.with_error(&self.mean(own));
         for i in 0..LEARNED {
             let [least, most] = bounds(i, constants);
             let beyond = values[i].clamp(least, most) - values[i];
@@ -376,7 +417,7 @@ impl Learning {
                     member.error += cross.column(i) * part;
                 }
                 // Round-off, and a bound that another one has led beyond.
-                let moved = before + self.mean(own);
+                let moved = self.with_error(&self.mean(own));
                 values = Learned::from_fn(|k, _| {
                     let [least, most] = bounds(k, constants);
                     if k > i { moved[k] } else { moved[k].clamp(least, most) }
@@ -388,7 +429,7 @@ impl Learning {
 
     /// Follows a correction of the motion that turns its tangent basis, and of the values.
     pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, values: Learned) {
-        let change = values - self.values;
+        let change = self.error(&(values - self.values));
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
             model.error -= change;
             turn_errors(turn, &mut model.cross);
@@ -416,11 +457,24 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
+    /// Adds to the errors of payload and friction, with the factor `sign`, what goes with the common factor of the masses.
+    fn turn(&mut self, carried: &Carried, sign: f64) {
+        let mut turn = Square::identity();
+        turn.fixed_view_mut::<{ LOADS - MASSES.end }, { MASSES.end }>(MASSES.end, 0)
+            .column_iter_mut()
+            .for_each(|mut column| column += carried * (sign / MASS_COUNT));
+        let Self { error, cross, covariance } = self;
+        *error = turn * *error;
+        *cross *= turn.transpose();
+        *covariance = turn * *covariance * turn.transpose();
+        covariance.fill_lower_triangle_with_upper_triangle();
+    }
+
     /// Mean variance of the logarithms of the links' masses about their mean, so that a common factor does not count, which a free fall without torques never tells.
     fn mass_variance(&self) -> f64 {
-        const COUNT: usize = MASSES.end - MASSES.start;
-        let masses = self.covariance.fixed_view::<COUNT, COUNT>(MASSES.start, MASSES.start);
-        (masses.trace() - masses.sum() / COUNT as f64) / COUNT as f64
+        const COUNT: usize = MASSES.end;
+        let masses = self.covariance.fixed_view::<COUNT, COUNT>(0, 0);
+        (masses.trace() - masses.sum() / MASS_COUNT) / MASS_COUNT
     }
 
     /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
@@ -452,6 +506,23 @@ impl Moments {
             && is_covariance(p)
             && (0..LEARNED).all(|k| (0..ERRORS).all(|i| is_correlation(cross[(i, k)], own[(i, i)], p[(k, k)])))
     }
+}
+
+/// Mean logarithm of the masses.
+fn common(learned: &Learned) -> f64 {
+    learned.rows_range(MASSES).sum() / MASS_COUNT
+}
+
+/// Values of payload and friction that go with a common factor of all masses: 0 where they are known, of variance 0. Dry friction is in logarithms.
+fn carried(values: &Learned, covariance: &Square) -> Carried {
+    Carried::from_fn(|k, _| {
+        let i = MASSES.end + k;
+        match i {
+            _ if covariance[(i, i)] <= 0.0 => 0.0,
+            DRY => 1.0,
+            _ => values[i],
+        }
+    })
 }
 
 /// Errors of the estimate's bank for filters without parameters: see [`Learning::shown`].

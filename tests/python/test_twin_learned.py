@@ -47,9 +47,9 @@ def library(fmu: Path) -> Iterator[Library]:
 
 
 def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """Springs throw the machine about: two seconds tell its masses, which are 3 to 5 % off, to 0.5 %, and its payload, a fifth off, to 1 %."""
+    """Springs throw the machine about: three seconds tell its masses, which are 3 to 5 % off, to 0.5 %, and its payload, a fifth off, to 1 %."""
     config = configured(tmp_path / "first", fmu, library, "spring_payload", learn=True, exact=True)
-    run, truth = recorded(config, library, 400), config.machine.hidden
+    run, truth = recorded(config, library, 600), config.machine.hidden
     learned = figures.read(run.folder).learned
     assert learned is not None
     file = tmp_path / "learned.json"
@@ -64,10 +64,9 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: 
         # Inertia is learned along with its mass.
         assert after[inertia] / before[inertia] == pytest.approx(after[name] / before[name], rel=1e-12)
     assert abs(after["payload.mass"] / truth["payload.mass"] - 1) < 0.01
-    # The scene has no friction, the machine has the unit's usual one; it is learned to a fifth, or a quarter where learning begins late: nothing is
-    # learned while the start is doubted.
+    # The scene has no friction, the machine has the unit's usual one; it is learned to 12 % (rms), worst in the joints at the motors.
     assert after["viscous.enabled"] is True and not before["viscous.enabled"]
-    assert all(abs(after[f"viscous.b[{i}]"] / 1e-4 - 1) < 0.25 for i in range(1, 6))
+    assert math.hypot(*(after[f"viscous.b[{i}]"] / 1e-4 - 1 for i in range(1, 6))) < 0.2 * math.sqrt(5)
 
     own = write_unit(tmp_path, after, plain=fmu).file
     assert own.name == "Learned.fmu" and of_unit(own)["link[1].mass"].start == learned["values"]["link[1].mass"]
@@ -77,7 +76,7 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: 
     found = json.loads((tmp_path / "calibrate" / "calibration.json").read_text())
     assert found["begins_from"] == f"scene {file}" and found["unknowns"]["payload.mass"]["scene"] == {"payload.mass": after["payload.mass"]}
 
-    # Half a second of its own motion: the learned machine is fifty times nearer to the machine, and has to be ten times.
+    # Half a second of its own motion: the learned machine is nineteen times nearer to the machine, and has to be ten times.
     tips = []
     unit = Unit(library)
     for values in (before.values | truth, before.values, after.values):
@@ -108,17 +107,44 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
     return float(np.median(error)), float(np.median(width)), float(np.mean(inside))
 
 
-def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fmu: Path, library: Library) -> None:
-    """A machine whose lengths are 0.1 % and whose encoders are 2 and 1.5 mrad off is learned in falls, handed over, and followed again.
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_fall_does_not_tell_a_common_factor_of_masses(tmp_path: Path, fmu: Path, library: Library, exact: bool) -> None:
+    """The factor stays as uncertain as it was, 5 % by the root of four masses, and as good, while friction that is unknown is learned beside it.
 
-    The tip is 0.32 mm off by the scene's values, 0.051 mm by what was learned, and 0.25 mm by the learned lengths without their mounting angles. The learned
-    lengths and mounting angles with the machine's own masses and friction leave 0.031 mm, the machine's own 0.010 mm: a fall does not tell a common factor of
-    masses, which goes with the scale of the lengths. Bands are those of the scene's widths, 1.7 to 2.1 mm, in all runs.
+    A filter whose errors of friction do not go along with the factor takes it for known to 0.5 to 1.4 %, and is 14 % off here by inexact geometry.
+    """
+    config = configured(tmp_path, fmu, library, "fall_90_120", learn=True, exact=exact)
+    config = replace(config, twin=config.twin | ({} if exact else TRUE_DISCS))
+    twin, source = follower(config, library), machine(config, library)
+    for _ in range(600):
+        twin.meas(source.next())
+    learned = twin.learned()
+    twin.close()
+    source.close()
+    assert learned is not None
+    values, truth = learned.extra["values"], config.machine.hidden
+    factors = [values[name] / truth[name] for name in MASSES]
+    before = math.prod(float(library.variable(name).start) / truth[name] for name in MASSES) ** 0.25
+    for i, name in enumerate(MASSES, 1):
+        # Ratios of masses are learned to 0.1 %, which add nothing to 2.5 %.
+        assert learned.fields[f"estimated.mass.sigma[{i}]"] / values[name] == pytest.approx(0.025, rel=0.02), name
+    # Round-off and what is not linear; a standard deviation is 2.5 %.
+    assert math.prod(factors) ** 0.25 == pytest.approx(before, abs=0.0025)
+    assert max(factors) / min(factors) < 1.005
+    assert all(abs(values[f"viscous.b[{i}]"] / 1e-4 - 1) < 0.1 for i in range(1, 6))
+
+
+def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fmu: Path, library: Library) -> None:
+    """A machine whose lengths are 0.1 % and whose encoders are 1 and 2 mrad off is learned in falls, handed over, and followed again.
+
+    The tip is 0.22 mm off by the scene's values, 0.009 mm by what was learned, and 0.28 mm by the learned lengths without their mounting angles. The learned
+    lengths and mounting angles with the machine's own masses and friction leave 0.010 mm as well. Bands are those of the scene's widths, 1.7 to 1.8 mm, in
+    all runs.
     """
     folder = tmp_path / "first"
     config = configured(folder, fmu, library, "fall_90_120", learn=True)
     config = replace(config, twin=config.twin | TRUE_DISCS)
-    truth = config.machine.hidden | dict(zip(OFFSETS, (2e-3, -1.5e-3), strict=True))
+    truth = config.machine.hidden | dict(zip(OFFSETS, (1e-3, -2e-3), strict=True))
     config = replace(config, machine=replace(config.machine, hidden=truth))
     twin, source = follower(config, library), machine(config, library)
     for _ in range(1000):
@@ -130,9 +156,9 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     values = learned.extra["values"]
     for name in OFFSETS:
         assert abs(values[name] - truth[name]) < 2e-5, (name, values[name])
-    # A seventh of what they are off: the scale of all lengths goes with the common factor of masses, which a fall does not tell.
+    # A fortieth of what they are off.
     for name in LENGTHS:
-        assert abs(values[name] / truth[name] - 1.0) < 1.5e-4, (name, values[name])
+        assert abs(values[name] - truth[name]) < 5e-6, (name, values[name])
 
     found = {}
     geometry = truth | {name: values[name] for name in (*LENGTHS, *OFFSETS)}
@@ -142,9 +168,9 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
         handover.write(file, config.path / scene.SOURCE, handed)
         again = configured(tmp_path / name, fmu, library, file)
         found[name] = followed(replace(again, machine=config.machine), library, 1000)
-    assert found["geometry"][0] < found["scene"][0] / 10 and found["geometry"][0] < found["lengths"][0] / 5, found
+    assert found["geometry"][0] < found["scene"][0] / 10 and found["geometry"][0] < found["lengths"][0] / 10, found
     error, width, inside = found["all"]
-    assert error < found["scene"][0] / 4 and error < found["lengths"][0] / 4, found
+    assert error < found["scene"][0] / 10 and error < found["lengths"][0] / 10, found
     assert inside > 0.95 and error < width and 0.5 < width / found["scene"][1] < 2, found
 
     # Learned on, mounting angles add up.

@@ -10,7 +10,7 @@ use crate::faults::{SILENT, is_wrong_in_silence};
 use crate::learning::{STARTED, under_torques};
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, follow};
 use crate::quality::{SETTLED, fall, pick, pick_course, sines};
-use crate::report::{Figure, Table, median};
+use crate::report::{Figure, Table, median, most_of};
 use crate::scores::{half_width, holds};
 use crate::singular::{FAST, SLOW, crossing};
 
@@ -21,8 +21,8 @@ const TOLD: [f64; 2] = [2e-4, 2e-3];
 const OFFSET: &str = "an encoder 1 mrad off";
 /// Label of scenes of servos on sines.
 const SERVOS: &str = "servos on sines";
-/// Tip error of those by 16 bits after 5 s of learning that is allowed, mm: a third of that of a twin that takes encoders for exact.
-const OFFSET_LEARNED: f64 = 0.23 / 3.0;
+/// Tip error of those by 16 bits after 5 s of learning that is allowed, mm: a third of the 0.23 mm of a twin that takes encoders for exact.
+const OFFSET_LEARNED: f64 = 0.077;
 /// Label of machines with eccentric encoders.
 const ECCENTRICITY: &str = "eccentricity 2 mrad";
 /// Label of machines whose geometry the twin is told to be exact.
@@ -137,12 +137,6 @@ pub fn as_built(scene: Scene, random: &mut Random) -> Scenario {
         offset(scenario, random);
     };
     drawn(scene, error, TOLD, random)
-}
-
-/// Largest number of events of a rate in so many runs: two standard deviations of their number above its mean (Poisson).
-fn most_of(rate: f64, runs: u64) -> f64 {
-    let mean = rate * runs as f64;
-    (mean + 2.0 * mean.sqrt()).floor()
 }
 
 /// Machines of which each has one thing off, by the unit's start values, and learned by them: tip errors, coverage, lost runs and false alarms.

@@ -102,3 +102,9 @@ pub fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
     sorted.sort_by(f64::total_cmp);
     if sorted.is_empty() { f64::NAN } else { sorted[((sorted.len() - 1) as f64 * part).round() as usize] }
 }
+
+/// Largest number of events of a rate in so many runs: two standard deviations of their number above its mean (Poisson).
+pub fn most_of(rate: f64, runs: u64) -> f64 {
+    let mean = rate * runs as f64;
+    (mean + 2.0 * mean.sqrt()).floor()
+}
