@@ -42,11 +42,11 @@ type Cross = SMatrix<f64, ERRORS, LEARNED>;
 type Moving = SMatrix<f64, FORCE, LEARNED>;
 /// Derivatives of a reading by lengths and mounting angles.
 type Shown = SVector<f64, GEOMETRY>;
-/// Payload and friction by the mean logarithm of the masses.
-type Carried = SVector<f64, { LOADS - MASSES.end }>;
 /// Covariance of the errors of the parameters.
 type Square = SMatrix<f64, LEARNED, LEARNED>;
 
+/// Payload and friction, which go with a common factor of the masses.
+const CARRIED: Range<usize> = MASSES.end..LOADS;
 /// Number of masses.
 const MASS_COUNT: f64 = MASSES.end as f64;
 
@@ -94,7 +94,7 @@ impl Learning {
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
         let mut model = Moments { covariance, ..Moments::ZERO };
-        model.turn(&carried(&prior.values, &covariance), -1.0);
+        model.turn(&-carried(&prior.values, &covariance));
         Self { values: prior.values, models: [model; MODELS], geometry: false, at_bound: 0, told: 0, within_for: 0.0 }
     }
 
@@ -111,7 +111,7 @@ impl Learning {
     /// Standard deviations of the parameters.
     pub(super) fn sigma(&self, own: &Bank) -> Learned {
         let mut all = self.moments(own);
-        all.turn(&self.carried(), 1.0);
+        all.turn(&self.carried());
         all.covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 
@@ -202,25 +202,19 @@ impl Learning {
         bank
     }
 
-    /// Values of payload and friction that go with a common factor of all masses.
-    fn carried(&self) -> Carried {
+    /// What goes with a common factor of the masses: see [`carried`].
+    fn carried(&self) -> Learned {
         carried(&self.values, &self.models[0].covariance)
     }
 
     /// Error of the parameters by a change of their values.
     fn error(&self, change: &Learned) -> Learned {
-        let mut error = *change;
-        let mut loads = error.rows_range_mut(MASSES.end..LOADS);
-        loads -= self.carried() * common(change);
-        error
+        change - self.carried() * common(change)
     }
 
     /// Values of the parameters of this error.
     fn with_error(&self, error: &Learned) -> Learned {
-        let mut values = self.values + error;
-        let mut loads = values.rows_range_mut(MASSES.end..LOADS);
-        loads += self.carried() * common(error);
-        values
+        self.values + error + self.carried() * common(error)
     }
 
     /// Mean error of the mixture.
@@ -271,7 +265,7 @@ impl Learning {
         let before = self.carried();
         self.values[which] = prior.values[which];
         for model in &mut self.models {
-            model.turn(&before, 1.0);
+            model.turn(&before);
             let Moments { error, cross, covariance } = model;
             error[which] = 0.0;
             cross.column_mut(which).fill(0.0);
@@ -279,8 +273,8 @@ impl Learning {
             covariance.column_mut(which).fill(0.0);
             covariance[(which, which)] = prior.sigma[which] * prior.sigma[which];
         }
-        let now = self.carried();
-        self.models.iter_mut().for_each(|model| model.turn(&now, -1.0));
+        let back = -self.carried();
+        self.models.iter_mut().for_each(|model| model.turn(&back));
     }
 
     /// Time update along a step with its flow, and that of the bank of the estimate: see [`Bank::predict`].
@@ -301,7 +295,7 @@ impl Learning {
         for (i, by_learned) in flow.by_learned.iter().enumerate() {
             psi.fixed_rows_mut::<2>(2 * i).copy_from(&step.to.basis.tr_mul(by_learned));
         }
-        let with_common_factor = psi.columns_range(MASSES.end..LOADS) * self.carried() / MASS_COUNT;
+        let with_common_factor = psi.columns_range(CARRIED) * self.carried().rows_range(CARRIED) / MASS_COUNT;
         psi.columns_range_mut(MASSES).column_iter_mut().for_each(|mut column| column += &with_common_factor);
         if !self.geometry {
             psi.fixed_columns_mut::<GEOMETRY>(LOADS).fill(0.0);
@@ -457,16 +451,15 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
-    /// Adds to the errors of payload and friction, with the factor `sign`, what goes with the common factor of the masses.
-    fn turn(&mut self, carried: &Carried, sign: f64) {
-        let mut turn = Square::identity();
-        turn.fixed_view_mut::<{ LOADS - MASSES.end }, { MASSES.end }>(MASSES.end, 0)
-            .column_iter_mut()
-            .for_each(|mut column| column += carried * (sign / MASS_COUNT));
+    /// Adds to the errors of all parameters what goes with a common factor of the masses.
+    fn turn(&mut self, carried: &Learned) {
         let Self { error, cross, covariance } = self;
-        *error = turn * *error;
-        *cross *= turn.transpose();
-        *covariance = turn * *covariance * turn.transpose();
+        *error += carried * common(error);
+        let by_common = cross.columns_range(MASSES).column_sum() / MASS_COUNT;
+        cross.ger(1.0, &by_common, carried, 1.0);
+        let by_common: Learned = covariance.columns_range(MASSES).column_sum() / MASS_COUNT;
+        covariance.ger(1.0, carried, &by_common, 1.0);
+        covariance.ger(1.0, &(by_common + carried * common(&by_common)), carried, 1.0);
         covariance.fill_lower_triangle_with_upper_triangle();
     }
 
@@ -513,15 +506,13 @@ fn common(learned: &Learned) -> f64 {
     learned.rows_range(MASSES).sum() / MASS_COUNT
 }
 
-/// Values of payload and friction that go with a common factor of all masses: 0 where they are known, of variance 0. Dry friction is in logarithms.
-fn carried(values: &Learned, covariance: &Square) -> Carried {
-    Carried::from_fn(|k, _| {
-        let i = MASSES.end + k;
-        match i {
-            _ if covariance[(i, i)] <= 0.0 => 0.0,
-            DRY => 1.0,
-            _ => values[i],
-        }
+/// Derivatives of the parameters by the mean logarithm of the masses, as their common factor has them: values of payload and friction, which are 0 where they
+/// are known, of variance 0. Dry friction is in logarithms.
+fn carried(values: &Learned, covariance: &Square) -> Learned {
+    Learned::from_fn(|i, _| match i {
+        DRY if covariance[(i, i)] > 0.0 => 1.0,
+        _ if CARRIED.contains(&i) && covariance[(i, i)] > 0.0 => values[i],
+        _ => 0.0,
     })
 }
 

@@ -1,7 +1,7 @@
 //! Masses and friction that are learned while a machine is followed, against the true ones; alarms that mean nothing, and forecasts.
 
 use fivebar::effects::Inputs;
-use fivebar::estimator::error_state::{DRY, Learned, MASSES, VISCOUS};
+use fivebar::estimator::error_state::{DRY, Learned, MASSES, PAYLOAD, VISCOUS};
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::simulation::bindings::default_inputs;
 use fivebar::simulation::{Following, Parameters, Signal, Simulation};
@@ -27,18 +27,23 @@ const COMMON: f64 = 2.45;
 /// Largest coefficient of viscous friction, N·m·s/rad.
 const VISCOUS_UP_TO: f64 = 2e-5;
 
+/// Payload of the twin, kg, and the standard deviation of the machine's about it.
+const CARRIED: [f64; 2] = [0.02, 0.004];
+
 /// Standard deviation of the logarithm of the factor of dry friction.
 const DRY_SIGMA: f64 = 0.3;
 
-/// Friction that a machine has and its twin does not know.
+/// Loads that a machine has beside its masses and its twin does not know.
 #[derive(Clone, Copy, PartialEq)]
-enum Friction {
-    None,
-    /// Viscous, in each joint of its own.
+enum Unknown {
+    Nothing,
+    /// Viscous friction, in each joint of its own.
     Viscous,
-    /// Dry, off by one factor.
+    /// A payload, and viscous friction.
+    Carrying,
+    /// Dry friction, off by one factor.
     Dry,
-    /// Dry, which the twin's scene does not have.
+    /// Dry friction, which the twin's scene does not have.
     Foreign,
 }
 
@@ -49,23 +54,30 @@ fn torques(time: f64, plan: &Plan) -> Inputs {
 }
 
 /// Falls whose machines have masses 5 % off and, where asked for, friction.
-fn scenario(random: &mut Random, (driven, friction): (bool, Friction), learns: bool) -> Scenario {
+fn scenario(random: &mut Random, (driven, unknown): (bool, Unknown), learns: bool) -> Scenario {
     let mut scenario = fall(random, true);
     if driven {
         scenario.course = torques;
     }
     let Scenario { model, truth, .. } = &mut scenario;
-    match friction {
-        Friction::None => (),
-        Friction::Viscous => {
+    match unknown {
+        Unknown::Nothing => (),
+        Unknown::Viscous | Unknown::Carrying => {
+            if unknown == Unknown::Carrying {
+                for of in [&mut *model, &mut *truth] {
+                    (of.effects.payload.enabled, of.effects.payload.mass) = (true, CARRIED[0]);
+                }
+                truth.effects.payload.mass += CARRIED[1] * random.normal();
+                model.estimator.learn_payload = CARRIED[1];
+            }
             for of in [&mut *model, &mut *truth] {
                 of.effects.viscous.enabled = true;
                 of.effects.viscous.b = [VISCOUS_UP_TO / 2.0; 5];
             }
             truth.effects.viscous.b = std::array::from_fn(|_| random.between(0.0, VISCOUS_UP_TO));
         }
-        Friction::Foreign => truth.effects.friction.enabled = true,
-        Friction::Dry => {
+        Unknown::Foreign => truth.effects.friction.enabled = true,
+        Unknown::Dry => {
             model.effects.friction.enabled = true;
             truth.effects.friction.enabled = true;
             let (of, factor) = (&mut truth.effects.friction, (DRY_SIGMA * random.normal()).exp());
@@ -78,12 +90,12 @@ fn scenario(random: &mut Random, (driven, friction): (bool, Friction), learns: b
 
 /// A fall under known sines of a machine whose masses are 5 % off.
 pub(crate) fn under_torques(random: &mut Random) -> Scenario {
-    scenario(random, (true, Friction::None), false)
+    scenario(random, (true, Unknown::Nothing), false)
 }
 
 /// A fall under known sines, learned or not, pushed after a second by 0.5 N.
 pub(crate) fn pushed(random: &mut Random, learns: bool) -> Scenario {
-    let mut scenario = scenario(random, (true, Friction::None), learns);
+    let mut scenario = scenario(random, (true, Unknown::Nothing), learns);
     (scenario.plan.push, scenario.plan.from) = (push(random).plan.push, 1.0);
     scenario
 }
@@ -97,6 +109,7 @@ fn of_machine(model: &Parameters, truth: &Parameters) -> Learned {
     for (i, b) in VISCOUS.zip(truth.effects.viscous.b) {
         values[i] = b;
     }
+    values[PAYLOAD] = truth.effects.payload.mass;
     values[DRY] = (truth.effects.friction.coulomb[0] / model.effects.friction.coulomb[0]).ln();
     values
 }
@@ -108,6 +121,8 @@ struct Outcome {
     masses: [[f64; 2]; 4],
     /// Error of each coefficient of viscous friction, N·m·s/rad, and its standard deviation.
     viscous: [[f64; 2]; 5],
+    /// Error of the payload's mass, kg, and its standard deviation.
+    payload: [f64; 2],
     /// Error of the logarithm of the factor of dry friction, and its standard deviation.
     dry: [f64; 2],
     /// Normalised error squared of the masses, per mass.
@@ -165,6 +180,7 @@ fn outcome(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Optio
             let i = VISCOUS.start + joint;
             [values[i] - truth[i], sigma[i]]
         });
+        outcome.payload = [values[PAYLOAD] - truth[PAYLOAD], sigma[PAYLOAD]];
         outcome.dry = [values[DRY] - truth[DRY], sigma[DRY]];
         let (nees, of) = twin.estimator().learned_nees(&truth, MASSES)?;
         outcome.nees = nees / of as f64;
@@ -176,7 +192,7 @@ fn outcome(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Optio
 /// An hour at rest, held by servos against gravity, with a sample every 5 ms: the largest change of what is learned after the first minute, and the
 /// largest error at the end, each in standard deviations.
 fn at_rest(encoder: &Encoder, random: &mut Random) -> Option<[f64; 2]> {
-    let mut scenario = scenario(random, (false, Friction::Viscous), true);
+    let mut scenario = scenario(random, (false, Unknown::Viscous), true);
     for of in [&mut scenario.model, &mut scenario.truth] {
         servos(of, 1.0, 0.01);
         (of.start.omega, of.settings.step_size) = ([0.0; 2], REST[1]);
@@ -226,13 +242,14 @@ fn rms(of: impl Iterator<Item = f64>) -> f64 {
 pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("Masses and friction learned in falls, masses 5 % off: after 2 s, and forecasts 0.3 s ahead");
     let scenes = [
-        ("known sines", (true, Friction::None), true),
-        ("known sines, viscous friction unknown", (true, Friction::Viscous), true),
-        ("known sines, dry friction unknown", (true, Friction::Dry), true),
-        ("known sines, dry friction not modelled", (true, Friction::Foreign), true),
-        ("free", (false, Friction::None), true),
-        ("free, viscous friction unknown", (false, Friction::Viscous), true),
-        ("known sines, not learned", (true, Friction::None), false),
+        ("known sines", (true, Unknown::Nothing), true),
+        ("known sines, viscous friction unknown", (true, Unknown::Viscous), true),
+        ("known sines, payload and viscous friction unknown", (true, Unknown::Carrying), true),
+        ("known sines, dry friction unknown", (true, Unknown::Dry), true),
+        ("known sines, dry friction not modelled", (true, Unknown::Foreign), true),
+        ("free", (false, Unknown::Nothing), true),
+        ("free, viscous friction unknown", (false, Unknown::Viscous), true),
+        ("known sines, not learned", (true, Unknown::Nothing), false),
     ];
     for (name, kind, learns) in scenes {
         for (encoder, most) in [(FINE, [0.05, 0.3]), (COARSE, [0.15, 1.5])] {
@@ -264,18 +281,18 @@ pub fn table(runs: u64, first: u64) -> Table {
                 table.push(Figure::told(label("masses about it, %"), apart, String::new()));
                 table.push(Figure::between(label("masses within their bands, %"), covered(masses()), [88.0, 100.0], String::new()));
             }
-            let friction: Option<(&str, Vec<[f64; 2]>)> = match kind.1 {
-                Friction::None | Friction::Foreign => None,
-                Friction::Viscous => {
-                    Some(("a coefficient of friction, N.m.s/rad", outcomes.iter().flat_map(|o| o.viscous).collect()))
-                }
-                Friction::Dry => Some(("the factor of friction", outcomes.iter().map(|o| o.dry).collect())),
+            let viscous = || ("a coefficient of friction, N.m.s/rad", outcomes.iter().flat_map(|o| o.viscous).collect());
+            let loads: Vec<(&str, Vec<[f64; 2]>)> = match kind.1 {
+                Unknown::Nothing | Unknown::Foreign => Vec::new(),
+                Unknown::Viscous => vec![viscous()],
+                Unknown::Carrying => vec![viscous(), ("the payload, kg", outcomes.iter().map(|o| o.payload).collect())],
+                Unknown::Dry => vec![("the factor of friction", outcomes.iter().map(|o| o.dry).collect())],
             };
-            if let Some((what, of)) = friction.filter(|_| learns) {
+            for (what, of) in loads.into_iter().filter(|_| learns) {
                 let [error, sigma] = [0, 1].map(|k| rms(of.iter().map(|of| of[k])));
                 table.push(Figure::told(label(&format!("error of {what}")), error, format!("σ {sigma:.2e}")));
-                let inside = covered(of.into_iter());
-                table.push(Figure::between(label("friction within its bands, %"), inside, [88.0, 100.0], String::new()));
+                let inside = label(&format!("errors of {what}, within their bands, %"));
+                table.push(Figure::between(inside, covered(of.into_iter()), [88.0, 100.0], String::new()));
             }
             let alarms = outcomes.iter().filter(|o| o.alarm).count() as f64;
             let note = format!("of {}", outcomes.len());
@@ -303,7 +320,7 @@ pub fn table(runs: u64, first: u64) -> Table {
                 table.push(Figure::told(label("forecast's error, mm"), error, format!("median; radius {wide:.3} mm")));
             }
             table.push(Figure::told(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
-            if kind.1 == Friction::Foreign {
+            if kind.1 == Unknown::Foreign {
                 // Friction that a scene does not have is learned as something else: the docs say how far, and nothing is demanded.
                 table.figures[before..].iter_mut().for_each(Figure::demand_nothing);
             }
