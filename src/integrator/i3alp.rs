@@ -28,7 +28,7 @@ use super::{
 };
 use crate::vector::Vector;
 use newton::{Solution, Step, constraint_tolerance};
-use stiff_forces::{drive_work, stiff_error};
+use stiff_forces::stiff_error;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -225,7 +225,7 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
         }
         let wanted = next_step(h, CONTROLLER.growth(ln(attempt.error / tolerance), LEAST_LOG_ERROR), state.substep);
         if controls_rates(settings, system) {
-            state.work.input += drive_work(system, h, state, &attempt.end);
+            state.work.input += attempt.driven;
         }
         state.substep = wanted.min(events.longest_next(&event, h));
         attempt.accept(system, state, h);
@@ -254,6 +254,8 @@ struct Attempt<const N: usize, const M: usize> {
     error: f64,
     /// Energy dissipated by springs that have separated, J.
     separated: f64,
+    /// Work of drives beyond the trapezoidal rule, J, where the error of the rates is controlled.
+    driven: f64,
 }
 
 /// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
@@ -304,10 +306,13 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
     let separated = from.map_or(0.0, |from| separation_loss(system, from, [&end.q, &end.v]));
+    let mut driven = 0.0;
     if controls_rates(&settings, system) {
-        error = error.max(stiff_error(system, &settings, state, h, (&pose, &end, separated)));
+        let stiff;
+        (stiff, driven) = stiff_error(system, &settings, state, h, (&end, &pose, separated));
+        error = error.max(stiff);
     }
-    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, separated }) } else { Err(StepError::NotFinite) }
+    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, separated, driven }) } else { Err(StepError::NotFinite) }
 }
 
 /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost constant angles.
@@ -324,7 +329,7 @@ fn taylor_step<const N: usize, const M: usize>(
     regularization: f64,
 ) -> Result<Attempt<N, M>, StepError> {
     let end = StepEnd::out_of_line(system, [state.q + h * state.v, state.v + h * state.a], regularization).finite()?;
-    Ok(Attempt { end, error: 0.0, separated: 0.0 })
+    Ok(Attempt { end, error: 0.0, separated: 0.0, driven: 0.0 })
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
@@ -353,7 +358,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
 
     /// Makes the attempt the new state.
     fn accept(self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
-        let Self { end, error, separated } = self;
+        let Self { end, error, separated, .. } = self;
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
         }

@@ -144,7 +144,7 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     }
 
     /// Generalised forces of drives (servos), if there are any. Called only with [`Features::stiff`] forces.
-    fn drive_forces(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    fn drive_forces(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 

@@ -258,11 +258,8 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
-    fn drive_forces(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
-        self.model.has_servo.then(|| {
-            let pose = self.pose(q);
-            self.model.drives(&self.motion(q, &pose, v)).in_coordinates(&pose)
-        })
+    fn drive_forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Option<Coordinates> {
+        self.model.has_servo.then(|| self.model.drives(&self.motion(q, pose, v)).in_coordinates(pose))
     }
 
     /// An iteration of the dense solve counts as several: its matrix has 22 rows.

@@ -15,16 +15,16 @@ const WORK_ROUND_OFF: f64 = 4.0;
 const EXACT: f64 = 1e-4;
 
 /// Local error with stiff forces, rad: the larger of the rate error, in units of [`STIFF_RATE`] + |q̇|, and the error of the energy
-/// balance, in units of the energy scale; `separated` is the loss of separated springs, J. A step across a discontinuity changes the
-/// motion little and the work much.
+/// balance, in units of the energy scale. A step across a discontinuity changes the motion little and the work much. The second value is
+/// the [`drive_work`], J; `separated` is the loss of separated springs, J.
 #[cold]
 pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
-    (pose, to, separated): (&S::Pose, &StepEnd<N, M>, f64),
-) -> f64 {
+    (to, pose, separated): (&StepEnd<N, M>, &S::Pose, f64),
+) -> (f64, f64) {
     let unpredicted = unpredicted(from, to, h);
     let mut rates = rate_error(system, h, &unpredicted, &to.v);
     if rates > settings.error_tolerance {
@@ -33,15 +33,17 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
         rates = filtered.map_or(rates, |filtered| rate_error(system, h, &filtered, &to.v));
     }
     let external_work = |work: Work| work.input - work.dissipated;
-    let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + drive_work(system, h, from, to) - separated;
+    let start_pose = system.pose(&from.q);
+    let driven = drive_work(system, h, (from, &start_pose), (to, pose));
+    let before = system.energy(&from.q, &start_pose, &from.v);
+    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + driven - separated;
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - external_work(from.work);
     // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
     let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
     let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());
     let allowed = settings.error_tolerance * settings.energy_scale * balance_factor(settings, off, balance);
-    rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise))
+    (rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise)), driven)
 }
 
 /// Change of q̈ over a step that the jerk did not predict.
@@ -64,15 +66,14 @@ pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
 
 /// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does h/2 (P₀ +
 /// P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀), consistent with the rule for the motion: a linear drive neither loses nor gains energy.
-pub(super) fn drive_work<const N: usize, const M: usize>(
-    system: &impl Implicit<N, M>,
+fn drive_work<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
     h: f64,
-    from: &State<N, M>,
-    to: &StepEnd<N, M>,
+    (from, start_pose): (&State<N, M>, &S::Pose),
+    (to, pose): (&StepEnd<N, M>, &S::Pose),
 ) -> f64 {
-    let (Some(before), Some(after)) = (system.drive_forces(&from.q, &from.v), system.drive_forces(&to.q, &to.v)) else {
-        return 0.0;
-    };
+    let drive_forces = [(&from.q, start_pose, &from.v), (&to.q, pose, &to.v)].map(|(q, pose, v)| system.drive_forces(q, pose, v));
+    let [Some(before), Some(after)] = drive_forces else { return 0.0 };
     -h / 4.0 * (after - before).dot(&(to.v - from.v))
 }
 
