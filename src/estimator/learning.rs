@@ -202,7 +202,7 @@ impl Learning {
         bank
     }
 
-    /// What goes with a common factor of the masses: see [`carried`].
+    /// Derivatives of the parameters by the mean logarithm of the masses: see [`carried`].
     fn carried(&self) -> Learned {
         carried(&self.values, &self.models[0].covariance)
     }
