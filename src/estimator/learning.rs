@@ -545,7 +545,24 @@ fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::error_state::Error;
+    use crate::estimator::error_state::{Error, PAYLOAD};
+
+    /// Standard deviations before any sample are those of the prior, also of a payload and friction that go with the masses, and of what begins anew.
+    #[test]
+    fn widths_before_any_sample_are_those_of_the_prior() {
+        let values = Learned::from_fn(|i, _| if CARRIED.contains(&i) { 0.1 * i as f64 } else { 0.0 });
+        let mut prior = Prior { values, sigma: Learned::from_fn(|i, _| if i == PAYLOAD { 0.0 } else { 0.05 + 0.01 * i as f64 }) };
+        let bank = Bank::new([1.0; 3]);
+        let mut learning = Learning::new(&prior);
+        // Tolerance: round-off of variances of up to 0.1.
+        let off = |learning: &Learning, prior: &Prior| (learning.sigma(&bank) - prior.sigma).amax();
+        assert!(off(&learning, &prior) < 1e-15, "{}", learning.sigma(&bank));
+        for which in [MASSES.start, PAYLOAD, DRY] {
+            (prior.values[which], prior.sigma[which]) = (0.3, 0.2);
+            learning.begin_anew(&prior, which);
+            assert!(off(&learning, &prior) < 1e-15, "{which}: {}", learning.sigma(&bank));
+        }
+    }
 
     /// Covariances after a cautious update are those of a joint filter with its gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ with the noise R of the sample, which is
     /// larger in the gain of lengths and mounting angles alone.
