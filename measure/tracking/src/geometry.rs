@@ -7,7 +7,7 @@ use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Parameters, Simulation};
 
 use crate::faults::{SILENT, is_wrong_in_silence};
-use crate::learning::{STARTED, under_torques};
+use crate::learning::{FALSE_ALARMS, STARTED, under_torques};
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, follow};
 use crate::quality::{SETTLED, fall, pick, pick_course, sines};
 use crate::report::{Figure, Table, median, most_of};
@@ -27,8 +27,6 @@ const OFFSET_LEARNED: f64 = 0.077;
 const ECCENTRICITY: &str = "eccentricity 2 mrad";
 /// Label of machines whose geometry the twin is told to be exact.
 const EXACT: &str = "masses 5 % off, falls under known sines, geometry told to be exact";
-/// Rates of false alarms that are allowed, not learned and learned.
-const FALSE_ALARMS: [f64; 2] = [1.0 / 100.0, 2.0 / 500.0];
 /// Labels of machines of which the twin is not told that the scales of the encoders may be off.
 const UNTOLD: [&str; 2] = ["scale 0.2 % off, falls", "scale 0.2 % off, servos"];
 /// Label of machines whose encoders have another scale.
