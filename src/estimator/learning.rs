@@ -14,7 +14,8 @@
 //! A fall without torques leaves a common factor of all masses, payload and friction included, unknown. That has to be one direction of δp wherever the
 //! estimate stands, or a linear filter takes the turn of the direction for knowledge (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research 29
 //! (2010) 502). Masses are therefore in logarithms, and payload and friction, of the value b, have the error ε = δb − b δc beside what goes with the mean
-//! logarithm c of the masses.
+//! logarithm c of the masses; P, Ψ and h are by these errors. A correction that moves b leaves ε as it is: to first order ε is the error of b/exp(c), which
+//! a fall tells.
 
 use std::ops::Range;
 
@@ -47,7 +48,7 @@ type Square = SMatrix<f64, LEARNED, LEARNED>;
 
 /// Payload and friction, which go with a common factor of the masses.
 const CARRIED: Range<usize> = MASSES.end..LOADS;
-/// Number of masses.
+/// Number of masses, the first parameters.
 const MASS_COUNT: f64 = MASSES.end as f64;
 
 /// Errors of both readings beside those of the motion.
@@ -115,7 +116,7 @@ impl Learning {
         all.covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 
-    /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number.
+    /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number; of payload and friction that of ε.
     pub(super) fn nees(&self, own: &Bank, truth: &Learned, which: Range<usize>) -> (f64, usize) {
         let Moments { covariance, .. } = self.moments(own);
         let free = |i: usize| which.contains(&i) && covariance[(i, i)] > 0.0;
@@ -395,7 +396,7 @@ impl Learning {
     /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
-        let mut values = self.with_error(&self.mean(own));
+        let (carried, mut values) = (self.carried(), self.with_error(&self.mean(own)));
         for i in 0..LEARNED {
             let [least, most] = bounds(i, constants);
             let beyond = values[i].clamp(least, most) - values[i];
@@ -405,10 +406,12 @@ impl Learning {
                     (self.at_bound, self.within_for) = (self.at_bound | 1 << i, 0.0);
                 }
                 for (model, member) in self.models.iter_mut().zip(&mut own.members) {
-                    let Moments { error, cross, covariance } = model;
-                    let part = beyond / covariance[(i, i)].max(f64::MIN_POSITIVE);
-                    *error += covariance.column(i) * part;
-                    member.error += cross.column(i) * part;
+                    // Covariances with the value, which has the share of the common factor beside its error.
+                    let (by_masses, cross_with_masses) = model.with_common();
+                    let with_value = model.covariance.column(i) + by_masses * carried[i];
+                    let part = beyond / (with_value[i] + carried[i] * common(&with_value)).max(f64::MIN_POSITIVE);
+                    model.error += with_value * part;
+                    member.error += (model.cross.column(i) + cross_with_masses * carried[i]) * part;
                 }
                 // Round-off, and a bound that another one has led beyond.
                 let moved = self.with_error(&self.mean(own));
@@ -451,13 +454,18 @@ impl Moments {
         covariance: Square::from_array_storage(ArrayStorage([[0.0; LEARNED]; LEARNED])),
     };
 
-    /// Adds to the errors of all parameters what goes with a common factor of the masses.
+    /// Covariances of the mean logarithm of the masses with the parameters, and with motion and force.
+    fn with_common(&self) -> (Learned, Error) {
+        let Self { cross, covariance, .. } = self;
+        (covariance.columns_range(MASSES).column_sum() / MASS_COUNT, cross.columns_range(MASSES).column_sum() / MASS_COUNT)
+    }
+
+    /// Turns errors ε into those of the values, δb = ε + b δc; with −b for b, back.
     fn turn(&mut self, carried: &Learned) {
+        let (by_common, cross_by_common) = self.with_common();
         let Self { error, cross, covariance } = self;
         *error += carried * common(error);
-        let by_common = cross.columns_range(MASSES).column_sum() / MASS_COUNT;
-        cross.ger(1.0, &by_common, carried, 1.0);
-        let by_common: Learned = covariance.columns_range(MASSES).column_sum() / MASS_COUNT;
+        cross.ger(1.0, &cross_by_common, carried, 1.0);
         covariance.ger(1.0, carried, &by_common, 1.0);
         covariance.ger(1.0, &(by_common + carried * common(&by_common)), carried, 1.0);
         covariance.fill_lower_triangle_with_upper_triangle();
@@ -506,8 +514,8 @@ fn common(learned: &Learned) -> f64 {
     learned.rows_range(MASSES).sum() / MASS_COUNT
 }
 
-/// Derivatives of the parameters by the mean logarithm of the masses, as their common factor has them: values of payload and friction, which are 0 where they
-/// are known, of variance 0. Dry friction is in logarithms.
+/// Derivatives of the parameters by the mean logarithm of the masses, as their common factor has them: the values of payload and viscous friction, 1 for dry
+/// friction, which is in logarithms, 0 for what is known (variance 0) and for all others.
 fn carried(values: &Learned, covariance: &Square) -> Learned {
     Learned::from_fn(|i, _| match i {
         DRY if covariance[(i, i)] > 0.0 => 1.0,
@@ -554,6 +562,16 @@ mod tests {
         let mut prior = Prior { values, sigma: Learned::from_fn(|i, _| if i == PAYLOAD { 0.0 } else { 0.05 + 0.01 * i as f64 }) };
         let bank = Bank::new([1.0; 3]);
         let mut learning = Learning::new(&prior);
+        // A part of the value goes with the masses.
+        let some = Learned::from_fn(|i, _| libm::sin((3 * i + 1) as f64));
+        let change = learning.with_error(&some) - learning.values;
+        let mut moments = Moments { error: some, ..Moments::ZERO };
+        moments.turn(&learning.carried());
+        assert!((moments.error - change).amax() < 1e-15 && (learning.error(&change) - some).amax() < 1e-15);
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-15, "{a} {b}");
+        near(change[DRY], some[DRY] + common(&some));
+        // A payload that is known.
+        near(change[PAYLOAD], some[PAYLOAD]);
         // Tolerance: round-off of variances of up to 0.1.
         let off = |learning: &Learning, prior: &Prior| (learning.sigma(&bank) - prior.sigma).amax();
         assert!(off(&learning, &prior) < 1e-15, "{}", learning.sigma(&bank));

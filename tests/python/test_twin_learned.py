@@ -66,7 +66,8 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: 
     assert abs(after["payload.mass"] / truth["payload.mass"] - 1) < 0.01
     # The scene has no friction, the machine has the unit's usual one; it is learned to 12 % (rms), worst in the joints at the motors.
     assert after["viscous.enabled"] is True and not before["viscous.enabled"]
-    assert math.hypot(*(after[f"viscous.b[{i}]"] / 1e-4 - 1 for i in range(1, 6))) < 0.2 * math.sqrt(5)
+    off = [abs(after[f"viscous.b[{i}]"] / 1e-4 - 1) for i in range(1, 6)]
+    assert math.hypot(*off) < 0.2 * math.sqrt(5) and max(off) < 0.35, off
 
     own = write_unit(tmp_path, after, plain=fmu).file
     assert own.name == "Learned.fmu" and of_unit(own)["link[1].mass"].start == learned["values"]["link[1].mass"]

@@ -252,7 +252,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             }
             Failure::Delayed(by) if failing => {
                 queue.push_back(measured.theta);
-                if queue.len() as f64 * h > by + h {
+                if queue.len() > (by / h).round() as usize {
                     measured.theta = queue.pop_front().unwrap_or_default();
                 } else {
                     measured.time = stamp;

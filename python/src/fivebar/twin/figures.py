@@ -178,8 +178,9 @@ def judge(story: Story) -> Judged:
 
 
 def _causes(alarms: list[tuple[float, str, str]]) -> list[str]:
-    """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it has not ended."""
-    pairs = itertools.zip_longest(alarms, alarms[1:], fillvalue=(math.inf, "", ""))
+    """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it was cut off."""
+    states = [each for each in alarms if each[1] != "trouble"]
+    pairs = itertools.zip_longest(states, states[1:], fillvalue=(math.inf, "", ""))
     return [end if after == "calibrating" else begin for (_, state, begin), (_, after, end) in pairs if state == "anomaly"]
 
 
