@@ -178,6 +178,14 @@ def test_a_dead_encoder_that_is_acknowledged_is_not_told_again() -> None:
     assert [state for _, state, _, _ in said if state == "anomaly"] == []
 
 
+def test_an_anomaly_has_the_cause_of_its_end_or_of_its_begin_where_it_is_cut_off() -> None:
+    """A trouble between is no end; an operator, another anomaly, or the end of the run cuts it off."""
+    ended = [(1.0, "anomaly", "force"), (1.1, "trouble", "trouble"), (1.5, "calibrating", "torque at motor 1"), (3.5, "cooling down", "force")]
+    cut_off = [(9.0, "anomaly", "encoder 1"), (9.5, "cooling down", "fault"), (20.0, "anomaly", "force"), (20.2, "anomaly", "timing")]
+    assert figures.causes([]) == []
+    assert figures.causes(ended + cut_off) == ["torque at motor 1", "encoder 1", "force", "timing"]
+
+
 def test_another_fault_is_told_whatever_else_is_wrong() -> None:
     """An encoder that fails while a hand pushes, while the watch cools down, or while the other one is dead; and silence then."""
     anomalies = Anomalies()

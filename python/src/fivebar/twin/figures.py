@@ -177,7 +177,7 @@ def judge(story: Story) -> Judged:
     return Judged(np.linalg.norm(tip(estimated) - truth(estimated["time"]), axis=1), ahead, hit)
 
 
-def _causes(alarms: list[tuple[float, str, str]]) -> list[str]:
+def causes(alarms: list[tuple[float, str, str]]) -> list[str]:
     """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it was cut off."""
     states = [each for each in alarms if each[1] != "trouble"]
     pairs = itertools.zip_longest(states, states[1:], fillvalue=(math.inf, "", ""))
@@ -263,7 +263,7 @@ def summarise(
             "by_ahead": by_ahead,
         },
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
-        "causes": _causes(story.alarms),
+        "causes": causes(story.alarms),
         "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,
