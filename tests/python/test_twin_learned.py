@@ -19,7 +19,7 @@ from fivebar.scene_file import OFFSETS
 from fivebar.twin import dashboard, figures, handover, record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.follower import LEARNED
-from fivebar.twin.messages import TRACKED
+from fivebar.twin.messages import TRACKED, Message
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.unit import Library, Unit
 from fivebar.twin.watch import CAUSES
@@ -108,6 +108,18 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
     return float(np.median(error)), float(np.median(width)), float(np.mean(inside))
 
 
+def learned_in(config: Config, library: Library, samples: int) -> Message:
+    """Values and widths that a twin has learned after so many samples of its machine."""
+    twin, source = follower(config, library), machine(config, library)
+    for _ in range(samples):
+        twin.meas(source.next())
+    learned = twin.learned()
+    twin.close()
+    source.close()
+    assert learned is not None
+    return learned
+
+
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_fall_does_not_tell_a_common_factor_of_masses(tmp_path: Path, fmu: Path, library: Library, exact: bool) -> None:
     """The factor stays as uncertain as it was, 5 % by the root of four masses, and as good, while friction that is unknown is learned beside it.
@@ -116,13 +128,7 @@ def test_a_fall_does_not_tell_a_common_factor_of_masses(tmp_path: Path, fmu: Pat
     """
     config = configured(tmp_path, fmu, library, "fall_90_120", learn=True, exact=exact)
     config = replace(config, twin=config.twin | ({} if exact else TRUE_DISCS))
-    twin, source = follower(config, library), machine(config, library)
-    for _ in range(600):
-        twin.meas(source.next())
-    learned = twin.learned()
-    twin.close()
-    source.close()
-    assert learned is not None
+    learned = learned_in(config, library, 600)
     values, truth = learned.extra["values"], config.machine.hidden
     factors = [values[name] / truth[name] for name in MASSES]
     before = math.prod(float(library.variable(name).start) / truth[name] for name in MASSES) ** 0.25
@@ -147,14 +153,7 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     config = replace(config, twin=config.twin | TRUE_DISCS)
     truth = config.machine.hidden | dict(zip(OFFSETS, (1e-3, -2e-3), strict=True))
     config = replace(config, machine=replace(config.machine, hidden=truth))
-    twin, source = follower(config, library), machine(config, library)
-    for _ in range(1000):
-        twin.meas(source.next())
-    learned = twin.learned()
-    twin.close()
-    source.close()
-    assert learned is not None
-    values = learned.extra["values"]
+    values = learned_in(config, library, 1000).extra["values"]
     for name in OFFSETS:
         assert abs(values[name] - truth[name]) < 2e-5, (name, values[name])
     # A fortieth of what they are off.
@@ -177,13 +176,8 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     # Learned on, mounting angles add up.
     again = configured(tmp_path / "on", fmu, library, tmp_path / "all.json", learn=True)
     again = replace(again, twin=again.twin | TRUE_DISCS)
-    twin, source = follower(again, library), machine(replace(again, machine=config.machine), library)
-    for _ in range(600):
-        twin.meas(source.next())
-    more = twin.learned()
-    twin.close()
-    source.close()
-    assert more is not None and all(abs(more.extra["values"][name] - truth[name]) < 2e-5 for name in OFFSETS)
+    more = learned_in(replace(again, machine=config.machine), library, 600).extra["values"]
+    assert all(abs(more[name] - truth[name]) < 2e-5 for name in OFFSETS)
 
     made = write_unit(tmp_path, scenes_of.read(tmp_path / "all.json", library.known), plain=fmu)
     assert made.notes[-1].startswith("The machine's encoders show more than true angles, which the master takes off samples and orders: ")
