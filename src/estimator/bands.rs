@@ -2,8 +2,7 @@
 
 use nalgebra::{Matrix2, SMatrix, Vector4};
 
-use super::bank::{Bank, Member};
-use super::belief::Belief;
+use super::belief::{Bank, Belief, Member};
 use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
 use super::error_state::{FORCE, GEOMETRY};
 use super::hypotheses::Hypothesis;

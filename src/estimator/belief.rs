@@ -1,14 +1,24 @@
-//! Belief about a motion: the unknown force and the bank of errors, on the tangent space at the motion.
+//! Belief about a motion: the unknown force, and a bank of errors about both, on the tangent space at the motion.
+//!
+//! The bank has interacting multiple models: four process noises in parallel, each with its own error mean and covariance about one estimate, mixed
+//! by their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
+//! The models differ in the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::Bank;
-use super::constants::{CAUSE_MODEL, LARGEST_RATE};
-use super::error_state::{ERRORS, Error, FORCE, Matrix, READINGS, isolate_force};
+use super::constants::{
+    CAUSE_MODEL, Intensities, LARGEST_ANGLE_VARIANCES, LARGEST_RATE, LARGEST_RATE_VARIANCE, LEAST_LIKELIHOOD, LIKELY_MODELS,
+    MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
+};
+use super::error_state::{
+    ERRORS, Error, FORCE, MOVING, Matrix, READINGS, Transition, combine, independent, is_covariance, isolate_force,
+    move_covariance, move_errors, reduce, turn_covariance, turn_errors,
+};
 use super::flow::unit_forces;
+use super::propagation::ProcessNoise;
 use super::stored;
-use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
+use super::tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 
 /// Unknown force, and errors about it and about a motion that stands elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -74,4 +84,369 @@ impl Belief {
 /// Generalised force of inputs on the tangent basis, N·m.
 pub(super) fn on_basis(at: &Frame, force: &Links) -> Pair {
     at.basis.tr_mul(&(at.by_inputs() * force))
+}
+
+/// Model of the bank: probability, and error relative to the common estimate.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Member {
+    /// Probability of the model.
+    pub weight: f64,
+    /// Mean of the error state.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    pub error: Error,
+    /// Covariance of the error state.
+    #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
+    pub covariance: Matrix,
+}
+
+/// Bank of models, of errors of the motion and the unknown force.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Bank {
+    /// One model per process noise.
+    pub members: [Member; MODELS],
+}
+
+/// Innovation of one encoder sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Innovation {
+    /// Measured minus expected angle, rad.
+    pub residual: f64,
+    /// Derivative H of the measured angle with respect to the error state, as a column.
+    pub row: Error,
+    /// Variance R of the measurement, rad².
+    pub noise: f64,
+}
+
+impl Innovation {
+    /// Innovation of a sample that an encoder takes of a motion, with its noise, rad², and the standard deviation of its persistent error, rad.
+    pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, [noise, persistent]: [f64; 2]) -> Self {
+        Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row: at.row(encoder), noise }
+            .with_persistent_error(encoder, persistent)
+    }
+
+    /// Innovation of a sample with a persistent error of this standard deviation, rad.
+    pub(super) fn with_persistent_error(mut self, encoder: usize, persistent: f64) -> Self {
+        self.row[READINGS + encoder] = persistent;
+        self
+    }
+}
+
+/// Expectation of a sample by the models.
+#[derive(Clone, Copy, Debug)]
+pub struct PredictedSample {
+    pub(super) weights: [f64; MODELS],
+    /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
+    pub(super) each: [(f64, f64, Error); MODELS],
+    /// Variance by which innovations last that are no white noise, rad², to compare the models.
+    pub(super) lasting: f64,
+}
+
+impl PredictedSample {
+    /// Mean, rad, and variance, rad², of the innovation in the mixture.
+    pub(super) fn mixture_moments(&self) -> (f64, f64) {
+        let models = || self.weights.iter().zip(&self.each);
+        let mean: f64 = models().map(|(weight, (residual, ..))| weight * residual).sum();
+        let spread = |residual: f64| (residual - mean) * (residual - mean);
+        let variance = models().map(|(weight, (residual, variance, _))| weight * (variance + spread(*residual))).sum();
+        (mean, variance)
+    }
+
+    /// Normalised innovation squared of the mixture.
+    pub fn nis(&self) -> f64 {
+        self.nis_with_less(0.0)
+    }
+
+    /// Normalised innovation squared of the mixture, with the noise less by `excess`, rad².
+    pub(super) fn nis_with_less(&self, excess: f64) -> f64 {
+        let (mean, variance) = self.mixture_moments();
+        mean * mean / (variance - excess)
+    }
+
+    /// Normalised innovation squared of the loudest model, with the noise less by `excess`, rad².
+    pub fn nis_of_loudest_model(&self, excess: f64) -> f64 {
+        let (residual, variance, _) = self.each[MODELS - 1];
+        residual * residual / (variance - excess)
+    }
+
+    /// Log-likelihood of the innovation in a normal distribution with the moments of the mixture, up to a constant.
+    pub(super) fn log_likelihood(&self) -> f64 {
+        log_likelihood(self.nis(), self.mixture_moments().1)
+    }
+}
+
+/// Log-likelihood of an innovation up to a constant: −½ (NIS + ln of the variance).
+fn log_likelihood(nis: f64, variance: f64) -> f64 {
+    -0.5 * (nis + libm::log(variance))
+}
+
+impl Bank {
+    /// Models of non-zero probability.
+    fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
+        self.members.iter_mut().filter(|member| member.weight > 0.0)
+    }
+
+    /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
+    pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
+        for member in self.active_members() {
+            turn_errors(turn, &mut member.error);
+            turn_covariance(turn, &mut member.covariance);
+        }
+    }
+
+    /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
+    /// N·m, and by how much more the unknown force walks, N·m/√s. A model persists for `switch_time`, s, before one drawn from `priors`
+    /// replaces it.
+    pub fn predict(
+        &mut self,
+        f: &Transition,
+        noise: &ProcessNoise,
+        scales: [f64; 3],
+        (h, switch_time): (f64, f64),
+        priors: &[f64; MODELS],
+    ) {
+        let end = |j, member: &mut Member| bound(j, member, |_, _| ());
+        self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
+    }
+
+    /// Time update with the share of a model that stays, in which `end` completes what has become of a model and bounds it.
+    pub(super) fn predict_with(
+        &mut self,
+        f: &Transition,
+        noise: &ProcessNoise,
+        (intensities, scales): (&Intensities, [f64; 3]),
+        (stay, priors): (f64, &[f64; MODELS]),
+        mut end: impl FnMut(usize, &mut Member),
+    ) {
+        let (mean, all) = self.moments();
+        for (j, member) in self.members.iter_mut().enumerate() {
+            let Mixing { weight, own, any } = Mixing::new(member.weight, stay, priors[j]);
+            member.weight = weight;
+            if weight == 0.0 {
+                continue;
+            }
+            let off = (member.error - mean) * (own * any).sqrt();
+            combine(&mut member.covariance, own, (any, &all), (&off, &off));
+            let [white, walk] = intensities.of_model(j, scales);
+            member.error = member.error * own + mean * any;
+            move_errors(f, noise.kept, &mut member.error);
+            move_covariance(f, noise.kept, &mut member.covariance, |moved| noise.add_to(moved, [white, walk]));
+            end(j, member);
+        }
+    }
+
+    /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`LIKELY_MODELS`]; evidence of samples stays.
+    pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
+        for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
+            member.weight *= prior / model_prior;
+        }
+        self.normalise();
+    }
+
+    /// Normalises the probabilities to sum 1.
+    fn normalise(&mut self) {
+        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
+        for member in &mut self.members {
+            member.weight /= sum;
+        }
+    }
+
+    /// Mean error of the mixture.
+    pub fn mean(&self) -> Error {
+        self.members.iter().map(|member| member.error * member.weight).sum()
+    }
+
+    /// Mean and covariance of the mixture.
+    pub fn moments(&self) -> (Error, Matrix) {
+        let mean = self.mean();
+        let mut all = Matrix::zeros();
+        for Member { weight, error, covariance } in self.members.iter().filter(|member| member.weight >= NEGLIGIBLE_PROBABILITY) {
+            let off = (error - mean) * weight.sqrt();
+            combine(&mut all, 1.0, (*weight, covariance), (&off, &off));
+        }
+        (mean, all)
+    }
+
+    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
+    pub fn update(&mut self, expected: &PredictedSample) {
+        let mut likelihood = [f64::NEG_INFINITY; MODELS];
+        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
+        {
+            if member.weight == 0.0 {
+                continue;
+            }
+            let compared = variance + expected.lasting;
+            *likelihood = log_likelihood(residual * residual / compared, compared);
+            member.error += column * (residual / variance);
+            reduce(&mut member.covariance, column, *variance);
+        }
+        let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
+            member.weight *= libm::exp(likelihood - largest).max(LEAST_LIKELIHOOD);
+        }
+        self.normalise();
+    }
+
+    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
+    pub fn subtract_mean(&mut self, by: &Error) {
+        for member in &mut self.members {
+            member.error -= by;
+        }
+    }
+
+    /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
+    pub(super) fn is_sound(&self) -> bool {
+        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
+        (sum - 1.0).abs() < 1e-9
+            && self.members.iter().all(|Member { weight, error, covariance }| {
+                *weight >= 0.0 && error.iter().all(|x| x.is_finite()) && is_covariance(covariance)
+            })
+    }
+
+    /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
+    pub fn new(variances: [f64; 3]) -> Self {
+        let covariance = independent(variances);
+        Self { members: LIKELY_MODELS.map(|weight| Member { weight, error: Error::zeros(), covariance }) }
+    }
+
+    /// Transforms all errors on the tangent basis by a matrix F: means to F e, covariances to F P Fᵀ.
+    pub fn transform(&mut self, f: &Transition) {
+        for member in self.active_members() {
+            move_errors(f, 1.0, &mut member.error);
+            move_covariance(f, 1.0, &mut member.covariance, |_| ());
+        }
+    }
+
+    /// Inflates the variances of angles, rad², rates, rad²/s², and force, (N·m)².
+    pub fn inflate(&mut self, variances: [f64; 3]) {
+        for member in &mut self.members {
+            for i in 0..MOVING {
+                member.covariance[(i, i)] += variances[i / 2];
+            }
+        }
+    }
+
+    /// Bank with the moments of this one in all models, and these probabilities.
+    pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
+        let (error, covariance) = self.moments();
+        Self { members: priors.map(|weight| Member { weight, error, covariance }) }
+    }
+
+    /// Bank with zero mean of the force, of this variance, (N·m)², and uncorrelated with the motion.
+    pub fn with_force(&self, variance: f64) -> Self {
+        let mut bank = *self;
+        for Member { error, covariance, .. } in &mut bank.members {
+            error.fixed_rows_mut::<2>(FORCE).fill(0.0);
+            isolate_force(covariance, &Matrix2::from_diagonal_element(variance));
+        }
+        bank
+    }
+
+    /// Expected variance rate of the unknown force at the present probabilities, 1/s, relative to the squared torque scale.
+    pub fn walk(&self) -> f64 {
+        self.members.iter().zip(TAKEN_AS_KNOWN.force_walk).map(|(member, walk)| member.weight * walk).sum()
+    }
+
+    /// Covariance of the error about the estimate, the mean error included.
+    pub fn covariance(&self) -> Matrix {
+        let (mean, covariance) = self.moments();
+        covariance + mean * mean.transpose()
+    }
+
+    /// Covariance of the force about zero error, (N·m)²: a block of [`Self::covariance`] for 1,700 instructions less in a sample.
+    pub fn force_covariance(&self) -> Matrix2<f64> {
+        self.members
+            .iter()
+            .map(|Member { weight, error, covariance }| {
+                let force: Pair = error.fixed_rows::<2>(FORCE).into();
+                (covariance.fixed_view::<2, 2>(FORCE, FORCE) + force * force.transpose()) * *weight
+            })
+            .sum()
+    }
+
+    /// Expectation of a sample.
+    pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
+        let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
+            if *weight == 0.0 {
+                return (0.0, 1.0, Error::zeros());
+            }
+            let column = covariance * sample.row;
+            (sample.residual - sample.row.dot(error), sample.row.dot(&column) + sample.noise, column)
+        });
+        PredictedSample { weights: self.members.map(|member| member.weight), each, lasting: 0.0 }
+    }
+}
+
+/// How much a model keeps of its own moments in a time update, and how much it takes of the mixture's.
+#[derive(Clone, Copy)]
+pub(super) struct Mixing {
+    /// Probability.
+    pub(super) weight: f64,
+    /// Share of the model's own moments.
+    pub(super) own: f64,
+    /// Share of the mixture's.
+    pub(super) any: f64,
+}
+
+impl Mixing {
+    /// Of a model of this probability: it has stayed, or any model has switched to it. Shares of a model that takes no part are no numbers.
+    pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
+        let (own, any) = (weight * stay, (1.0 - stay) * prior);
+        let weight = own + any;
+        Self { weight, own: own / weight, any: any / weight }
+    }
+}
+
+/// Probability that a model stays for h seconds, where it lasts for `switch_time`, s, on average.
+pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
+    libm::exp(-h / switch_time)
+}
+
+impl Intensities {
+    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. The scales are
+    /// the torque scale and the inertia torques, N·m, and by how much more the force walks, N·m/√s.
+    pub(super) fn of_model(&self, j: usize, [scale, inertia, further]: [f64; 3]) -> [f64; 2] {
+        let walk = scale * scale * self.force_walk[j] + inertia * inertia * self.mass_walk[j] + further * further;
+        [scale * scale * self.white_torque[j], walk]
+    }
+}
+
+/// Bounds the errors of model j and their variances in unobserved directions; `also` takes the index of each variance that is scaled, and the factor.
+pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, mut also: impl FnMut(usize, f64)) {
+    let largest = [LARGEST_ANGLE_VARIANCES[j], LARGEST_RATE_VARIANCE];
+    for i in 0..FORCE {
+        let (variance, most) = (covariance[(i, i)], largest[i / 2]);
+        error[i] = error[i].clamp(-most.sqrt(), most.sqrt());
+        if variance > most {
+            let factor = (most / variance).sqrt();
+            covariance.row_mut(i).scale_mut(factor);
+            covariance.column_mut(i).scale_mut(factor);
+            also(i, factor);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::constants::{BY_INTERVALS, BY_NOISE};
+
+    /// Without samples the probabilities become [`LIKELY_MODELS`]; evidence of samples stays; models of probability 0 stay out.
+    #[test]
+    fn forecasts_are_of_what_is_likely() {
+        let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {
+            let mut bank = Bank::new([1.0; 3]).with_priors(priors);
+            bank.reset_priors(model_prior);
+            assert!(bank.is_sound());
+            bank.members.map(|member| member.weight)
+        };
+        for model_prior in [LIKELY_MODELS, BY_NOISE, BY_INTERVALS] {
+            let weights = weights(model_prior, &model_prior);
+            // Tolerance: round-off.
+            assert!((0..MODELS).all(|i| (weights[i] - LIKELY_MODELS[i]).abs() <= 1e-15), "{weights:?}");
+        }
+        // Odds of 3 to 2 under priors of 3 to 1.
+        let [_, _, third, fourth] = weights([0.0, 0.0, 0.4, 0.6], &BY_INTERVALS);
+        assert!((fourth / third / (0.5 * LIKELY_MODELS[3] / LIKELY_MODELS[2]) - 1.0).abs() < 1e-14);
+        assert_eq!(weights([0.0, 0.0, 0.0, 1.0], &BY_INTERVALS), [0.0, 0.0, 0.0, 1.0]);
+    }
 }

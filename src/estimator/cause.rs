@@ -6,7 +6,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::Innovation;
+use super::belief::Innovation;
 use super::constants::{
     BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
 };

@@ -16,7 +16,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::Innovation;
+use super::belief::Innovation;
 use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
 use super::encoder::Reading;
 use super::error_state::{Error, independent};

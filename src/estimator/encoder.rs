@@ -3,7 +3,7 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bank::{Innovation, PredictedSample};
+use super::belief::{Bank, Innovation, PredictedSample};
 use super::constants::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, ERROR_ALONE, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, PERSISTENT_TIME, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS,
@@ -156,8 +156,6 @@ fn white_variance(sigma: f64) -> f64 {
 /// Conditions under which the gate judges a sample.
 #[derive(Clone, Copy)]
 pub(super) struct GateConditions {
-    /// Fault of a reading that repeats.
-    pub(super) repetition: Fault,
     /// Whether the estimate is trusted rather than the sample.
     pub(super) patient: bool,
     /// Whether the estimate has settled on the other encoder.
@@ -196,6 +194,10 @@ pub struct Encoder {
     stuck: bool,
     /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
+    /// Innovation of the last sample that was judged: measured minus expected angle, rad.
+    innovation: f64,
+    /// Change of that innovation since the sample before, rad.
+    innovation_change: f64,
     /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
     jump: f64,
     /// Macro steps' time since the encoder was absent or a sample was rejected, or since the estimate began anew, s.
@@ -224,6 +226,8 @@ impl Encoder {
         change: 0.0,
         stuck: false,
         rejected_in_a_row: 0,
+        innovation: 0.0,
+        innovation_change: 0.0,
         jump: 0.0,
         believed_for: 0.0,
         interval: 0.0,
@@ -359,11 +363,22 @@ impl Encoder {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.jump];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.innovation, self.innovation_change, self.jump];
         let durations =
             [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
             && durations.iter().chain([&self.time_since_sample]).all(|x| *x >= 0.0)
+    }
+
+    /// Innovation of the last sample that was judged: measured minus expected angle, rad.
+    pub(super) fn innovation(&self) -> f64 {
+        self.innovation
+    }
+
+    /// Begins anew with an estimate that the samples have reinitialised, which was off by `innovation`, rad.
+    pub(super) fn begin_anew(&mut self, innovation: f64) {
+        self.innovation = innovation;
+        self.settle_anew();
     }
 
     /// Time between the last two valid samples, s; 0 before there are two.
@@ -398,7 +413,7 @@ impl Encoder {
 
     /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
     pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
-        (self.jump, self.rejected_in_a_row) = (residual, self.rejected_in_a_row.max(2));
+        (self.innovation, self.jump, self.rejected_in_a_row) = (residual, residual, self.rejected_in_a_row.max(2));
     }
 
     /// Whether the reading has jumped away from the estimate.
@@ -406,12 +421,14 @@ impl Encoder {
         self.jump != 0.0
     }
 
-    /// Whether a reading that has jumped stays away, while its innovation changes by `change`, rad, from the last sample to this one. One that
+    /// Judges whether a reading that has jumped stays away, by how its innovation has changed since the last sample. One that
     /// moves on by as much as half its jump was struck rather than jumped. One that has been left out jumps again where its second difference
     /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
     /// other encoder.
-    pub(super) fn stays_away(&mut self, sample: &Sample, change: f64, witnessed: bool) -> bool {
-        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(change).abs());
+    pub(super) fn stays_away(&mut self, sample: &Sample, witnessed: bool) -> bool {
+        let residual = sample.innovation.residual;
+        self.innovation_change = residual - std::mem::replace(&mut self.innovation, residual);
+        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(self.innovation_change).abs());
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
         let moved = if lasting { sample.before.map_or(change, |before| change.min(second_difference(before))) } else { change };
         if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
@@ -424,34 +441,36 @@ impl Encoder {
     }
 
     /// Expected sample as the bank takes it, with its quantisation interval in place of white noise; `None` where the gate rejects the
-    /// sample. `jumps`: whether no assumed force explains how the innovation has changed since the last sample.
+    /// sample. `repetition`: fault of a reading that repeats.
     pub(super) fn admit(
         &mut self,
-        expected: &PredictedSample,
-        sample: &Sample,
+        bank: &Bank,
+        (expected, sample): (&PredictedSample, &Sample),
         conditions: GateConditions,
-        jumps: impl FnOnce() -> bool,
+        repetition: impl FnOnce() -> Fault,
     ) -> Option<PredictedSample> {
-        self.passes_gate(expected, sample, conditions, jumps).then(|| self.with_quantisation_interval(expected, sample))
+        let admitted = self.passes_gate(bank, (expected, sample), conditions, repetition);
+        admitted.then(|| self.with_quantisation_interval(expected, sample))
     }
 
     /// Gating: whether a sample is used. Errors that many samples share are no larger in one of them: whether a force explains it is judged by its own
     /// quantisation error, and no sample by errors of the model.
     fn passes_gate(
         &mut self,
-        expected: &PredictedSample,
-        sample: &Sample,
-        conditions: GateConditions,
-        jumps: impl FnOnce() -> bool,
+        bank: &Bank,
+        (expected, sample): (&PredictedSample, &Sample),
+        GateConditions { patient, witnessed }: GateConditions,
+        repetition: impl FnOnce() -> Fault,
     ) -> bool {
-        let GateConditions { repetition, patient, witnessed } = conditions;
+        let away = self.stays_away(sample, witnessed);
+        let repetition = if away { Fault::None } else { repetition() };
         let Innovation { residual, noise, .. } = sample.innovation;
         let least = expected.nis_of_loudest_model(noise - sample.single_variance());
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
             _ if repetition != Fault::None => repetition,
-            _ if self.is_away() => Fault::Rejected,
+            _ if away => Fault::Rejected,
             // NaN exceeds the gate.
             _ if expected.nis_with_less(sample.unrevealed) <= GATE => Fault::None,
             _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
@@ -459,7 +478,7 @@ impl Encoder {
         };
         self.stuck = self.fault == Fault::Stuck;
         // A force that has moved an axis so far moves it on; the next sample tells.
-        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && jumps() {
+        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && self.jumps(bank, sample) {
             self.jump = residual;
         }
         if self.fault == Fault::None {
@@ -469,6 +488,11 @@ impl Encoder {
         self.rejected_in_a_row = self.rejected_in_a_row.saturating_add(1);
         self.believed_for = 0.0;
         false
+    }
+
+    /// Whether no assumed force explains how the innovation has changed since the last sample.
+    fn jumps(&self, bank: &Bank, sample: &Sample) -> bool {
+        bank.predict_sample(&sample.change(self.innovation_change, self.interval)).nis_of_loudest_model(0.0) > GATE
     }
 
     /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
@@ -552,7 +576,6 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::bank::Bank;
 
     /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
@@ -609,7 +632,6 @@ mod tests {
         let is_away_after = |samples: &[(f64, f64)]| {
             let mut encoder = Encoder { believed_for: 2.0 * SETTLING_TIME, interval: h, time_since_sample: 0.0, ..Encoder::NEW };
             let noise = encoder.noise(0.0, quantum, 0.0);
-            let mut last = 0.0;
             for &(residual, second_difference) in samples {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
@@ -623,11 +645,9 @@ mod tests {
                     unrevealed: 0.0,
                     innovation,
                 };
-                let change = residual - std::mem::replace(&mut last, residual);
-                encoder.stays_away(&sample, change, true);
-                let expected = Bank::new([1e-6, 1.0, 1.0]).predict_sample(&innovation);
-                let conditions = GateConditions { repetition: Fault::None, patient: true, witnessed: true };
-                encoder.admit(&expected, &sample, conditions, || change.abs() > 0.05);
+                let bank = Bank::new([1e-6, 1.0, 1.0]);
+                let conditions = GateConditions { patient: true, witnessed: true };
+                encoder.admit(&bank, (&bank.predict_sample(&innovation), &sample), conditions, || Fault::None);
             }
             encoder.is_away()
         };

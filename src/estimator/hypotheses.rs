@@ -13,8 +13,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::{Bank, Innovation};
-use super::belief::Belief;
+use super::belief::{Bank, Belief, Innovation};
 use super::constants::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
     LARGEST_ODDS_AFTER_CROSSING, LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS,

@@ -22,7 +22,7 @@ use std::ops::Range;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
-use super::bank::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
+use super::belief::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
 use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
     PRODUCTS,

@@ -5,7 +5,7 @@
 //! | --- | --- |
 //! | `tangent.rs`, `error_state.rs` | the closed loop: J, N, closure; errors on N and their covariance |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
-//! | `bank.rs`, `belief.rs` | Kalman filter of each model, and their mixture; unknown force |
+//! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
 //! | `learning.rs` | masses, friction, lengths and mounting angles as parameters behind the errors |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
 //! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
@@ -23,8 +23,7 @@
 
 mod alarm;
 mod bands;
-pub mod bank;
-mod belief;
+pub mod belief;
 mod cause;
 mod constants;
 mod doubt;
@@ -47,8 +46,8 @@ mod witness;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use alarm::Alarm;
-use bank::{Bank, Innovation};
 pub use belief::Belief;
+use belief::{Bank, Innovation};
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
@@ -114,8 +113,6 @@ pub struct Estimator {
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
-    /// Innovation of the last sample of each encoder, rad.
-    innovation: [f64; 2],
     /// Normalised innovation squared, summed over the last samples used together.
     nis: f64,
 }
@@ -138,7 +135,6 @@ impl Estimator {
             causes: Causes::default(),
             adrift: false,
             restarted: false,
-            innovation: [0.0; 2],
             nis: 0.0,
         }
     }
@@ -296,7 +292,6 @@ impl Estimator {
     ) -> Update {
         if self.are_exchanged((motion, frame), samples) {
             for (i, sample) in samples.iter().flatten().enumerate() {
-                self.innovation[i] = sample.innovation.residual;
                 self.encoders[i].leave_out_lastingly(sample.innovation.residual);
             }
         }
@@ -317,10 +312,15 @@ impl Estimator {
             let own = expected.nis();
             nis += own;
             self.watch(constants, (motion, frame), (i, sample), own, errors);
-            let (conditions, change) = self.gate_conditions((i, sample), frame, &models, errors);
-            let (bank, interval) = (&self.belief.bank, self.encoders[i].interval());
-            let jumps = || bank.predict_sample(&sample.change(change, interval)).nis_of_loudest_model(0.0) > GATE;
-            if let Some(mut told) = self.encoders[i].admit(&expected, used, conditions, jumps) {
+            self.begin_unaided(i, frame, &models, errors);
+            let witnessed = self.encoders[1 - i].is_settled();
+            let conditions = GateConditions { patient: self.hypotheses.is_branch_known(), witnessed };
+            let (unaided, mut repetition) = (&mut self.unaided[i], Fault::None);
+            let judge = || {
+                repetition = unaided.judge(sample);
+                repetition
+            };
+            if let Some(mut told) = self.encoders[i].admit(&self.belief.bank, (&expected, used), conditions, judge) {
                 if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
                     let persistent = ([used.persistent, sample.persistent], self.encoders[i].samples_of_persistent_error());
                     learning.update(&mut told, columns, persistent, used.rests());
@@ -341,8 +341,8 @@ impl Estimator {
                         self.doubt.receive(i, &told.innovation_of(reading));
                     }
                 }
-            } else if conditions.repetition != Fault::None {
-                self.replace_by_unaided(i, conditions.repetition, constants);
+            } else if repetition != Fault::None {
+                self.replace_by_unaided(i, repetition, constants);
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -382,28 +382,11 @@ impl Estimator {
         }
     }
 
-    /// Change of the innovation of encoder i since its last sample, rad.
-    fn innovation_change(&mut self, i: usize, sample: &Sample) -> f64 {
-        let residual = sample.innovation.residual;
-        residual - std::mem::replace(&mut self.innovation[i], residual)
-    }
-
-    /// Conditions of the gate for a sample of encoder i, by the estimate without it and by the other encoder, and the change of its innovation, rad.
-    fn gate_conditions(
-        &mut self,
-        (i, sample): (usize, &Sample),
-        frame: &Frame,
-        models: &[f64; MODELS],
-        errors: Option<&ReadingErrors>,
-    ) -> (GateConditions, f64) {
-        let change = self.innovation_change(i, sample);
-        let witnessed = self.encoders[1 - i].is_settled();
-        let away = self.encoders[i].stays_away(sample, change, witnessed);
+    /// Lets the estimate without encoder i begin or end, as its reading repeats or not.
+    fn begin_unaided(&mut self, i: usize, frame: &Frame, models: &[f64; MODELS], errors: Option<&ReadingErrors>) {
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
         let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, errors);
         self.unaided[i].receive(encoders, || (bank(), self.belief.tangent_force(frame).norm()), models);
-        let repetition = if away { Fault::None } else { self.unaided[i].judge(sample) };
-        (GateConditions { repetition, patient: self.hypotheses.is_branch_known(), witnessed }, change)
     }
 
     /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later
@@ -452,12 +435,11 @@ impl Estimator {
             variances[1] = variances[1].max(2.0 * noise / (intervals[i] * intervals[i]));
         }
         self.belief = Belief::new(variances);
-        self.innovation = [left, right].map(|sample| sample.innovation.residual);
         self.history.clear();
         self.unaided = Default::default();
         self.learn_anew(constants);
         self.doubt.end();
-        self.encoders.iter_mut().for_each(Encoder::settle_anew);
+        self.encoders.iter_mut().zip([left, right]).for_each(|(encoder, sample)| encoder.begin_anew(sample.innovation.residual));
         self.causes.close(true);
         (self.alarm, self.held, self.adrift, self.restarted) = (Alarm::default(), false, false, true);
         Some(anew)
@@ -547,8 +529,7 @@ impl Estimator {
         self.adrift = !self.encoders.iter().all(Encoder::is_settled);
         for (i, sample) in samples.iter().enumerate() {
             if let Some(sample) = sample {
-                let change = self.innovation_change(i, sample);
-                self.encoders[i].stays_away(sample, change, false);
+                self.encoders[i].stays_away(sample, false);
             }
             // An estimate that begins anywhere is itself off.
             if !self.adrift || !self.encoders[i].is_believed() {
@@ -697,7 +678,7 @@ impl Estimator {
 
     /// Innovation of the last sample of each encoder: measured minus expected angle, rad.
     pub fn innovation(&self) -> [f64; 2] {
-        self.innovation
+        self.encoders.each_ref().map(Encoder::innovation)
     }
 
     /// Normalised innovation squared of the last correction, summed over its samples.
@@ -749,7 +730,7 @@ impl Estimator {
         if !self.encoders.iter().all(Encoder::is_sound) || !self.history.is_sound() || !self.forecast.is_sound(linkage) {
             return Err("a sample, the history or the forecast of its estimator is not valid");
         }
-        if !self.innovation.iter().chain([&self.nis]).all(|x| x.is_finite()) || !self.alarm.is_sound() || !self.causes.is_sound() {
+        if !self.nis.is_finite() || !self.alarm.is_sound() || !self.causes.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         if self.learning.is_some() != constants.prior.is_some()

@@ -4,7 +4,7 @@
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use super::bank::PredictedSample;
+use super::belief::PredictedSample;
 use super::constants::{
     FARTHEST_INTERVAL, INTERVAL_FLOORS, LARGEST_INNOVATION, LARGEST_VARIANCE, SUCCESSIVE_INTERVALS_FACTOR, WIDEST_SIGMA,
 };

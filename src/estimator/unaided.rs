@@ -5,7 +5,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::bank::Bank;
+use super::belief::Bank;
 use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault, Sample};
 use super::error_state::Error;

@@ -16,7 +16,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
-use super::bank::Innovation;
+use super::belief::Innovation;
 use super::constants::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
     ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, move_covariance, move_errors, reduce,
