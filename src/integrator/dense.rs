@@ -263,44 +263,33 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.counters.iterations = iterations;
     }
 
-    /// Applies a discontinuity of the rates, after [`truncate_and_redo`](Self::truncate_and_redo) and before
-    /// [`restart`](Self::restart).
-    pub fn jump(&mut self, v: &Vector<N>) {
-        self.end.v = *v;
+    /// Ends the current step at the present time, because the motion is replaced: the step is discarded, and the work shown so far
+    /// is kept. `system` is the system of the step; [`jump`](Self::jump) and [`restart`](Self::restart) follow.
+    pub fn abandon<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
+        let work = self.sample(system, settings).work;
+        if self.elapsed < self.length {
+            self.memory = self.before;
+            self.discard();
+        }
+        (self.end.work, self.end.on_ray) = (work, false);
+        (self.length, self.elapsed) = (0.0, 0.0);
     }
 
-    /// Restarts after a discontinuity of the forces that did the given work, J; [`truncate_and_redo`](Self::truncate_and_redo)
-    /// comes before. `pose` is the pose at the present state.
+    /// Moves to other coordinates and rates after the current step has been ended; [`restart`](Self::restart) follows.
+    pub fn jump<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, [q, v]: [Vector<N>; 2]) {
+        (self.end.q, self.end.v) = (q, v);
+        self.end.configuration_signs = system.configuration_signs(&system.pose(&q));
+    }
+
+    /// Restarts after a discontinuity that did the given work, J, and before which the current step has been ended. `pose` is the
+    /// pose at the present state.
     pub fn restart<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose, work: Work) {
         let mode = system.mode_of(&self.end.q, &self.end.v);
         self.end.restart(&*system.on(mode), pose, settings.regularization);
         self.end.work += work;
         self.start = self.end;
         (self.mode, self.next_mode_at_end) = (mode, mode);
-    }
-
-    /// Continues from another state with `external_work`, J, done on the system; the current step is discarded. `before` and
-    /// `after` are the systems before and after the change.
-    pub fn resume_from<S: Mechanics<N, M, Mode = K>>(
-        &mut self,
-        [before, after]: [&S; 2],
-        settings: &Settings,
-        [q, v]: [Vector<N>; 2],
-        external_work: f64,
-    ) {
-        let work = self.sample(before, settings).work;
-        if self.elapsed < self.length {
-            self.memory = self.before;
-            self.discard();
-        }
-        (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
-        let pose = after.pose(&q);
-        self.end.configuration_signs = after.configuration_signs(&pose);
-        self.end.work = work;
-        self.dense = [StageDerivative::NONE; 4];
-        self.is_linear = false;
-        (self.length, self.elapsed) = (0.0, 0.0);
-        self.restart(after, settings, &pose, Work { input: external_work, dissipated: 0.0 });
+        (self.dense, self.is_linear) = ([StageDerivative::NONE; 4], false);
     }
 
     /// Shifts the coordinates by whole turns, which leave the system unchanged, rad.

@@ -1,10 +1,9 @@
 //! Replacement of a run's motion by the corrected one of the estimator.
 
 use super::Inputs;
-use super::angles::angles_of;
 use super::five_bar::FiveBar;
 use super::model::Model;
-use super::run::{Conserving, Integrator, Run};
+use super::run::{Integrator, Run};
 use crate::dynamics::angles::in_link_order;
 use crate::estimator::LinkState;
 use crate::integrator::{Implicit, System, Work};
@@ -44,23 +43,12 @@ impl Run {
         let left = assembled(before, self.motion(before));
         let anew @ (q, v) = assembled(model, *motion);
         let external_work = energy(model, &anew) - energy(before, &left);
-        let held = std::mem::replace(&mut self.inputs, *inputs);
-        let system = FiveBar::new(model, inputs, &turns);
-        let signs = || system.configuration_signs(&system.pose(&q));
-        let work = Work { input: external_work, dissipated: 0.0 };
         match &mut self.integrator {
-            Integrator::MacroStepped(run) => {
-                (run.core.q, run.core.v, run.core.on_ray, run.core.configuration_signs) = (q, v, false, signs());
-                run.restart(model, (inputs, &turns), work);
-            }
-            Integrator::Conserving(Conserving { state, .. }) => {
-                (state.q, state.v, state.configuration_signs) = (q, v, signs());
-                state.restart(work);
-            }
-            Integrator::DenseOutput(run) => {
-                run.resume_from([before, model], ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
-            }
-            Integrator::ModelExchange(run) => run.move_to(motion.theta.into(), motion.omega.into(), work),
+            Integrator::MacroStepped(run) => run.core.on_ray = false,
+            Integrator::DenseOutput(run) => run.abandon(before, &self.inputs, &turns),
+            Integrator::Conserving(_) | Integrator::ModelExchange(_) => {}
         }
+        self.inputs = *inputs;
+        self.resume(model, Some([q, v]), Work { input: external_work, dissipated: 0.0 });
     }
 }

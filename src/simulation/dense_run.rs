@@ -13,6 +13,7 @@ use super::{Inputs, Model};
 use crate::hybrid::{Mode, StickSlips};
 use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Inconsistency, StepError, Stuck, System, Work};
+use crate::mechanism::Coordinates;
 
 /// Step under way, and durations for which inputs were held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -36,9 +37,25 @@ impl DenseRun {
         self.step.truncate_and_redo(&AngleSystem::of(model, inputs, turns), &self.settings)
     }
 
-    /// After model or inputs have changed: restarts the step; `work` is the work of the change.
-    pub(super) fn resume(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
+    /// Before the motion is replaced: discards the step under way.
+    pub(super) fn abandon(&mut self, model: &Model, inputs: &Inputs, turns: &[i64; 4]) {
+        self.step.abandon(&AngleSystem::of(model, inputs, turns), &self.settings);
+        self.held = [self.held[1], 0];
+    }
+
+    /// After the step under way has been ended: restarts by another model or other inputs, from another motion where one is given; `work`
+    /// is the work of the change.
+    pub(super) fn resume(
+        &mut self,
+        model: &Model,
+        (inputs, turns): (&Inputs, &[i64; 4]),
+        motion: Option<[Coordinates; 2]>,
+        work: Work,
+    ) {
         let system = AngleSystem::of(model, inputs, turns);
+        if let Some([q, v]) = motion {
+            self.step.jump(&system, [angles_of(&q), angles_of(&v)]);
+        }
         self.step.restart(&system, &self.settings, &system.pose(self.step.end()), work);
     }
 
@@ -46,19 +63,6 @@ impl DenseRun {
     pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
         let sample = self.step.sample(&AngleSystem::of(model, held, turns), &self.settings);
         (sample.q, sample.v)
-    }
-
-    /// Continues from other angles and rates with other inputs and another model; the change adds `external_work`, J.
-    pub(super) fn resume_from(
-        &mut self,
-        [before, model]: [&Model; 2],
-        ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
-        motion: [Angles; 2],
-        external_work: f64,
-    ) {
-        let [before, after] = [(before, held), (model, inputs)].map(|(model, inputs)| AngleSystem::of(model, inputs, turns));
-        self.step.resume_from([&before, &after], &self.settings, motion, external_work);
-        self.held = [self.held[1], 0];
     }
 
     /// Present state in the twelve coordinates, by the held inputs, with the q̈ and λ of other `inputs`. Interpolated states are for output

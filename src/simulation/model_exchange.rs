@@ -13,7 +13,8 @@ use super::run::Integrator;
 use super::state::Core;
 use super::{Inputs, Model, Simulation};
 use crate::integrator::{Bounds, Inconsistency, Work};
-use crate::mechanism::{Assembly, SceneError, Start, closure};
+use crate::mechanism::coordinates::link_angles;
+use crate::mechanism::{Assembly, Coordinates, SceneError, Start, closure};
 
 /// Number of states: the proximal angles, rad, left and right, and their rates, rad/s.
 pub const STATES: usize = 4;
@@ -60,17 +61,11 @@ impl ModelExchangeState {
         (self.theta, self.omega)
     }
 
-    /// Moves to other angles, rad, and rates, rad/s, of links 1 to 4, and adds work, J.
-    pub(super) fn move_to(&mut self, theta: [f64; 4], omega: [f64; 4], work: Work) {
-        (self.theta, self.omega) = (theta, omega);
+    /// Continues after a change that did the given work, J, and led to other coordinates and velocities, if any.
+    pub(super) fn resume(&mut self, motion: Option<[Coordinates; 2]>, work: Work) {
         self.work += work;
-    }
-
-    /// Changes the rates of links 1 to 4, rad/s, where given, and adds work, J.
-    pub(super) fn jump(&mut self, work: Work, rates: Option<[f64; 4]>) {
-        self.work += work;
-        if let Some(rates) = rates {
-            self.omega = rates;
+        if let Some([q, v]) = motion {
+            (self.theta, self.omega) = (link_angles(&q), link_angles(&v));
         }
     }
 

@@ -5,7 +5,6 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::angles_of;
 use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
 use super::join::Discontinuity;
@@ -99,13 +98,16 @@ impl MacroSteps {
 }
 
 impl MacroStepped {
-    /// Continues from a state that has jumped, or with other inputs, which did the given work, J: the mode follows from the state.
+    /// Continues from a state that has jumped, or with other inputs, which did the given work, J: mode and signs of the singularity
+    /// determinants follow from the state.
     pub(super) fn restart(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
         let Self { core, mode, .. } = self;
         let system = FiveBar::resolved(model, inputs, turns, [&core.q, &core.v]);
         *mode = system.mode;
         core.work += work;
-        core.restart(&system, &system.pose(&core.q), model.regularization);
+        let pose = system.pose(&core.q);
+        core.configuration_signs = system.configuration_signs(&pose);
+        core.restart(&system, &pose, model.regularization);
     }
 }
 
@@ -198,30 +200,32 @@ impl Run {
         let Discontinuity { work, motion } = Discontinuity::new(&present, before, after, join);
         // The method stays.
         let _ = tuned.configure(after);
-        let held = (&tuned.inputs, &tuned.turns);
-        match &mut tuned.integrator {
-            Integrator::DenseOutput(run) => {
-                if let Some([_, v]) = motion {
-                    run.step.jump(&angles_of(&v));
-                }
-                run.resume(after, held, work);
-            }
-            Integrator::Conserving(Conserving { state, .. }) => {
-                if let Some([q, v]) = motion {
-                    (state.q, state.v) = (q, v);
-                }
-                state.restart(work);
-            }
-            Integrator::ModelExchange(run) => run.jump(work, motion.map(|[_, v]| link_angles(&v))),
+        tuned.resume(after, motion, work);
+        *self = tuned;
+        Ok(())
+    }
+
+    /// Continues with the held inputs after a change that did the given work, J, and led to other coordinates and velocities, if any. A step
+    /// under way has been ended before.
+    pub(super) fn resume(&mut self, model: &Model, motion: Option<[Coordinates; 2]>, work: Work) {
+        let Self { turns, inputs, integrator, .. } = self;
+        match integrator {
             Integrator::MacroStepped(run) => {
                 if let Some([q, v]) = motion {
                     (run.core.q, run.core.v) = (q, v);
                 }
-                run.restart(after, held, work);
+                run.restart(model, (inputs, turns), work);
             }
+            Integrator::Conserving(Conserving { state, .. }) => {
+                if let Some([q, v]) = motion {
+                    (state.q, state.v) = (q, v);
+                    state.configuration_signs = model.mechanism.pose(&q).configuration_signs();
+                }
+                state.restart(work);
+            }
+            Integrator::DenseOutput(run) => run.resume(model, (inputs, turns), motion, work),
+            Integrator::ModelExchange(run) => run.resume(motion, work),
         }
-        *self = tuned;
-        Ok(())
     }
 }
 
@@ -249,16 +253,15 @@ trait ByMacroSteps: Copy {
             self.change(model, (inputs, turns));
         }
         *held = *inputs;
-        self.take(model, (held, turns), steps).inspect_err(|_| (*self, *turns, *held) = before)
+        let taken = match model.is_bare() {
+            true => self.take::<true>(model, (held, turns), steps),
+            false => self.take::<false>(model, (held, turns), steps),
+        };
+        taken.inspect_err(|_| (*self, *turns, *held) = before)
     }
 
-    /// Takes macro steps in the form that the model allows. A failure leaves the state undefined.
-    fn take(&mut self, model: &Model, held: (&Inputs, &mut [i64; 4]), steps: MacroSteps) -> Result<(), StepFailure> {
-        if model.is_bare() { self.take_as::<true>(model, held, steps) } else { self.take_as::<false>(model, held, steps) }
-    }
-
-    /// Takes macro steps in one form of the system.
-    fn take_as<const BARE: bool>(
+    /// Takes macro steps in one form of the system. A failure leaves the state undefined.
+    fn take<const BARE: bool>(
         &mut self,
         model: &Model,
         (inputs, turns): (&Inputs, &mut [i64; 4]),
