@@ -153,6 +153,25 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     assert_eq!(simulation.state(), state);
 }
 
+/// A run that is tuned at the very end of a step, while its dense output is in memory, can be stored and restored.
+#[test]
+fn a_run_tuned_at_the_end_of_a_step_is_restored() {
+    let mut parameters = table();
+    enable(&mut parameters, "gravity");
+    enable(&mut parameters, "contact");
+    parameters.settings.method = Method::Dop853;
+    let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+    // Inputs that change with every macro step end the steps there.
+    for step in 0..20 {
+        let inputs = Inputs { tau: [1e-3 * f64::from(step), 0.0], ..default_inputs() };
+        run(&mut simulation, &inputs, 1e-3, 1e-3);
+    }
+    parameters.effects.gravity.g = 1.62;
+    simulation.tune(&parameters.effects).expect("allowed");
+    let restored = Simulation::restored(&parameters, simulation.run().clone()).expect("a legal run");
+    assert_eq!(restored.state(), simulation.state());
+}
+
 /// A tuned value that couples links calls for another linear solve, and one that uncouples them for the fast one again: the motion is
 /// that of a scene that has had the value from its start.
 #[test]
