@@ -96,6 +96,13 @@ impl<const N: usize> Stages<N> {
 }
 
 impl<T: Tableau, const N: usize> Explicit<T, N> {
+    /// Begins a step of `h` seconds.
+    pub(super) fn new<const M: usize>(from: &State<N, M>, h: f64) -> Self {
+        let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };
+        stages.slopes[0] = StageDerivative { q: from.v, v: from.a, power: from.power };
+        Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
+    }
+
     /// Increment from the beginning of the step to a stage, of q or of q̇: the sum of slopes is in units of its last coefficient, which
     /// saves a multiplication.
     fn increment<const STAGE: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
@@ -184,15 +191,8 @@ fn row_sum(slopes: &[f64x2; MAX_STAGES], coefficient: impl Fn(usize) -> f64) -> 
 
 impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     const SCHEME: Scheme = T::SCHEME;
-    type Linearization = ();
 
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<'_, S::Pose, N>), h: f64) -> Self {
-        let mut stages = Stages { slopes: [StageDerivative::NONE; MAX_STAGES], q: from.q, h };
-        stages.slopes[0] = StageDerivative { q: from.v, v: from.a, power: from.power };
-        Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
-    }
-
-    fn judge<const M: usize, S: System<N, M>>(
+    fn complete<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<'_, S::Pose, N>,

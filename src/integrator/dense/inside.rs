@@ -224,7 +224,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         when: f64,
     ) -> Option<Candidate<N, S::Pose, S::Mass>> {
-        if self.scheme != Scheme::Dop853 || self.energy_target(system, self.length).is_some() {
+        if self.scheme != Scheme::Dop853 || !system.can_project(&self.start.q) {
             return None;
         }
         let [mut q, mut v] = self.interpolated_state(when / self.length);

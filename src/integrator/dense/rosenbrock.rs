@@ -67,6 +67,43 @@ impl<const N: usize> Linearization<N> {
 const DIFFERENCE_STEP: f64 = 1e-4;
 
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
+    /// Makes the stages of a step of `h` seconds.
+    pub(super) fn new<const M: usize, S: System<N, M>>(
+        system: &S,
+        linearization: &Linearization<N>,
+        (from, origin): (&State<N, M>, &Origin<'_, S::Pose, N>),
+        h: f64,
+    ) -> Self {
+        let Linearization { tangents, fastest_rate } = linearization;
+        let part = h * T::GAMMA;
+        let columns = std::array::from_fn(|j| (1.0 / part) * Vector::unit(j) - tangents.by_v[j] - part * tangents.by_q[j]);
+        let mut step = Self {
+            u: [[Vector::ZERO; 2]; MAX_STAGES],
+            power: [from.power; MAX_STAGES],
+            start: [from.q, from.v],
+            h,
+            inverse: Inverse::new(columns, f64::EPSILON / part),
+            fastest_rate: *fastest_rate,
+            tableau: PhantomData,
+        };
+        step.u[0] = step.solve(tangents, [from.v, from.a]);
+        let per_step = 1.0 / h;
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                if const { $stage < T::STAGES } {
+                    let [q, v] = step.at::<$stage>();
+                    let mut slope = StageDerivative { q: v, ..StageDerivative::NONE };
+                    slope.evaluate_acceleration(system, origin, &(q - from.q));
+                    let [before_q, before_v] = step.earlier_stages::<$stage>();
+                    step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
+                    step.power[$stage] = slope.power;
+                }
+            };
+        }
+        for_each!(evaluate: 1 2 3 4 5 6 7);
+        step
+    }
+
     /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::A`].
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
         self.row_sum(self.start, |stage| T::A[ROW][stage])
@@ -155,45 +192,8 @@ impl<const N: usize> StiffMetric<'_, N> {
 
 impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     const SCHEME: Scheme = T::SCHEME;
-    type Linearization = Linearization<N>;
 
-    fn new<const M: usize, S: System<N, M>>(
-        system: &S,
-        linearization: &Linearization<N>,
-        (from, origin): (&State<N, M>, &Origin<'_, S::Pose, N>),
-        h: f64,
-    ) -> Self {
-        let Linearization { tangents, fastest_rate } = linearization;
-        let part = h * T::GAMMA;
-        let columns = std::array::from_fn(|j| (1.0 / part) * Vector::unit(j) - tangents.by_v[j] - part * tangents.by_q[j]);
-        let mut step = Self {
-            u: [[Vector::ZERO; 2]; MAX_STAGES],
-            power: [from.power; MAX_STAGES],
-            start: [from.q, from.v],
-            h,
-            inverse: Inverse::new(columns, f64::EPSILON / part),
-            fastest_rate: *fastest_rate,
-            tableau: PhantomData,
-        };
-        step.u[0] = step.solve(tangents, [from.v, from.a]);
-        let per_step = 1.0 / h;
-        macro_rules! evaluate {
-            ($stage:literal) => {
-                if const { $stage < T::STAGES } {
-                    let [q, v] = step.at::<$stage>();
-                    let mut slope = StageDerivative { q: v, ..StageDerivative::NONE };
-                    slope.evaluate_acceleration(system, origin, &(q - from.q));
-                    let [before_q, before_v] = step.earlier_stages::<$stage>();
-                    step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
-                    step.power[$stage] = slope.power;
-                }
-            };
-        }
-        for_each!(evaluate: 1 2 3 4 5 6 7);
-        step
-    }
-
-    fn judge<const M: usize, S: System<N, M>>(
+    fn complete<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         _: &Origin<'_, S::Pose, N>,

@@ -10,7 +10,7 @@ use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step
 use crate::integrator::driver::{self, Method, Outcome, Trials};
 use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
-use crate::integrator::{EnergyBalance, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
+use crate::integrator::{Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
 
 /// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
@@ -24,21 +24,15 @@ struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
     settings: &'a Settings,
     /// Pose at the beginning of the step.
     pose: &'a S::Pose,
-    scheme: Scheme,
-    /// Tangents at the beginning of the step, for an implicit scheme.
-    linearization: Option<Linearization<N>>,
-    plan: Plan,
-}
-
-/// Plan of the trials of a step.
-#[derive(Clone, Copy)]
-struct Plan {
+    /// Time of the next output and limit of the step while inputs are constant.
+    horizon: Horizon,
     /// Step length that the error control wants, s.
     wanted: f64,
     /// Whether a vertex is near, where the energy may have to be conserved.
     near: bool,
-    /// Time of the next output and limit of the step while inputs are constant.
-    horizon: Horizon,
+    scheme: Scheme,
+    /// Tangents at the beginning of the step, for an implicit scheme.
+    linearization: Option<Linearization<N>>,
 }
 
 impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Attempt<'_, S, N, M> {
@@ -51,7 +45,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
     }
 
     fn longest(&self) -> f64 {
-        self.plan.horizon.limit.min(LONGEST)
+        self.horizon.limit.min(LONGEST)
     }
 
     fn enter(&mut self, system: &S, mode: S::Mode) {
@@ -71,8 +65,8 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
     }
 
     fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64 {
-        let &mut Self { settings, plan: Plan { horizon, .. }, .. } = self;
-        self.plan.near = near.is_some();
+        let &mut Self { settings, horizon, .. } = self;
+        self.near = near.is_some();
         self.step.probe_stiffness(system, settings, (horizon.limit, self.pose));
         let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
@@ -85,7 +79,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         } else {
             settings.schemes.next(stiffness_switch, settings.error_tolerance, horizon.limit)
         };
-        self.plan.wanted = match scheme {
+        self.wanted = match scheme {
             Scheme::Tsit5 if stiffness_switch.tsit5_step.is_finite() => stiffness_switch.tsit5_step,
             Scheme::Tsit5 => settings.first_step,
             _ if self.step.start.substep.is_finite() => self.step.start.substep,
@@ -94,22 +88,24 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         self.linearization =
             if scheme.is_implicit() { Linearization::about(system, settings, (&self.step.start, self.pose)) } else { None };
         self.scheme = if scheme.is_implicit() && self.linearization.is_none() { Scheme::Dop853 } else { scheme };
-        self.plan.wanted.min(longest)
+        self.wanted.min(longest)
     }
 
     fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError> {
-        let Self { step, settings, pose, scheme, linearization, plan } = self;
-        let origin = Origin { q: step.start.q, pose: *pose, regularization: settings.regularization };
-        let of = (&*plan, trials, from);
-        Ok(match (scheme, linearization) {
+        let (start, h) = (&self.step.start, trials.h);
+        let origin = Origin { q: start.q, pose: self.pose, regularization: self.settings.regularization };
+        let of = (&origin, trials, from);
+        Ok(match (self.scheme, &self.linearization) {
             (Scheme::Rodas4, Some(tangents)) => {
-                step.try_once::<Rosenbrock<Rodas4, N>, S>(system, settings, of, (tangents, &origin))
+                let trial = Rosenbrock::<Rodas4, N>::new(system, tangents, (start, &origin), h);
+                self.judge(trial, system, of)
             }
             (Scheme::Rodas5p, Some(tangents)) => {
-                step.try_once::<Rosenbrock<Rodas5p, N>, S>(system, settings, of, (tangents, &origin))
+                let trial = Rosenbrock::<Rodas5p, N>::new(system, tangents, (start, &origin), h);
+                self.judge(trial, system, of)
             }
-            (Scheme::Tsit5, _) => step.try_once::<Explicit<Tsit5, N>, S>(system, settings, of, (&(), &origin)),
-            _ => step.try_once::<Explicit<Dop853, N>, S>(system, settings, of, (&(), &origin)),
+            (Scheme::Tsit5, _) => self.judge(Explicit::<Tsit5, N>::new(start, h), system, of),
+            _ => self.judge(Explicit::<Dop853, N>::new(start, h), system, of),
         })
     }
 
@@ -123,6 +119,77 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         }
         let before = rejected.filter(|[_, worst]| self.scheme.is_implicit() && worst.is_finite() && error > 1.0);
         Ok(h * self.scheme.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
+    }
+}
+
+impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
+    /// Makes the trial `trial` and takes it over if its error is admissible and no event occurs earlier; `from` is the beginning among the
+    /// guards, where there are any.
+    fn judge<T: Trial<N>>(
+        &mut self,
+        mut trial: T,
+        system: &S,
+        (origin, &Trials { h, rejected, events: ref event_trials, .. }, from): (
+            &Origin<'_, S::Pose, N>,
+            &Trials,
+            Option<&Probe<S::GuardValues>>,
+        ),
+    ) -> Outcome {
+        let &mut Self { ref mut step, settings, horizon, wanted, near, .. } = self;
+        let features = system.features();
+        let weights = ErrorWeights::of(settings, features);
+        let (error, end) = trial.complete(system, origin, &weights);
+        if error.is_nan() || error > 1.0 {
+            return Outcome::Rejected(error);
+        }
+        let work = match weights.work(settings, features.work, || trial.work(system)) {
+            Ok(work) => work,
+            Err(error) => return Outcome::Rejected(error),
+        };
+        let energy = if near { system.energy_to_keep(&step.start.q, &step.start.v) } else { None };
+        let projected = trial.project(system, settings, (origin, end), energy.map(|energy| (energy, h)), work);
+        let Some(step_result) = projected else { return Outcome::Rejected(error) };
+        step.accept(&step_result, h, T::SCHEME);
+        let mut longest_next = f64::INFINITY;
+        if let Some(from) = from {
+            let start = step.start;
+            let mut dense = |end: &_| trial.dense(system, settings.regularization, [&start, end]);
+            match step.check_events(system, settings, (from, event_trials.count), &mut dense) {
+                Ok(EventCheck::Before(when)) => return Outcome::EventAt(when),
+                Ok(event) if step.truncated_from > 0.0 => {
+                    longest_next = event_trials.longest_after(&event, (step.length, step.truncated_from));
+                }
+                Ok(event) => longest_next = event_trials.longest_next(&event, h),
+                Err(error) => return Outcome::Rejected(error),
+            }
+        }
+        let interpolated = horizon.output < OUTPUT_MARGIN * h;
+        // Event location has computed the coefficients already.
+        let is_truncated = from.is_some() && step.truncated_from > 0.0;
+        if interpolated && !(is_truncated || from.is_some() && step.dense != [StageDerivative::NONE; 4]) {
+            step.dense = trial.dense(system, settings.regularization, [&step.start, &step.evaluated_end(system, settings)]);
+        }
+        step.end.error_estimate = error * settings.error_tolerance;
+        step.adapt::<T>(h, error, wanted, rejected.is_some());
+        let next = step.next_length::<T>();
+        *next = next.min(longest_next);
+        // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
+        // no stage at their end.
+        let chooses = settings.schemes == Schemes::Automatic;
+        if chooses && !features.may_stick && !is_truncated {
+            let (product, wanted) = (h * trial.fastest_rate(&step.end), *step.next_length::<T>());
+            step.memory.stiffness_switch.learn(&AcceptedStep {
+                scheme: T::SCHEME,
+                length: h,
+                product,
+                wanted,
+                limit: horizon.limit,
+                stiff_forces: features.stiff,
+            });
+        } else if !chooses && !is_truncated && step.memory.stiffness.is_due(step.end.counters.substeps) {
+            step.memory.stiffness.check(h * trial.fastest_rate(&step.end));
+        }
+        Outcome::Accepted
     }
 }
 
@@ -144,8 +211,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.begin(system, settings, pose);
-        let plan = Plan { wanted: settings.first_step, near: false, horizon };
-        let mut attempt = Attempt { step: self, settings, pose, scheme: Scheme::Dop853, linearization: None, plan };
+        let (wanted, scheme) = (settings.first_step, Scheme::Dop853);
+        let mut attempt = Attempt { step: self, settings, pose, horizon, wanted, near: false, scheme, linearization: None };
         driver::step(&mut attempt, system, (&passage_limits(settings), settings.error_tolerance)).map(drop)
     }
 
@@ -166,70 +233,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 false => stiffness_switch.probe(self.start.substep, linearization.fastest_rate),
             }
         }
-    }
-
-    /// Makes one trial of a step; `from` is the beginning among the guards, where there are any.
-    fn try_once<T: Trial<N>, S: Mechanics<N, M, Mode = K>>(
-        &mut self,
-        on: &S,
-        settings: &Settings,
-        (&Plan { wanted, near, horizon }, &Trials { h, rejected, events: ref event_trials, .. }, from): (
-            &Plan,
-            &Trials,
-            Option<&Probe<S::GuardValues>>,
-        ),
-        (basis, origin): (&T::Linearization, &Origin<'_, S::Pose, N>),
-    ) -> Outcome {
-        let energy_target = if near { self.energy_target(on, h) } else { None };
-        let mut trial = T::new(on, basis, (&self.start, origin), h);
-        let (error, step_result) = trial.conclude(on, settings, origin, &ErrorWeights::of(settings, on.features()), energy_target);
-        let Some(step_result) = step_result else { return Outcome::Rejected(error) };
-        self.accept(&step_result, h, T::SCHEME);
-        let mut longest_next = f64::INFINITY;
-        if let Some(from) = from {
-            let start = self.start;
-            let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.check_events(on, settings, (from, event_trials.count), &mut dense) {
-                Ok(EventCheck::Before(when)) => return Outcome::EventAt(when),
-                Ok(event) if self.truncated_from > 0.0 => {
-                    longest_next = event_trials.longest_after(&event, (self.length, self.truncated_from));
-                }
-                Ok(event) => longest_next = event_trials.longest_next(&event, h),
-                Err(error) => return Outcome::Rejected(error),
-            }
-        }
-        let interpolated = horizon.output < OUTPUT_MARGIN * h;
-        // Event location has computed the coefficients already.
-        let is_truncated = from.is_some() && self.truncated_from > 0.0;
-        if interpolated && !(is_truncated || from.is_some() && self.dense != [StageDerivative::NONE; 4]) {
-            self.dense = trial.dense(on, settings.regularization, [&self.start, &self.evaluated_end(on, settings)]);
-        }
-        self.end.error_estimate = error * settings.error_tolerance;
-        self.adapt::<T>(h, error, wanted, rejected.is_some());
-        let next = self.next_length::<T>();
-        *next = next.min(longest_next);
-        // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
-        // no stage at their end.
-        let chooses = settings.schemes == Schemes::Automatic;
-        if chooses && !on.features().may_stick && !is_truncated {
-            let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_length::<T>());
-            self.memory.stiffness_switch.learn(&AcceptedStep {
-                scheme: T::SCHEME,
-                length: h,
-                product,
-                wanted,
-                limit: horizon.limit,
-                stiff_forces: on.features().stiff,
-            });
-        } else if !chooses && !is_truncated && self.memory.stiffness.is_due(self.end.counters.substeps) {
-            self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
-        }
-        Outcome::Accepted
-    }
-
-    /// Energy that a step of `h` seconds conserves next to a vertex.
-    pub(super) fn energy_target<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
-        system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
     /// Whether forces at the end of the step are not evaluated yet.

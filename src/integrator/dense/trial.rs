@@ -25,19 +25,9 @@ pub(super) use for_each;
 pub(super) trait Trial<const N: usize>: Sized {
     /// Scheme of the step.
     const SCHEME: Scheme;
-    /// Data shared by all trials from one state.
-    type Linearization;
-
-    /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
-    fn new<const M: usize, S: System<N, M>>(
-        system: &S,
-        linearization: &Self::Linearization,
-        from: (&State<N, M>, &Origin<'_, S::Pose, N>),
-        h: f64,
-    ) -> Self;
 
     /// Completes the stages: error of the step in tolerances, and q and q̇ at its end, not projected.
-    fn judge<const M: usize, S: System<N, M>>(
+    fn complete<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<'_, S::Pose, N>,
@@ -52,30 +42,9 @@ pub(super) trait Trial<const N: usize>: Sized {
         None
     }
 
-    /// Completes the step: its error in tolerances and, if that is at most 1, its projected end, scaled to `energy_target` (energy
-    /// and time since, s) near a vertex.
-    #[inline(always)]
-    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        origin: &Origin<'_, S::Pose, N>,
-        weights: &ErrorWeights,
-        energy_target: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<StepResult<N, M>>) {
-        let (error, end) = self.judge(system, origin, weights);
-        if error.is_nan() || error > 1.0 {
-            return (error, None);
-        }
-        match weights.work(settings, system.features().work, || self.work(system)) {
-            Ok(work) => (error, self.end(system, settings, (origin, end), energy_target, work)),
-            Err(error) => (error, None),
-        }
-    }
-
     /// Ends the step at q and q̇: projects them onto the constraints and, where the scheme evaluates its ends, solves for q̈, λ and power
     /// there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
-    fn end<const M: usize, S: System<N, M> + Passage<N>>(
+    fn project<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         settings: &Settings,
