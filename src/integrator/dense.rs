@@ -218,11 +218,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Ends the current step at the present time, because inputs or parameters change: the step is redone up to here. `system` is
     /// the system of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
     pub fn truncate_and_redo<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> Result<(), StepError> {
-        if self.finish() {
+        let mut rest = self.elapsed;
+        if rest == self.length {
+            (self.length, self.elapsed) = (0.0, 0.0);
             return Ok(());
         }
-        let mut rest = self.elapsed;
-        let dissipated = self.dissipated(system, settings);
+        let shown = self.sample(system, settings).work;
         self.memory = self.before;
         self.next_mode_at_end = self.mode;
         self.discard();
@@ -233,18 +234,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             rest -= self.length;
         }
         // Dissipation shown to the caller is not taken back: of two values below the exact one the larger is closer.
-        self.end.work.dissipated = self.end.work.dissipated.max(dissipated);
+        self.end.work.dissipated = self.end.work.dissipated.max(shown.dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
-    }
-
-    /// Whether the present time is the end of the current step, which then need not be redone.
-    fn finish(&mut self) -> bool {
-        let is_over = self.elapsed == self.length;
-        if is_over {
-            (self.length, self.elapsed) = (0.0, 0.0);
-        }
-        is_over
     }
 
     /// Discards the step, which counts as rejected.

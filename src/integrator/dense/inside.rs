@@ -19,9 +19,6 @@ const GREATEST_DEFECT: f64 = 0.1;
 /// Largest number of corrections that bring the end into the window of the event.
 const MOST_CORRECTIONS: u32 = 4;
 
-/// Projected state of the interpolant: iterations of the projection, q and q̇, pose and mass factor.
-type Candidate<const N: usize, P, F> = (u32, [Vector<N>; 2], P, F);
-
 /// Longest stretch for a parabola of sticking friction, relative to a step of high order, over which a reaction may swing.
 const LONGEST_PARABOLA: f64 = 0.25;
 /// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
@@ -79,15 +76,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let positions = Interpolant::between([[start.q, start.v, start.a], [end.q, end.v, end.a]], h);
         // Of a scheme with one polynomial for coordinates and rates.
         Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
-    }
-
-    /// Dissipated work up to the present time inside the step, as it has been shown, J.
-    pub(super) fn dissipated<S: Mechanics<N, M, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
-        if self.end.work.dissipated > self.start.work.dissipated {
-            self.shown(system, settings).interpolated(&*system.on(self.mode), settings).1.dissipated
-        } else {
-            self.start.work.dissipated
-        }
     }
 
     /// Writes the parts of a sample that do not depend on the coordinates into a state, whose coordinates may be others.
@@ -203,13 +191,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     where
         S: Mechanics<N, M, Mode = K>,
     {
+        if self.scheme != Scheme::Dop853 || !system.can_project(&self.start.q) {
+            return false;
+        }
         for _ in 0..MOST_CORRECTIONS {
-            let Some(candidate) = self.candidate(system, settings, when) else { return false };
-            let [q, v] = candidate.1;
+            let [mut q, mut v] = self.interpolated_state(when / self.length);
+            let mut pose = system.pose(&q);
+            let Ok((iterations, mass)) = project(settings, system, None, &mut pose, [&mut q, &mut v]) else { return false };
             // The interpolant's acceleration suffices, since it is used for the remaining correction only.
             let a = (1.0 / self.length) * self.velocities().rate_at(when / self.length);
             match EventWindow::of(system, settings.error_tolerance, [&q, &v, &a], self.length) {
-                EventWindow::Within => return self.truncate_at(system, settings, when, candidate),
+                EventWindow::Within => {
+                    let end_state = StepEnd::in_balance(system, [q, v], &pose, &mass);
+                    return end_state.is_finite() && self.truncate_at(system, settings, when, (iterations, end_state));
+                }
                 EventWindow::Outside(Some(later)) if 0.0 < when + later && when + later < self.length => when += later,
                 EventWindow::Outside(_) => return false,
             }
@@ -217,33 +212,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         false
     }
 
-    /// Projected interpolant `when` seconds after the beginning of the step.
-    fn candidate<S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-        when: f64,
-    ) -> Option<Candidate<N, S::Pose, S::Mass>> {
-        if self.scheme != Scheme::Dop853 || !system.can_project(&self.start.q) {
-            return None;
-        }
-        let [mut q, mut v] = self.interpolated_state(when / self.length);
-        let mut pose = system.pose(&q);
-        let (iterations, mass) = project(settings, system, None, &mut pose, [&mut q, &mut v]).ok()?;
-        Some((iterations, [q, v], pose, mass))
-    }
-
-    fn truncate_at<S>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        when: f64,
-        (iterations, state, pose, mass): Candidate<N, S::Pose, S::Mass>,
-    ) -> bool
+    /// Ends the step at a state of its interpolant, unless the integrated defect is too large; the number of iterations is that of the
+    /// projection.
+    fn truncate_at<S>(&mut self, system: &S, settings: &Settings, when: f64, (iterations, end_state): (u32, StepEnd<N, M>)) -> bool
     where
         S: Mechanics<N, M, Mode = K>,
     {
-        let Ok(end_state) = StepEnd::in_balance(system, state, &pose, &mass).finite() else { return false };
         let part = when / self.length;
         let (positions, velocities) = (self.positions(), self.velocities());
         let work = work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()));
