@@ -21,7 +21,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
-use fallback::{Recovered, Root, Step, from_equilibrium};
+use fallback::{ConservingEnd, Step, from_equilibrium};
 use newton::{Bounds, IterationBudget, StopRule, staggered_newton};
 
 /// Settings of the method.
@@ -164,7 +164,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.iterations += u64::from(iterations);
                 let [d, v] = cut.end(end);
                 let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: S::Cut::secant(end) };
-                self.accept_root(system, &over, S::Cut::unknowns(end))
+                self.conclude(system, &over, &v, Some(S::Cut::unknowns(end)))
             };
             match staggered_newton(
                 &cut,
@@ -212,7 +212,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
         let to_root = (regularization, (max_iterations, StopRule::Solved));
         match step.root((step.h, 1.0), &mut x, to_root, &mut budget) {
-            Some(root) => self.accept_full_root(step, &root),
+            Some(root) => self.accept(step, &root),
             None => self.recover(step, settings, begun),
         }
     }
@@ -231,48 +231,35 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if max_work > 0 {
             budget.left = max_work.saturating_sub(budget.spent());
         }
-        match step.recover(settings, (&a, &lambda), &mut budget)? {
-            Recovered::Root(root) => self.accept_full_root(step, &root),
-            Recovered::Scaled { d, acting, v } => {
-                self.history = History::NONE;
-                self.conclude(step.system, &step.increment(&step.secant(&d), [&d, &acting]), &v)
-            }
-        }
+        let end = step.recover(settings, (&a, &lambda), &mut budget)?;
+        self.accept(step, &end)
     }
 
-    /// Accepts a root of the full iteration.
-    fn accept_full_root<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
+    /// Accepts the end of a step that was found by full Newton iteration or a fallback stage.
+    fn accept<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
-        Root { x, d, v, secant }: &Root<S::Secant, N, K>,
+        ConservingEnd { x, d, acting, v, secant }: &ConservingEnd<S::Secant, N, K>,
     ) -> Result<(), StepError> {
-        self.accept_root(step.system, &step.increment(secant, [d, v]), *x)
+        self.conclude(step.system, &step.increment(secant, [d, acting]), v, *x)
     }
 
-    /// Accepts a root and stores its unknowns in the history.
-    fn accept_root<const M: usize, S: Discrete<N, M>>(
-        &mut self,
-        system: &S,
-        over: &StepIncrement<'_, S::Secant, N>,
-        x: Vector<K>,
-    ) -> Result<(), StepError> {
-        if !x.is_finite() {
-            return Err(StepError::NotFinite);
-        }
-        self.history.remember(over.h, x);
-        self.conclude(system, over, over.v)
-    }
-
-    /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted.
+    /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted. The unknowns
+    /// `x` of a root enter the history; an end that is no root clears it.
     fn conclude<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
         over: &StepIncrement<'_, S::Secant, N>,
         v: &Vector<N>,
+        x: Option<Vector<K>>,
     ) -> Result<(), StepError> {
         let q = *over.q + *over.d;
-        if !(q.is_finite() && v.is_finite()) {
+        if !(q.is_finite() && v.is_finite() && x.is_none_or(|x| x.is_finite())) {
             return Err(StepError::NotFinite);
+        }
+        match x {
+            Some(x) => self.history.remember(over.h, x),
+            None => self.history = History::NONE,
         }
         if system.features().work {
             self.work = self.work.plus(1.0, system.work_over(over));

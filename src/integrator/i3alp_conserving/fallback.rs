@@ -59,31 +59,18 @@ pub(super) struct Step<'a, S: Discrete<N, M>, const N: usize, const M: usize> {
     pub(super) h: f64,
 }
 
-/// A root of the equations.
-pub(super) struct Root<S, const N: usize, const K: usize> {
-    /// Unknowns with the loops cut.
-    pub(super) x: Vector<K>,
+/// End of a step.
+pub(super) struct ConservingEnd<S, const N: usize, const K: usize> {
+    /// Unknowns with the loops cut; `None` where no root was found, and the end conserves the energy only.
+    pub(super) x: Option<Vector<K>>,
     /// Increment d = q₁ − q₀, m and rad.
     pub(super) d: Vector<N>,
+    /// Velocity at which forces have acted, m/s and rad/s: that of the end, if it is a root.
+    pub(super) acting: Vector<N>,
     /// Velocity q̇₁ at the end, m/s and rad/s.
     pub(super) v: Vector<N>,
     /// Discrete derivatives at d.
     pub(super) secant: S,
-}
-
-/// Result of the fallback stages.
-pub(super) enum Recovered<S, const N: usize, const K: usize> {
-    /// A root.
-    Root(Root<S, N, K>),
-    /// No root: an end that conserves the energy only.
-    Scaled {
-        /// Increment d = q₁ − q₀, m and rad.
-        d: Vector<N>,
-        /// Velocity at which forces have acted, m/s and rad/s.
-        acting: Vector<N>,
-        /// Velocity q̇₁ at the end, m/s and rad/s.
-        v: Vector<N>,
-    },
 }
 
 /// Increment of a step of `h` seconds at a constant acceleration.
@@ -115,11 +102,6 @@ where
         StepIncrement { q: &self.q, d, v, h: self.h, softening: 1.0, secant }
     }
 
-    /// Discrete derivatives at d.
-    pub(super) fn secant(&self, d: &Vector<N>) -> S::Secant {
-        self.system.secant(&self.pose, d)
-    }
-
     /// Root of the equations for a length `h`, s, and softened laws, by full Newton iteration from the first guess `x`, which becomes the
     /// unknowns of the root.
     pub(super) fn root(
@@ -128,11 +110,11 @@ where
         x: &mut Vector<K>,
         (regularization, (most, stop_rule)): (f64, (u32, StopRule)),
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Root<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let cut = self.system.cut(&self.pose, [&self.q, &self.v], h, softening);
         let motion = full_newton(&cut, x, &Bounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
         let [d, v] = cut.end(&motion);
-        Some(Root { x: *x, d, v, secant: *<S::Cut<'_>>::secant(&motion) })
+        Some(ConservingEnd { x: Some(*x), d, acting: v, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }
 
     /// Root by the first of the stages 1 to 6 that finds one.
@@ -141,7 +123,7 @@ where
         settings: &Settings,
         rest: (&Vector<N>, &Vector<M>),
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Root<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let with = |part: f64| part * settings.regularization;
         let start = from_equilibrium(self.system, &self.v, rest, self.h);
         let by_full_newton =
@@ -177,7 +159,7 @@ where
         rest: (&Vector<N>, &Vector<M>),
         parts: u32,
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Root<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let h = self.h / f64::from(parts);
         let mut x = from_equilibrium(self.system, &self.v, rest, h);
         let (mut q, mut v, mut mean) = (self.q, self.v, Vector::ZERO);
@@ -196,7 +178,7 @@ where
         mut x: Vector<K>,
         regularization: f64,
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Root<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let [least, most] = HARDENING_FACTORS;
         let (_, to_intermediate_root) = TO_INTERMEDIATE_ROOT;
         let mut root = |softening: f64, x: &mut Vector<K>, stop_rule| {
@@ -224,7 +206,7 @@ where
         rest: (&Vector<N>, &Vector<M>),
         stages: u32,
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Root<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let (mut before, mut x, mut end) = (Vector::ZERO, Vector::ZERO, None);
         for stage in 1..=stages {
             let h = self.h * f64::from(stage) / f64::from(stages);
@@ -251,9 +233,9 @@ where
         settings: &Settings,
         rest: (&Vector<N>, &Vector<M>),
         budget: &mut IterationBudget<'_>,
-    ) -> Result<Recovered<S::Secant, N, K>, StepError> {
+    ) -> Result<ConservingEnd<S::Secant, N, K>, StepError> {
         match self.by_stages(settings, rest, budget) {
-            Some(root) => Ok(Recovered::Root(root)),
+            Some(root) => Ok(root),
             None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
             None => self.keep_energy_only(settings, rest.0, budget),
         }
@@ -266,7 +248,7 @@ where
         settings: &Settings,
         acceleration: &Vector<N>,
         budget: &mut IterationBudget<'_>,
-    ) -> Result<Recovered<S::Secant, N, K>, StepError> {
+    ) -> Result<ConservingEnd<S::Secant, N, K>, StepError> {
         // Dampers and drives at the beginning do not represent the step, so the rates are tried first.
         let by_rates = (!self.system.is_conservative() && self.v.max_norm() > 0.0).then(|| self.h * self.v);
         let starts = [by_rates, Some(increment(&self.v, acceleration, self.h))];
@@ -283,7 +265,7 @@ where
         settings: &Settings,
         increment: Vector<N>,
         budget: &mut IterationBudget<'_>,
-    ) -> Option<Recovered<S::Secant, N, K>> {
+    ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let &Step { system, q, v: v0, h, .. } = self;
         let mut end = q + increment;
         let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
@@ -302,13 +284,13 @@ where
             }
         }
         let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
-        let secant = self.secant(&d);
+        let secant = system.secant(&self.pose, &d);
         let external_work = system.mean_forces(&self.increment(&secant, [&d, &v])).dot(&d);
         let (wanted, got) = (kinetic(&v0) + external_work, kinetic(&v));
         if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
             return None;
         }
         let scaled = (wanted / got).sqrt() * v;
-        scaled.is_finite().then_some(Recovered::Scaled { d, acting: v, v: scaled })
+        scaled.is_finite().then_some(ConservingEnd { x: None, d, acting: v, v: scaled, secant })
     }
 }
