@@ -38,12 +38,8 @@ pub(super) enum Outcome {
 /// End of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum End {
-    /// The method has taken over a trial.
-    Accepted,
-    /// Sticking friction holds everything: nothing moves as long as the forces stay constant.
-    AtRest,
-    /// The system has passed a vertex.
-    Passed,
+    /// The step is made: by a trial, at rest, or past a vertex.
+    Done,
     /// A trial of this length, s, was rejected next to a bifurcation of the constraints; the caller decides.
     Blocked(f64),
 }
@@ -88,7 +84,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let in_mode = system.on(method.initial_mode());
         if in_mode.stuck() == Stuck::Wholly {
             method.rest();
-            return Ok(End::AtRest);
+            return Ok(End::Done);
         }
         // A passage goes by the forces of its states, whatever the mode.
         let near = match system.approach(passage, &method.start().departure(method.longest())) {
@@ -96,7 +92,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
             Approach::Limited(limits) => Some(limits),
             Approach::Passed(transit) => {
                 method.pass(system, &transit)?;
-                return Ok(End::Passed);
+                return Ok(End::Done);
             }
         };
         let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
@@ -148,7 +144,7 @@ fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
 ) -> Result<Option<End>, StepError> {
     loop {
         match method.attempt(system, trials, from)? {
-            Outcome::Accepted => return Ok(Some(End::Accepted)),
+            Outcome::Accepted => return Ok(Some(End::Done)),
             Outcome::EventAt(when) => {
                 method.discard();
                 trials.events.repeat(trials.h, when.min(longest).min(method.longest()));

@@ -74,12 +74,14 @@ pub(super) fn check<const N: usize, S: Events<N>>(
         }
     }
     let search = Search { path, system, tolerance, bounds, left: Cell::new(MOST_EVALUATIONS) };
-    match search.locate(from, &Probe::new(system, (1.0, [end[0], end[1]]), tolerance)) {
-        Found::Nothing => seen,
-        Found::Crossing(when) if when >= SHORTEST && truncate(when) => EventCheck::AtEnd,
-        Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
-        Found::Crossing(_) | Found::TooMuch if length > SHORTEST_HALVED => EventCheck::Before(0.5 * length),
-        Found::Crossing(_) | Found::TooMuch => seen,
+    let crossing = search.first(from, &Probe::new(system, (1.0, [end[0], end[1]]), tolerance), false);
+    let is_exhausted = search.left.get() == 0;
+    match crossing.map(|part| length * part) {
+        None if !is_exhausted => seen,
+        Some(when) if !is_exhausted && when >= SHORTEST && truncate(when) => EventCheck::AtEnd,
+        Some(when) if !is_exhausted && tries < MOST_TRIES => EventCheck::Before(when),
+        _ if length > SHORTEST_HALVED => EventCheck::Before(0.5 * length),
+        _ => seen,
     }
 }
 
@@ -177,16 +179,6 @@ impl<const N: usize> Path<N> {
     }
 }
 
-/// Result of an event location.
-enum Found {
-    /// No event occurs in the step.
-    Nothing,
-    /// An event occurs this many seconds after the beginning.
-    Crossing(f64),
-    /// The limit of evaluations is reached.
-    TooMuch,
-}
-
 /// Evaluated place on the interpolant.
 pub(super) struct Probe<T> {
     /// Place, as a part of the step.
@@ -232,15 +224,6 @@ struct Search<'a, S: Events<N>, const N: usize> {
 }
 
 impl<S: Events<N>, const N: usize> Search<'_, S, N> {
-    /// Time of the first event, s from the beginning, between both ends.
-    fn locate(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Found {
-        match self.first(from, to, false) {
-            _ if self.left.get() == 0 => Found::TooMuch,
-            Some(part) => Found::Crossing(self.path.length * part),
-            None => Found::Nothing,
-        }
-    }
-
     fn at(&self, part: f64) -> Probe<S::GuardValues> {
         self.left.set(self.left.get().saturating_sub(1));
         let [q, v] = self.path.at(part);
