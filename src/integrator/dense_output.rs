@@ -7,15 +7,6 @@ use crate::vector::Vector;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Interpolant<const K: usize>([Vector<K>; 8]);
 
-/// Further conditions on a quintic beside values and derivatives at both ends.
-pub(super) enum Quintic<const K: usize> {
-    /// Second derivatives at both ends, times the square of the step.
-    SecondDerivatives([Vector<K>; 2]),
-    /// Value and derivative, times the step, in the middle. With stiff forces second derivatives would carry the error of the ends, times
-    /// h².
-    Middle([Vector<K>; 2]),
-}
-
 /// Larger of `most` and |x|, element by element; `most` is not negative.
 pub(super) fn max_magnitude<const K: usize>(most: &Vector<K>, x: &Vector<K>) -> Vector<K> {
     Vector::from_fn(|i| if x[i].abs() > most[i] { x[i].abs() } else { most[i] })
@@ -30,30 +21,26 @@ impl<const K: usize> Interpolant<K> {
         Self([from, difference, second, third, d, e, f, g])
     }
 
-    /// Hermite quintic from values, derivatives (times the step) and further conditions.
-    pub(super) fn quintic([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], conditions: &Quintic<K>) -> Self {
-        let cubic = Self::new([from, to], [rate, rate_to], [Vector::ZERO; 4]);
-        let [_, displacement, second, third, ..] = cubic.0;
-        // Coefficients of the basis functions θ²(1−θ)² and θ³(1−θ)².
-        let [fourth, fifth] = match *conditions {
-            Quintic::SecondDerivatives([at_from, at_to]) => {
-                // Second derivatives of the basis functions at the ends: 2 and 2, 0 and 2.
-                let fourth = 0.5 * at_from + second - third;
-                [fourth, 0.5 * at_to + second + 2.0 * third - fourth]
-            }
-            Quintic::Middle([value, rate]) => {
-                // Values and derivatives of the basis functions in the middle: 1/16 and 0, 1/32 and 1/16.
-                let fifth = 16.0 * (rate - displacement - 0.25 * third);
-                let off = value - (0.5 * (from + to) + 0.25 * second + 0.125 * third);
-                [16.0 * off - 0.5 * fifth, fifth]
-            }
-        };
-        Self([from, displacement, second, third, fourth, fifth, Vector::ZERO, Vector::ZERO])
-    }
-
     /// Hermite quintic between two states `h` seconds apart, each given by q, q̇ and q̈.
     pub(super) fn between([[from, v, a], [to, v_to, a_to]]: [[Vector<K>; 3]; 2], h: f64) -> Self {
-        Self::quintic([from, to], [h * v, h * v_to], &Quintic::SecondDerivatives([h * h * a, h * h * a_to]))
+        let mut quintic = Self::new([from, to], [h * v, h * v_to], [Vector::ZERO; 4]);
+        let [_, _, second, third, ..] = quintic.0;
+        // Second derivatives of the basis functions θ²(1−θ)² and θ³(1−θ)² at the ends: 2 and 2, 0 and 2.
+        let fourth = 0.5 * (h * h * a) + second - third;
+        (quintic.0[4], quintic.0[5]) = (fourth, 0.5 * (h * h * a_to) + second + 2.0 * third - fourth);
+        quintic
+    }
+
+    /// Quintic from values and derivatives (times the step) at both ends and in the middle. With stiff forces second derivatives would carry
+    /// the error of the ends, times h².
+    pub(super) fn through_middle([from, to]: [Vector<K>; 2], rates: [Vector<K>; 2], [value, rate]: [Vector<K>; 2]) -> Self {
+        let mut quintic = Self::new([from, to], rates, [Vector::ZERO; 4]);
+        let [_, displacement, second, third, ..] = quintic.0;
+        // Values and derivatives of the basis functions θ²(1−θ)² and θ³(1−θ)² in the middle: 1/16 and 0, 1/32 and 1/16.
+        let fifth = 16.0 * (rate - displacement - 0.25 * third);
+        let off = value - (0.5 * (from + to) + 0.25 * second + 0.125 * third);
+        (quintic.0[4], quintic.0[5]) = (16.0 * off - 0.5 * fifth, fifth);
+        quintic
     }
 
     /// Interpolant of some components.

@@ -18,7 +18,7 @@ use std::marker::PhantomData;
 
 use super::trial::{ErrorWeights, Origin, StageDerivative, Trial, for_each};
 use super::{Scheme, Settings};
-use crate::integrator::dense_output::{Interpolant, Quintic};
+use crate::integrator::dense_output::Interpolant;
 use crate::integrator::{AccelerationTangents, Kkt, Projection, State, StepError, System, Work};
 use crate::matrix::{Inverse, combination};
 use crate::vector::Vector;
@@ -222,7 +222,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
         }
         let ([from, to], h) = (ends, self.h);
-        let middle = Quintic::Middle([middle[0], h * middle[1]]);
-        StageDerivative::of_positions(Interpolant::quintic([from.q, to.q], [h * from.v, h * to.v], &middle))
+        let middle = [middle[0], h * middle[1]];
+        StageDerivative::of_positions(Interpolant::through_middle([from.q, to.q], [h * from.v, h * to.v], middle))
     }
 }
