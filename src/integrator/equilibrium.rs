@@ -3,22 +3,10 @@
 use super::{Kkt, StickingConstraint, Stuck, System, Work};
 use crate::vector::Vector;
 
-/// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
+/// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇ at q with its pose and q̇, and evaluates the power of the forces, W.
 ///
 /// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: λ has minimum norm there.
-pub fn equilibrium<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
-    q: &Vector<N>,
-    v: &Vector<N>,
-    regularization: f64,
-) -> (Vector<N>, Vector<M>) {
-    let pose = system.pose(q);
-    let (forces, _) = system.forces(q, &pose, v);
-    equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization))
-}
-
-/// Solves for q̈ and λ at a given pose, and evaluates the power of the forces, W.
-pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N, M>>(
+pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     regularization: f64,
@@ -39,7 +27,7 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
 ) -> (Vector<N>, Work) {
     if system.stuck() != Stuck::Nothing {
         let (q, v) = (*from.0 + *by, Vector::ZERO + *v);
-        let (a, _, power) = equilibrium_with_power(system, (&q, &system.pose(&q), &v), regularization);
+        let (a, _, power) = equilibrium(system, (&q, &system.pose(&q), &v), regularization);
         return (a, power);
     }
     let pose = system.pose_near(from, by);

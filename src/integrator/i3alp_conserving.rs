@@ -194,7 +194,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     where
         S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
     {
-        let (a, lambda) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
+        let (a, lambda, _) = equilibrium(system, (&self.q, &system.pose(&self.q), &self.v), settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
         from_equilibrium(system, &self.v, (&branch.unwrap_or(a), &lambda), h)

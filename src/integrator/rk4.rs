@@ -35,13 +35,12 @@ pub fn advance<const N: usize, const M: usize>(
     for (part, weight) in [(0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
         let q = q0 + part * h * q_rate;
         let v = v0 + part * h * v_rate;
-        (v_rate, _) = equilibrium(system, &q, &v, regularization);
+        let power;
+        (v_rate, _, power) = equilibrium(system, (&q, &system.pose(&q), &v), regularization);
         q_rate = v;
         q_sum += weight * q_rate;
         v_sum += weight * v_rate;
-        if system.features().work {
-            work = work.plus(weight * h / 6.0, system.forces(&q, &system.pose(&q), &v).1);
-        }
+        work = work.plus(weight * h / 6.0, power);
     }
     let (mut q, mut v) = (q0 + h / 6.0 * q_sum, v0 + h / 6.0 * v_sum);
     if !(q.is_finite() && v.is_finite()) {

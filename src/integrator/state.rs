@@ -3,7 +3,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium_under, equilibrium_with_power, project_sticking};
+use super::equilibrium::{equilibrium, equilibrium_under, project_sticking};
 use super::{Passage, StepError, Stuck, System, Work};
 use crate::vector::Vector;
 
@@ -131,7 +131,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Sets q̈, λ and power from equilibrium; at rest exactly in a vertex q̈ is that of the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        let (a, lambda, power) = equilibrium_with_power(system, (&self.q, pose, &self.v), regularization);
+        let (a, lambda, power) = equilibrium(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         (self.lambda, self.power) = (lambda, power);
     }

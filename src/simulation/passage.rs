@@ -155,7 +155,7 @@ impl AngleSystem<'_> {
             return limited(f64::INFINITY);
         };
         // The displacement by forces across the ray must stay below the impact parameter. A start from rest is on its branch already.
-        let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization());
+        let (pull, ..) = equilibrium(self, (from.q, &self.pose(from.q), &Angles::ZERO), self.regularization());
         if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
         }

@@ -61,7 +61,7 @@ fn tangents_of_accelerations_are_derivatives() {
             let at = State::start(&system, q, v, REGULARIZATION);
             let tangents = system.acceleration_tangents(&at, &system.pose(&at.q), REGULARIZATION).expect("tangents");
             let step = 1e-6;
-            let acceleration = |q: Angles, v: Angles| equilibrium(&system, &q, &v, REGULARIZATION).0;
+            let acceleration = |q: Angles, v: Angles| equilibrium(&system, (&q, &system.pose(&q), &v), REGULARIZATION).0;
             for i in 0..4 {
                 let shift = step * Vector::unit(i);
                 let by_q = (0.5 / step) * (acceleration(q + shift, v) - acceleration(q - shift, v));
