@@ -3,14 +3,13 @@
 use super::{System, Work};
 use crate::vector::Vector;
 
-/// A system over finite steps from q₀ to q₁ = q₀ + d, with discrete derivatives of constraints and forces.
-pub trait Discrete<const N: usize, const M: usize>: System<N, M> {
+/// A system over finite steps from q₀ to q₁ = q₀ + d, with discrete derivatives of constraints and forces. K unknowns remain with the loops
+/// cut.
+pub trait Discrete<const N: usize, const M: usize, const K: usize>: System<N, M> {
     /// Discrete derivatives of the joints; they depend on q₀ and d only and are computed once per d.
     type Secant: Copy;
-    /// Unknowns that remain with the loops cut.
-    type CutUnknowns;
     /// The step with its loops cut, see [`Discrete::cut`].
-    type Cut<'a>: CutStep<N, Unknowns = Self::CutUnknowns, Secant = Self::Secant>
+    type Cut<'a>: CutStep<N, M, K, Secant = Self::Secant>
     where
         Self: 'a;
 
@@ -27,10 +26,6 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M> {
     /// The step of `h` seconds from q₀ and q̇₀ with its loops cut: joint coordinates meet all joints but the cut ones, and forces
     /// of the other joints follow from the bodies between them. `softening` multiplies the regularisation rates of friction and servos.
     fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64, softening: f64) -> Self::Cut<'a>;
-    /// Reduced unknowns of d and Λ, with ν = 0.
-    fn cut_unknowns(&self, d: &Vector<N>, lambda: &Vector<M>) -> Self::CutUnknowns;
-    /// Unknowns of a step that is longer by a factor: d grows with it, Λ and ν with its square.
-    fn lengthened(x: &Self::CutUnknowns, factor: f64) -> Self::CutUnknowns;
     /// Whether the iteration leg by leg is applicable: inertias differ by little enough for it to contract.
     fn allows_staggering(&self) -> bool;
 
@@ -55,10 +50,8 @@ pub struct StepIncrement<'a, S, const N: usize> {
     pub secant: &'a S,
 }
 
-/// A step with cut loops: ν from a linear equation for given d, Newton's method on d and Λ.
-pub trait CutStep<const N: usize> {
-    /// Reduced unknowns of d, Λ and ν.
-    type Unknowns;
+/// A step with cut loops, in K reduced unknowns of d, Λ and ν: ν from a linear equation for given d, Newton's method on d and Λ.
+pub trait CutStep<const N: usize, const M: usize, const K: usize> {
     /// Discrete derivatives, [`Discrete::Secant`].
     type Secant;
     /// Motion of the system at given unknowns.
@@ -68,10 +61,14 @@ pub trait CutStep<const N: usize> {
     /// Factorised Newton matrix.
     type Factor;
 
+    /// Unknowns of d and Λ, with ν = 0.
+    fn unknowns_of(d: &Vector<N>, lambda: &Vector<M>) -> Vector<K>;
+    /// Unknowns of a step that is longer by a factor: d grows with it, Λ and ν with its square.
+    fn lengthened(x: &Vector<K>, factor: f64) -> Vector<K>;
     /// Motion whose rates meet the velocity constraints, by solving for ν; e weighs the change of ν only.
-    fn motion(&self, x: &Self::Unknowns, regularization: f64) -> Self::Motion;
+    fn motion(&self, x: &Vector<K>, regularization: f64) -> Self::Motion;
     /// Motion with the ν of the unknowns, whose rates may violate the velocity constraints.
-    fn free_motion(&self, x: &Self::Unknowns) -> Self::Motion;
+    fn free_motion(&self, x: &Vector<K>) -> Self::Motion;
     /// Momentum balance of a motion.
     fn balance(&self, motion: &Self::Motion) -> Self::Balance;
     /// Residuals: momentum as an angle, rad; Φ, m; h/2 times the rate of Φ, m.
@@ -79,15 +76,15 @@ pub trait CutStep<const N: usize> {
     /// Newton matrix for d and Λ, leg by leg; e weighs increments only.
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
     /// Unknowns after a Newton increment with the matrix of this or a nearby motion.
-    fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Vector<K>;
     /// Newton increment of the unknowns with the whole tangent; e weighs it only.
-    fn whole_correction(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Unknowns;
+    fn whole_correction(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Vector<K>;
     /// Motion with rates and Λ after a Newton increment, at unchanged d.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
     /// Error norm of d, see [`System::error_norm`], rad.
-    fn rotation_norm(x: &Self::Unknowns) -> f64;
+    fn rotation_norm(x: &Vector<K>) -> f64;
     /// Unknowns of a motion, with its ν.
-    fn unknowns(motion: &Self::Motion) -> Self::Unknowns;
+    fn unknowns(motion: &Self::Motion) -> Vector<K>;
     /// Increment d and velocity q̇₁ at the end.
     fn end(&self, motion: &Self::Motion) -> [Vector<N>; 2];
     /// Discrete derivatives of a motion.

@@ -99,7 +99,7 @@ impl<const K: usize> History<K> {
 
 impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Starts a run at q and q̇, which must meet the constraints.
-    pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
+    pub fn start<const M: usize, S: Discrete<N, M, K>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
         Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), history: History::NONE }
     }
@@ -119,7 +119,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Full state with q̈, λ and power from equilibrium. None of these values is fed back.
-    pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
+    pub fn state<const M: usize, S: Discrete<N, M, K> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, configuration_signs, counters, .. } = self;
         let mut state = State { work, counters, ..State::of_motion([q, v], configuration_signs) };
         state.balance(system, &system.pose(&state.q), regularization);
@@ -136,8 +136,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         h: f64,
     ) -> Result<(), StepError>
     where
-        S: Discrete<N, M, CutUnknowns = Vector<K>>,
-        G: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+        S: Discrete<N, M, K>,
+        G: Discrete<N, M, K> + Passage<N>,
     {
         if h < SHORTEST {
             return self.taylor_step(general, settings, h);
@@ -185,25 +185,25 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
-    fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
+    fn is_in_balance<const M: usize, S: Discrete<N, M, K> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
         self.state(system, settings.equilibrium).a.max_norm() < BALANCED
     }
 
     /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
     fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
     where
-        S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+        S: Discrete<N, M, K> + Passage<N>,
     {
         let (a, lambda, _) = equilibrium(system, (&self.q, &system.pose(&self.q), &self.v), settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
-        from_equilibrium(system, &self.v, (&branch.unwrap_or(a), &lambda), h)
+        from_equilibrium::<N, M, K, S>(&self.v, (&branch.unwrap_or(a), &lambda), h)
     }
 
     /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
-    fn by_full_newton<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
+    fn by_full_newton<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
-        step: &Step<'_, S, N, M>,
+        step: &Step<'_, S, N, M, K>,
         settings: &Settings,
         (begun, guess): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
@@ -219,9 +219,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
     #[inline(never)]
-    fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
+    fn recover<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
-        step: &Step<'_, S, N, M>,
+        step: &Step<'_, S, N, M, K>,
         settings: &Settings,
         begun: u64,
     ) -> Result<(), StepError> {
@@ -236,9 +236,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Accepts the end of a step that was found by full Newton iteration or a fallback stage.
-    fn accept<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
+    fn accept<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
-        step: &Step<'_, S, N, M>,
+        step: &Step<'_, S, N, M, K>,
         ConservingEnd { x, d, acting, v, secant }: &ConservingEnd<S::Secant, N, K>,
     ) -> Result<(), StepError> {
         self.conclude(step.system, &step.increment(secant, [d, acting]), v, *x)
@@ -246,7 +246,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted. The unknowns
     /// `x` of a root enter the history; an end that is no root clears it.
-    fn conclude<const M: usize, S: Discrete<N, M>>(
+    fn conclude<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         system: &S,
         over: &StepIncrement<'_, S::Secant, N>,
@@ -272,7 +272,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// A step so short that q̈ changes by round-off only.
-    fn taylor_step<const M: usize, S: Discrete<N, M> + Passage<N>>(
+    fn taylor_step<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -286,7 +286,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// Refuses a run whose numbers are impossible or whose loop is open; e of equilibrium is `regularization`, 1/kg.
-    pub fn check<const M: usize, S: Discrete<N, M> + Passage<N>>(
+    pub fn check<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &self,
         system: &S,
         bounds: &super::Bounds,

@@ -55,21 +55,6 @@ const LAMBDA: usize = 2;
 /// Index of ν of the tip among the pairs of [`CutUnknowns`].
 const NU: usize = 3;
 
-/// The unknowns of the cut loop from the increments d and all Λ, with ν = 0.
-pub fn cut_unknowns(d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
-    let mut x = CutUnknowns::ZERO;
-    let [proximal, distal] = angles_by_leg(d);
-    set_legs(&mut x, PROXIMAL, proximal);
-    set_legs(&mut x, DISTAL, distal);
-    set_legs(&mut x, LAMBDA, Legs::new([lambda[TIP_X], lambda[TIP_Y]]));
-    x
-}
-
-/// Unknowns of a step that is longer by a factor: Δθ grows with it, Λ and ν with its square.
-pub fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
-    CutUnknowns::from_fn(|i| if i < 2 * LAMBDA { factor * x[i] } else { factor * factor * x[i] })
-}
-
 /// Difference of two moments, link by link.
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p - other_p, d - other_d]
@@ -84,7 +69,7 @@ fn at_tip([x, y]: [f64; 2]) -> Legs2 {
 pub type Increment<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 /// A system whose mean forces have slopes.
-pub trait MeanSlopes: Discrete<COORDINATES, MULTIPLIERS, Secant = Secant> {
+pub trait MeanSlopes: Discrete<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS, Secant = Secant> {
     /// Slopes of the mean wrench over a step, with the arms of the tip.
     fn slopes_over(&self, step: &Increment<'_>) -> (Slopes, TipArm);
 }
@@ -241,12 +226,24 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
     }
 }
 
-impl<S: MeanSlopes> CutStep<COORDINATES> for OpenStep<'_, S> {
-    type Unknowns = CutUnknowns;
+impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep<'_, S> {
     type Secant = Secant;
     type Motion = OpenMotion;
     type Balance = OpenResidual;
     type Factor = BorderedMatrix;
+
+    fn unknowns_of(d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
+        let mut x = CutUnknowns::ZERO;
+        let [proximal, distal] = angles_by_leg(d);
+        set_legs(&mut x, PROXIMAL, proximal);
+        set_legs(&mut x, DISTAL, distal);
+        set_legs(&mut x, LAMBDA, Legs::new([lambda[TIP_X], lambda[TIP_Y]]));
+        x
+    }
+
+    fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
+        CutUnknowns::from_fn(|i| if i < 2 * LAMBDA { factor * x[i] } else { factor * factor * x[i] })
+    }
 
     /// The motion does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e times the correction of ν.
     fn motion(&self, x: &CutUnknowns, e: f64) -> OpenMotion {

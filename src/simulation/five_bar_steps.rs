@@ -6,10 +6,10 @@ use crate::dynamics::TipArm;
 use crate::effects::{FiniteMotion, Slopes, Wrench};
 use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
-use crate::linear::cut_loop::{CutUnknowns, Increment, MeanSlopes, OpenStep, cut_unknowns, lengthened};
+use crate::linear::cut_loop::{CUT_UNKNOWNS, Increment, MeanSlopes, OpenStep};
 use crate::mechanism::coordinates::angles_by_leg;
 use crate::mechanism::secant::Secant;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Pose};
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
     fn over(&self, step: &Increment<'_>) -> FiniteMotion<'_> {
@@ -37,9 +37,8 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     }
 }
 
-impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for FiveBar<'_, BARE> {
     type Secant = Secant;
-    type CutUnknowns = CutUnknowns;
     type Cut<'a>
         = OpenStep<'a, Self>
     where
@@ -68,14 +67,6 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         OpenStep::new(self, self.model.solver.legs(), (begin, at), (h, softening))
     }
 
-    fn cut_unknowns(&self, d: &Coordinates, lambda: &Multipliers) -> CutUnknowns {
-        cut_unknowns(d, lambda)
-    }
-
-    fn lengthened(x: &CutUnknowns, factor: f64) -> CutUnknowns {
-        lengthened(x, factor)
-    }
-
     fn allows_staggering(&self) -> bool {
         BARE || self.model.solver.linear_solve() != LinearSolve::Dense
     }
@@ -101,9 +92,10 @@ mod tests {
     use crate::dynamics::INNER;
     use crate::effects::Inputs;
     use crate::integrator::{CutStep, System, velocity_correction};
-    use crate::mechanism::closure;
+    use crate::linear::cut_loop::CutUnknowns;
     use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
     use crate::mechanism::placement::joint_forces;
+    use crate::mechanism::{Multipliers, closure};
     use crate::simulation::bindings::{default_inputs, default_parameters};
     use crate::simulation::{Model, Simulation};
 
@@ -328,7 +320,7 @@ mod tests {
         assert!(open < 1e-14);
         for h in [1e-3, 4e-3] {
             let cut = system.cut(&begin, [&q, &v0], h, 1.0);
-            let mut x = system.cut_unknowns(&(h * v0), &Multipliers::ZERO);
+            let mut x = OpenStep::<FiveBar<'_>>::unknowns_of(&(h * v0), &Multipliers::ZERO);
             let mut left = Vec::new();
             for _ in 0..4 {
                 let motion = cut.motion(&x, 1e-9);

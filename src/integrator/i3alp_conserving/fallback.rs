@@ -47,7 +47,7 @@ const VERTEX_REGULARIZATION: f64 = 1e-4;
 const RATE_VIOLATION: f64 = 64.0 * f64::EPSILON;
 
 /// Beginning and length of a step.
-pub(super) struct Step<'a, S: Discrete<N, M>, const N: usize, const M: usize> {
+pub(super) struct Step<'a, S: Discrete<N, M, K>, const N: usize, const M: usize, const K: usize> {
     pub(super) system: &'a S,
     /// Coordinates q₀, m and rad.
     pub(super) q: Vector<N>,
@@ -79,18 +79,17 @@ fn increment<const N: usize>(v: &Vector<N>, a: &Vector<N>, h: f64) -> Vector<N> 
 }
 
 /// First guess of the unknowns for a step of `h` seconds from equilibrium at its beginning, with these q̈ and λ.
-pub(super) fn from_equilibrium<const N: usize, const M: usize, S: Discrete<N, M>>(
-    system: &S,
+pub(super) fn from_equilibrium<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, K>>(
     v: &Vector<N>,
     (a, lambda): (&Vector<N>, &Vector<M>),
     h: f64,
-) -> S::CutUnknowns {
-    system.cut_unknowns(&increment(v, a, h), &((0.5 * h * h) * *lambda))
+) -> Vector<K> {
+    <S::Cut<'_>>::unknowns_of(&increment(v, a, h), &((0.5 * h * h) * *lambda))
 }
 
-impl<'a, S, const N: usize, const M: usize, const K: usize> Step<'a, S, N, M>
+impl<'a, S, const N: usize, const M: usize, const K: usize> Step<'a, S, N, M, K>
 where
-    S: Discrete<N, M, CutUnknowns = Vector<K>>,
+    S: Discrete<N, M, K>,
 {
     /// Step of `h` seconds from q₀ and q̇₀.
     pub(super) fn new(system: &'a S, [q, v]: [&Vector<N>; 2], h: f64) -> Self {
@@ -125,7 +124,7 @@ where
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let with = |part: f64| part * settings.regularization;
-        let start = from_equilibrium(self.system, &self.v, rest, self.h);
+        let start = from_equilibrium::<N, M, K, S>(&self.v, rest, self.h);
         let by_full_newton =
             |part: f64, budget: &mut IterationBudget<'_>| self.root((self.h, 1.0), &mut { start }, (with(part), TO_ROOT), budget);
         if let Some(root) = by_full_newton(1.0, budget) {
@@ -161,14 +160,14 @@ where
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let h = self.h / f64::from(parts);
-        let mut x = from_equilibrium(self.system, &self.v, rest, h);
+        let mut x = from_equilibrium::<N, M, K, S>(&self.v, rest, h);
         let (mut q, mut v, mut mean) = (self.q, self.v, Vector::ZERO);
         for _ in 0..parts {
             let end = Step::new(self.system, [&q, &v], h).root((h, 1.0), &mut x, (regularization, TO_ROOT), budget)?;
             (q, v) = (q + end.d, end.v);
             mean += x / f64::from(parts);
         }
-        let mut x = S::lengthened(&mean, f64::from(parts));
+        let mut x = <S::Cut<'_>>::lengthened(&mean, f64::from(parts));
         self.root((self.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
     }
 
@@ -211,8 +210,8 @@ where
         for stage in 1..=stages {
             let h = self.h * f64::from(stage) / f64::from(stages);
             let next = match stage {
-                1 => from_equilibrium(self.system, &self.v, rest, h),
-                2 => S::lengthened(&x, 2.0),
+                1 => from_equilibrium::<N, M, K, S>(&self.v, rest, h),
+                2 => <S::Cut<'_>>::lengthened(&x, 2.0),
                 _ => 2.0 * x - before,
             };
             (before, x) = (x, next);
@@ -223,9 +222,9 @@ where
     }
 }
 
-impl<S, const N: usize, const M: usize, const K: usize> Step<'_, S, N, M>
+impl<S, const N: usize, const M: usize, const K: usize> Step<'_, S, N, M, K>
 where
-    S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+    S: Discrete<N, M, K> + Passage<N>,
 {
     /// Finds a root by stages 1 to 6, or the end of the last stage.
     pub(super) fn recover(

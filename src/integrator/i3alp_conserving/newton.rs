@@ -2,7 +2,7 @@
 //! tangent.
 
 use crate::integrator::convergence::{Convergence, LastCorrection};
-use crate::integrator::{Counters, CutStep, Discrete};
+use crate::integrator::{Counters, CutStep, System};
 use crate::vector::Vector;
 
 /// Admissible |M⁻¹f| per second of step, full iteration, m/s and rad/s: a residual of the momentum does work in proportion to
@@ -36,13 +36,13 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    pub(super) fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+    pub(super) fn new<const N: usize, const M: usize>(system: &impl System<N, M>, h: f64) -> Self {
         let size = system.length_scale();
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE_BOUND * h) }
     }
 
     /// Bounds for the staggered iteration.
-    pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+    pub(super) fn cut<const N: usize, const M: usize>(system: &impl System<N, M>, h: f64) -> Self {
         Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
@@ -78,13 +78,13 @@ impl IterationBudget<'_> {
 
 /// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
 /// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
-pub(super) fn staggered_newton<const N: usize, C: CutStep<N>, T>(
+pub(super) fn staggered_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>, T>(
     cut: &C,
-    mut x: C::Unknowns,
+    mut x: Vector<K>,
     bounds: &Bounds,
     (regularization, most): (f64, u32),
     accept_root: impl FnOnce(&C::Motion, u32) -> T,
-) -> Result<T, (Option<C::Unknowns>, u32)> {
+) -> Result<T, (Option<Vector<K>>, u32)> {
     let mut convergence = Convergence::new(1.0, 0.0, LastCorrection::ANY);
     let mut before = f64::INFINITY;
     let mut factor: Option<C::Factor> = None;
@@ -125,7 +125,7 @@ pub(super) enum StopRule {
 
 /// Full iteration: all unknowns at once, with the whole tangent. The first guess `x` becomes the unknowns of the root.
 #[inline(never)]
-pub(super) fn full_newton<const N: usize, const K: usize, C: CutStep<N, Unknowns = Vector<K>>>(
+pub(super) fn full_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>>(
     cut: &C,
     x: &mut Vector<K>,
     bounds: &Bounds,
