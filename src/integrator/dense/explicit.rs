@@ -222,7 +222,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     }
 
     fn dense<const M: usize>(
-        &mut self,
+        &self,
         system: &impl System<N, M>,
         regularization: f64,
         ends: [&State<N, M>; 2],

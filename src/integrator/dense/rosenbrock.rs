@@ -216,7 +216,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         self.fastest_rate
     }
 
-    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
+    fn dense<const M: usize>(&self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
         let mut middle = [0.5 * (ends[0].q + ends[1].q), 0.5 * (ends[0].v + ends[1].v)];
         for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];

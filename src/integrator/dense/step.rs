@@ -10,7 +10,7 @@ use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step
 use crate::integrator::driver::{self, Method, Outcome, Trials};
 use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
-use crate::integrator::{Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
+use crate::integrator::{EnergyBalance, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
 
 /// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
@@ -28,8 +28,8 @@ struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
     horizon: Horizon,
     /// Step length that the error control wants, s.
     wanted: f64,
-    /// Whether a vertex is near, where the energy may have to be conserved.
-    near: bool,
+    /// Energy to be conserved, next to a vertex.
+    energy: Option<EnergyBalance>,
     scheme: Scheme,
     /// Tangents at the beginning of the step, for an implicit scheme.
     linearization: Option<Linearization<N>>,
@@ -66,7 +66,8 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
 
     fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64 {
         let &mut Self { settings, horizon, .. } = self;
-        self.near = near.is_some();
+        let State { q, v, .. } = &self.step.start;
+        self.energy = near.and_then(|_| system.energy_to_keep(q, v));
         self.step.probe_stiffness(system, settings, (horizon.limit, self.pose));
         let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
@@ -74,7 +75,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
         // round-off.
         let stiffness_switch = &self.step.memory.stiffness_switch;
-        let scheme = if sticks || near.is_some() && !system.can_project(&self.step.start.q) {
+        let scheme = if sticks || self.energy.is_some() {
             Scheme::Dop853
         } else {
             settings.schemes.next(stiffness_switch, settings.error_tolerance, horizon.limit)
@@ -93,19 +94,17 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
 
     fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError> {
         let (start, h) = (&self.step.start, trials.h);
-        let origin = Origin { q: start.q, pose: self.pose, regularization: self.settings.regularization };
-        let of = (&origin, trials, from);
         Ok(match (self.scheme, &self.linearization) {
             (Scheme::Rodas4, Some(tangents)) => {
-                let trial = Rosenbrock::<Rodas4, N>::new(system, tangents, (start, &origin), h);
-                self.judge(trial, system, of)
+                let trial = Rosenbrock::<Rodas4, N>::new(system, tangents, (start, &self.origin()), h);
+                self.judge(trial, system, trials, from)
             }
             (Scheme::Rodas5p, Some(tangents)) => {
-                let trial = Rosenbrock::<Rodas5p, N>::new(system, tangents, (start, &origin), h);
-                self.judge(trial, system, of)
+                let trial = Rosenbrock::<Rodas5p, N>::new(system, tangents, (start, &self.origin()), h);
+                self.judge(trial, system, trials, from)
             }
-            (Scheme::Tsit5, _) => self.judge(Explicit::<Tsit5, N>::new(start, h), system, of),
-            _ => self.judge(Explicit::<Dop853, N>::new(start, h), system, of),
+            (Scheme::Tsit5, _) => self.judge(Explicit::<Tsit5, N>::new(start, h), system, trials, from),
+            _ => self.judge(Explicit::<Dop853, N>::new(start, h), system, trials, from),
         })
     }
 
@@ -122,20 +121,23 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
     }
 }
 
-impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
+impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M> {
+    /// Beginning of the step, as its stages see it.
+    fn origin(&self) -> Origin<'a, S::Pose, N> {
+        Origin { q: self.step.start.q, pose: self.pose, regularization: self.settings.regularization }
+    }
+
     /// Makes the trial `trial` and takes it over if its error is admissible and no event occurs earlier; `from` is the beginning among the
     /// guards, where there are any.
     fn judge<T: Trial<N>>(
         &mut self,
         mut trial: T,
         system: &S,
-        (origin, &Trials { h, rejected, events: ref event_trials, .. }, from): (
-            &Origin<'_, S::Pose, N>,
-            &Trials,
-            Option<&Probe<S::GuardValues>>,
-        ),
+        &Trials { h, rejected, events: ref event_trials, .. }: &Trials,
+        from: Option<&Probe<S::GuardValues>>,
     ) -> Outcome {
-        let &mut Self { ref mut step, settings, horizon, wanted, near, .. } = self;
+        let origin = &self.origin();
+        let &mut Self { ref mut step, settings, horizon, wanted, energy, .. } = self;
         let features = system.features();
         let weights = ErrorWeights::of(settings, features);
         let (error, end) = trial.complete(system, origin, &weights);
@@ -146,29 +148,24 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'_, S, N, M> {
             Ok(work) => work,
             Err(error) => return Outcome::Rejected(error),
         };
-        let energy = if near { system.energy_to_keep(&step.start.q, &step.start.v) } else { None };
         let projected = trial.project(system, settings, (origin, end), energy.map(|energy| (energy, h)), work);
         let Some(step_result) = projected else { return Outcome::Rejected(error) };
         step.accept(&step_result, h, T::SCHEME);
         let mut longest_next = f64::INFINITY;
-        if let Some(from) = from {
-            let start = step.start;
-            let mut dense = |end: &_| trial.dense(system, settings.regularization, [&start, end]);
-            match step.check_events(system, settings, (from, event_trials.count), &mut dense) {
-                Ok(EventCheck::Before(when)) => return Outcome::EventAt(when),
-                Ok(event) if step.truncated_from > 0.0 => {
+        if from.is_some() || horizon.output < OUTPUT_MARGIN * h {
+            let end = step.evaluated_end(system, settings);
+            step.dense = trial.dense(system, settings.regularization, [&step.start, &end]);
+            match from.map(|from| step.check_events(system, settings, (from, event_trials.count), &end)) {
+                None => {}
+                Some(Ok(EventCheck::Before(when))) => return Outcome::EventAt(when),
+                Some(Ok(event)) if step.truncated_from > 0.0 => {
                     longest_next = event_trials.longest_after(&event, (step.length, step.truncated_from));
                 }
-                Ok(event) => longest_next = event_trials.longest_next(&event, h),
-                Err(error) => return Outcome::Rejected(error),
+                Some(Ok(event)) => longest_next = event_trials.longest_next(&event, h),
+                Some(Err(error)) => return Outcome::Rejected(error),
             }
         }
-        let interpolated = horizon.output < OUTPUT_MARGIN * h;
-        // Event location has computed the coefficients already.
-        let is_truncated = from.is_some() && step.truncated_from > 0.0;
-        if interpolated && !(is_truncated || from.is_some() && step.dense != [StageDerivative::NONE; 4]) {
-            step.dense = trial.dense(system, settings.regularization, [&step.start, &step.evaluated_end(system, settings)]);
-        }
+        let is_truncated = step.truncated_from > 0.0;
         step.end.error_estimate = error * settings.error_tolerance;
         step.adapt::<T>(h, error, wanted, rejected.is_some());
         let next = step.next_length::<T>();
@@ -212,7 +209,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         };
         self.begin(system, settings, pose);
         let (wanted, scheme) = (settings.first_step, Scheme::Dop853);
-        let mut attempt = Attempt { step: self, settings, pose, horizon, wanted, near: false, scheme, linearization: None };
+        let mut attempt = Attempt { step: self, settings, pose, horizon, wanted, energy: None, scheme, linearization: None };
         driver::step(&mut attempt, system, (&passage_limits(settings), settings.error_tolerance)).map(drop)
     }
 
@@ -310,18 +307,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard; or refuses it with the error
-    /// of its work, in tolerances. `system` is in the mode of the step, `from` is its beginning, and `dense` evaluates the interpolant's
-    /// coefficients.
+    /// of its work, in tolerances. `system` is in the mode of the step, `from` is its beginning, and `end` its evaluated end.
     fn check_events<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         (from, tries): (&Probe<S::GuardValues>, u32),
-        dense: &mut dyn FnMut(&State<N, M>) -> [StageDerivative<N>; 4],
+        end: &State<N, M>,
     ) -> Result<EventCheck, f64> {
         let length = self.length;
-        let end = self.evaluated_end(system, settings);
-        self.dense = dense(&end);
         let (of, path) = ((system, settings.error_tolerance), self.path());
         // Events are located on a dense output that agrees with the stages of the step; one that does not gives no error estimate.
         if !self.interpolant_is_consistent(settings) {

@@ -69,7 +69,7 @@ pub(super) trait Trial<const N: usize>: Sized {
 
     /// Higher coefficients of the interpolant between `ends`.
     fn dense<const M: usize>(
-        &mut self,
+        &self,
         system: &impl System<N, M>,
         regularization: f64,
         ends: [&State<N, M>; 2],
