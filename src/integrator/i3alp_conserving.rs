@@ -19,10 +19,10 @@ mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
+use super::{Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Step, from_equilibrium};
-use newton::{Bounds, IterationBudget, StopRule, staggered_newton};
+use newton::{IterationBudget, ResidualBounds, StopRule, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -169,7 +169,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             match staggered_newton(
                 &cut,
                 x,
-                &Bounds::cut(system, h),
+                &ResidualBounds::cut(system, h),
                 (settings.regularization, settings.max_iterations),
                 accept_root,
             ) {
@@ -289,7 +289,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     pub fn check<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &self,
         system: &S,
-        bounds: &super::Bounds,
+        bounds: &Bounds,
         regularization: f64,
     ) -> Result<(), Inconsistency> {
         let History { h, known, x } = &self.history;

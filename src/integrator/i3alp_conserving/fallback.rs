@@ -14,7 +14,7 @@
 //! With `max_work` = 0 the first stage is the only one.
 
 use super::Settings;
-use super::newton::{Bounds, IterationBudget, StopRule, full_newton};
+use super::newton::{IterationBudget, ResidualBounds, StopRule, full_newton};
 use crate::integrator::{CutStep, Discrete, Passage, Projection, StepError, StepIncrement, velocity_correction};
 use crate::vector::Vector;
 
@@ -111,7 +111,7 @@ where
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let cut = self.system.cut(&self.pose, [&self.q, &self.v], h, softening);
-        let motion = full_newton(&cut, x, &Bounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
+        let motion = full_newton(&cut, x, &ResidualBounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
         let [d, v] = cut.end(&motion);
         Some(ConservingEnd { x: Some(*x), d, acting: v, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }

@@ -29,13 +29,13 @@ const STAGNATION: f64 = 1e-10;
 const LARGEST_ROTATION: f64 = 6.0;
 
 /// Admissible residuals of a step.
-pub(super) struct Bounds {
+pub(super) struct ResidualBounds {
     offset: f64,
     phi: f64,
     rate: f64,
 }
 
-impl Bounds {
+impl ResidualBounds {
     pub(super) fn new<const N: usize, const M: usize>(system: &impl System<N, M>, h: f64) -> Self {
         let size = system.length_scale();
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE_BOUND * h) }
@@ -81,7 +81,7 @@ impl IterationBudget<'_> {
 pub(super) fn staggered_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>, T>(
     cut: &C,
     mut x: Vector<K>,
-    bounds: &Bounds,
+    bounds: &ResidualBounds,
     (regularization, most): (f64, u32),
     accept_root: impl FnOnce(&C::Motion, u32) -> T,
 ) -> Result<T, (Option<Vector<K>>, u32)> {
@@ -128,7 +128,7 @@ pub(super) enum StopRule {
 pub(super) fn full_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>>(
     cut: &C,
     x: &mut Vector<K>,
-    bounds: &Bounds,
+    bounds: &ResidualBounds,
     (regularization, most, stop_rule): (f64, u32, StopRule),
     budget: &mut IterationBudget<'_>,
 ) -> Option<C::Motion> {
