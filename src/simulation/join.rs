@@ -18,34 +18,23 @@ use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
-/// Discontinuity of the state by a change of parameters.
-pub(super) struct Discontinuity {
-    /// Input work and dissipated energy, J.
-    pub(super) work: Work,
-    /// Coordinates and velocities after a change of masses: the coordinates change with the centre of mass.
-    pub(super) motion: Option<[Coordinates; 2]>,
-}
-
-impl Discontinuity {
-    /// Discontinuity between two models at the present state.
-    pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
-        let potential = present.potential_energy(before);
-        let mass = |model: &Model| model.mechanism.geometry.mean_mass();
-        if before.mechanism.geometry == after.mechanism.geometry {
-            let input = present.potential_energy(after) - potential;
-            return Self { work: Work { input, dissipated: 0.0 }, motion: None };
-        }
-        let impact = join == Join::AtRest && mass(after) > mass(before);
-        let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
-        let (q, v) = closure::assemble(&after.mechanism.geometry, link_angles(&present.core.q), in_link_order(&rates));
-        let mut state = *present;
-        (state.core.q, state.core.v) = (q, v);
-        let gained = state.kinetic_energy(after) - present.kinetic_energy(before);
-        let lifted = state.potential_energy(after) - potential;
-        let work =
-            if impact { Work { input: lifted, dissipated: -gained } } else { Work { input: lifted + gained, dissipated: 0.0 } };
-        Self { work, motion: Some([q, v]) }
+/// Discontinuity of the state between two models: coordinates and velocities after a change of masses, since the coordinates change with
+/// the centre of mass, and input work and dissipated energy, J.
+pub(super) fn discontinuity(present: &State, before: &Model, after: &Model, join: Join) -> (Option<[Coordinates; 2]>, Work) {
+    let potential = present.potential_energy(before);
+    let mass = |model: &Model| model.mechanism.geometry.mean_mass();
+    if before.mechanism.geometry == after.mechanism.geometry {
+        return (None, Work { input: present.potential_energy(after) - potential, dissipated: 0.0 });
     }
+    let impact = join == Join::AtRest && mass(after) > mass(before);
+    let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
+    let (q, v) = closure::assemble(&after.mechanism.geometry, link_angles(&present.core.q), in_link_order(&rates));
+    let mut state = *present;
+    (state.core.q, state.core.v) = (q, v);
+    let gained = state.kinetic_energy(after) - present.kinetic_energy(before);
+    let lifted = state.potential_energy(after) - potential;
+    let work = if impact { Work { input: lifted, dissipated: -gained } } else { Work { input: lifted + gained, dissipated: 0.0 } };
+    (Some([q, v]), work)
 }
 
 /// Rates of the links after mass at rest has joined, rad/s.

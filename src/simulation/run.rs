@@ -7,7 +7,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::dense_run::DenseRun;
 use super::five_bar::FiveBar;
-use super::join::Discontinuity;
+use super::join::discontinuity;
 use super::methods::{MacroStepMethod, MethodSettings, method_settings};
 use super::model::Model;
 use super::model_exchange::ModelExchangeState;
@@ -197,7 +197,7 @@ impl Run {
             run.stop(before, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
-        let Discontinuity { work, motion } = Discontinuity::new(&present, before, after, join);
+        let (motion, work) = discontinuity(&present, before, after, join);
         // The method stays.
         let _ = tuned.configure(after);
         tuned.resume(after, motion, work);
