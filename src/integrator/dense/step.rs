@@ -144,7 +144,10 @@ impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M
         if error.is_nan() || error > 1.0 {
             return Outcome::Rejected(error);
         }
-        let work = match weights.work(settings, features.work, || trial.work(system)) {
+        let work = if features.work { trial.work(system) } else { Work::default() };
+        // With events the work is checked after they have been located.
+        let checked = if features.events { Ok(work) } else { checked_work(settings, work) };
+        let work = match checked {
             Ok(work) => work,
             Err(error) => return Outcome::Rejected(error),
         };

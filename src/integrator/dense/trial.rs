@@ -128,15 +128,6 @@ impl ErrorWeights {
         let Work { input, dissipated } = work();
         mean + (input * input + dissipated * dissipated) / (admissible * admissible)
     }
-
-    /// Work of a step, corrected by [`checked_work`]; with events that happens after their location.
-    pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
-        match follows {
-            false => Ok(Work::default()),
-            true if self.work.is_some() => Ok(work()),
-            true => checked_work(settings, work()),
-        }
-    }
 }
 
 /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
