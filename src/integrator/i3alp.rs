@@ -301,8 +301,11 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     }
     let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
     // Next to a vertex the rates are already scaled to the energy.
-    if controls_rates(&settings, system) && limits.energy.is_none() {
-        end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
+    if controls_rates(&settings, system)
+        && limits.energy.is_none()
+        && let Some(damped) = damping::damped(system, &settings, state, h, (&pose, &mass), &end)
+    {
+        end = damped;
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
     let separated = from.map_or(0.0, |from| separation_loss(system, from, [&end.q, &end.v]));

@@ -23,7 +23,7 @@ const EXAMINED_ERROR: f64 = 0.01;
 /// Ratio |P x|/|x| below which a change x of q̈ counts as stiff: z > 8.
 const STIFF_RATIO: f64 = 0.2;
 
-/// End of a sub-step, damped if the unpredicted change of q̈ is stiff.
+/// Damped end of a sub-step, in the place of `end`, if the unpredicted change of q̈ is stiff; `None` if the end stays.
 #[cold]
 pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -31,25 +31,23 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     from: &State<N, M>,
     h: f64,
     (pose, mass): (&S::Pose, &S::Mass),
-    end: StepEnd<N, M>,
-) -> StepEnd<N, M> {
-    let unpredicted = unpredicted(from, &end, h);
+    end: &StepEnd<N, M>,
+) -> Option<StepEnd<N, M>> {
+    let unpredicted = unpredicted(from, end, h);
     if system.stuck() != Stuck::Nothing || rate_error(system, h, &unpredicted, &end.v) <= EXAMINED_ERROR * settings.error_tolerance
     {
-        return end;
+        return None;
     }
-    let filter = |x: &Vector<N>| filtered(system, settings, h, (pose, &end), x);
+    let filter = |x: &Vector<N>| filtered(system, settings, h, (pose, end), x);
     // Oscillations of non-stiff components are within the error.
-    if filter(&unpredicted).is_none_or(|filtered| system.error_norm(&filtered) > STIFF_RATIO * system.error_norm(&unpredicted)) {
-        return end;
+    if system.error_norm(&filter(&unpredicted)?) > STIFF_RATIO * system.error_norm(&unpredicted) {
+        return None;
     }
     let mut rest = end.a;
     for _ in 0..DAMPING_EXPONENT {
-        let Some(filtered) = filter(&rest) else { return end };
-        rest = rest - filtered;
+        rest = rest - filter(&rest)?;
     }
-    let Some(change) = filter(&rest) else { return end };
-    let damped = StepEnd::in_balance(system, [end.q, end.v + h / 2.0 * change], pose, mass);
+    let damped = StepEnd::in_balance(system, [end.q, end.v + h / 2.0 * filter(&rest)?], pose, mass);
     // Past the saturation of a force its tangent overestimates the correction, which is then discarded.
-    if system.error_norm(&damped.a) <= system.error_norm(&end.a) { damped } else { end }
+    (system.error_norm(&damped.a) <= system.error_norm(&end.a)).then_some(damped)
 }

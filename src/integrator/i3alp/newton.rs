@@ -96,15 +96,14 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let beta = step.beta;
     let mut convergence = Convergence::new(step.tolerance, system.length_scale(), LAST_CORRECTION);
     let mut held = None;
-    let (mut q, mut pose);
     loop {
-        q = step.q();
-        pose = system.pose(&q);
+        let q = step.q();
+        let pose = system.pose(&q);
         let phi = system.phi(&q, &pose);
         // Before the first iteration the correction is infinite.
         let met = convergence.is_met(phi.max_norm());
         if met && (!controls_rates(settings, system) || rates_converged(system, settings, step, held, (&q, &pose))) {
-            break;
+            return Ok(Solution { q, pose, v: step.velocity() });
         }
         if convergence.iterations >= max_iterations {
             return Err(convergence.failure());
@@ -124,7 +123,6 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         step.delta += correction;
         convergence.corrected(correction.max_norm());
     }
-    Ok(Solution { q, pose, v: step.velocity() })
 }
 
 /// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
