@@ -27,7 +27,7 @@ use super::{
     Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, Transit, velocity_correction,
 };
 use crate::vector::Vector;
-use newton::{Solution, Step, constraint_tolerance};
+use newton::{Step, constraint_tolerance};
 use stiff_forces::stiff_error;
 
 /// Settings of the method.
@@ -211,7 +211,7 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
         let attempt = attempt(system, settings, state, h, (limits, from.map(|from| &from.guard_values)));
         of.work += 1 + system.iteration_work() * (state.counters.iterations - iterations);
         of.last = [h, attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error)];
-        let attempt = match attempt {
+        let attempt = match &attempt {
             Ok(attempt) if attempt.error <= tolerance => attempt,
             _ => {
                 let error = of.last[1] / tolerance;
@@ -276,20 +276,20 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     // Predictor (19), then Newton's method (9) with its fallbacks.
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
     let mut retried = false;
-    let found = loop {
+    let pose = loop {
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
-            Ok(found) => break found,
+            Ok(pose) => break pose,
             // Stiff friction keeps the rates constant where the predicted accelerations would change them.
             Err(_) if controls_rates(&settings, system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
-                break line_search::solve(&system.general(), settings, step.without_jerk(state), &mut state.counters)
-                    .ok_or(error)?;
+                step = step.without_jerk(state);
+                break line_search::solve(&system.general(), settings, &mut step, &mut state.counters).ok_or(error)?;
             }
         }
     };
 
     // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16): one factorisation serves both.
-    let Solution { q, pose, v } = found;
+    let (q, v) = (step.q(), step.velocity());
     let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
@@ -360,7 +360,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     }
 
     /// Makes the attempt the new state.
-    fn accept(self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
+    fn accept(&self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
         let Self { end, error, separated, .. } = self;
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
@@ -370,8 +370,8 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
             state.work.dissipated += separated;
         }
-        state.error_estimate = error;
-        state.take_over(&end);
+        state.error_estimate = *error;
+        state.take_over(end);
     }
 }
 

@@ -10,7 +10,7 @@
 //! every full step λ is updated by the penalty term, as in the paper. Where plain Newton iteration converges, both find the same root.
 
 use super::Settings;
-use super::newton::{LAST_CORRECTION, Solution, Step};
+use super::newton::{LAST_CORRECTION, Step};
 use crate::integrator::convergence::Convergence;
 use crate::integrator::{Counters, Implicit, TangentPoint};
 use crate::vector::Vector;
@@ -27,14 +27,14 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 /// Slope, relative to P, below which the decrease is lost in the round-off of P.
 const FLAT: f64 = 1e-12;
 
-/// End of the step, if δ and λ are found. Only for systems whose forces have a potential.
+/// Finds δ and λ and returns the pose at the end of the step, if there is one. Only for systems whose forces have a potential.
 #[cold]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: Settings,
-    mut step: Step<N, M>,
+    step: &mut Step<N, M>,
     counters: &mut Counters,
-) -> Option<Solution<N, S::Pose>> {
+) -> Option<S::Pose> {
     let mut q = step.q();
     let mut pose = system.pose(&q);
     system.potential(&q, &pose)?;
@@ -63,13 +63,13 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let (direction, y) = system.solve_descent(&at, regularization, (&b, &c))?;
         let joint_forces = system.phi_q_transposed_times(&pose, &total);
         let slope = (joint_forces - b / beta).dot(&direction);
-        let start = merit(&step, step.delta)?;
+        let start = merit(step, step.delta)?;
 
         // Near the minimum, where P is flat within round-off, the full step is taken.
         let is_flat = slope.abs() < FLAT * start.abs().max(f64::MIN_POSITIVE);
         let decreases = |part: f64| {
             let bound = start + SUFFICIENT_DECREASE * part * slope;
-            is_flat || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
+            is_flat || merit(step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
         };
         // Each line-search trial counts as an iteration.
         let found = (0..MOST_HALVINGS).find(|halvings| decreases(0.5f64.powi(*halvings as i32)));
@@ -85,7 +85,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         convergence.corrected(if part == 1.0 { direction.max_norm() } else { f64::INFINITY });
         if convergence.is_met(system.phi(&q, &pose).max_norm()) {
             counters.rescued += 1;
-            return Some(Solution { q, pose, v: step.velocity() });
+            return Some(pose);
         }
     }
     None

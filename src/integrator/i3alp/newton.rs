@@ -33,15 +33,6 @@ pub(super) struct Step<const N: usize, const M: usize> {
     pub(super) lambda: Vector<M>,
 }
 
-/// Solution of the step's equations.
-pub(super) struct Solution<const N: usize, P> {
-    /// Coordinates at the end of the step, m and rad.
-    pub(super) q: Vector<N>,
-    pub(super) pose: P,
-    /// Velocity q̇ of the trapezoidal rule.
-    pub(super) v: Vector<N>,
-}
-
 impl<const N: usize, const M: usize> Step<N, M> {
     /// Starts a step of h: δ is the increment against the predictor, which avoids the round-off of q̈ = 4/h² (q − …), and its first
     /// guess is β h times the jerk (19).
@@ -70,6 +61,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
         Self { delta: -2.0 * self.beta * state.a, ..self.without_jerk(state) }
     }
 
+    /// Coordinates at the end of the step, m and rad.
     pub(super) fn q(&self) -> Vector<N> {
         self.predicted + self.delta
     }
@@ -85,13 +77,14 @@ impl<const N: usize, const M: usize> Step<N, M> {
     }
 }
 
-/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met.
+/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met. Returns the
+/// pose at the end of the step.
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &mut Step<N, M>,
     counters: &mut Counters,
-) -> Result<Solution<N, S::Pose>, StepError> {
+) -> Result<S::Pose, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
     let mut convergence = Convergence::new(step.tolerance, system.length_scale(), LAST_CORRECTION);
@@ -103,7 +96,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         // Before the first iteration the correction is infinite.
         let met = convergence.is_met(phi.max_norm());
         if met && (!controls_rates(settings, system) || rates_converged(system, settings, step, held, (&q, &pose))) {
-            return Ok(Solution { q, pose, v: step.velocity() });
+            return Ok(pose);
         }
         if convergence.iterations >= max_iterations {
             return Err(convergence.failure());
