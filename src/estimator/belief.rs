@@ -1,4 +1,4 @@
-//! Belief about a motion: the unknown force, and a bank of errors about both, on the tangent space at the motion.
+//! Belief about a motion: the unknown force, and a bank of errors about the motion and that force, on the tangent space at the motion.
 //!
 //! The bank has interacting multiple models: four process noises in parallel, each with its own error mean and covariance about one estimate, mixed
 //! by their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
@@ -388,7 +388,7 @@ pub(super) struct Mixing {
 }
 
 impl Mixing {
-    /// Of a model of this probability: it has stayed, or any model has switched to it. Shares of a model that takes no part are no numbers.
+    /// Shares of a model of this probability, which has stayed, or to which any model has switched. Those of a model that takes no part are no numbers.
     pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
         let (own, any) = (weight * stay, (1.0 - stay) * prior);
         let weight = own + any;

@@ -194,10 +194,8 @@ pub struct Encoder {
     stuck: bool,
     /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
-    /// Innovation of the last sample that was judged: measured minus expected angle, rad.
+    /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
     innovation: f64,
-    /// Change of that innovation since the sample before, rad.
-    innovation_change: f64,
     /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
     jump: f64,
     /// Macro steps' time since the encoder was absent or a sample was rejected, or since the estimate began anew, s.
@@ -227,7 +225,6 @@ impl Encoder {
         stuck: false,
         rejected_in_a_row: 0,
         innovation: 0.0,
-        innovation_change: 0.0,
         jump: 0.0,
         believed_for: 0.0,
         interval: 0.0,
@@ -363,14 +360,14 @@ impl Encoder {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.innovation, self.innovation_change, self.jump];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.innovation, self.jump];
         let durations =
             [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
             && durations.iter().chain([&self.time_since_sample]).all(|x| *x >= 0.0)
     }
 
-    /// Innovation of the last sample that was judged: measured minus expected angle, rad.
+    /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
     pub(super) fn innovation(&self) -> f64 {
         self.innovation
     }
@@ -426,9 +423,8 @@ impl Encoder {
     /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
     /// other encoder.
     pub(super) fn stays_away(&mut self, sample: &Sample, witnessed: bool) -> bool {
-        let residual = sample.innovation.residual;
-        self.innovation_change = residual - std::mem::replace(&mut self.innovation, residual);
-        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(self.innovation_change).abs());
+        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(self.innovation_change(sample)).abs());
+        self.innovation = sample.innovation.residual;
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
         let moved = if lasting { sample.before.map_or(change, |before| change.min(second_difference(before))) } else { change };
         if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
@@ -462,6 +458,7 @@ impl Encoder {
         GateConditions { patient, witnessed }: GateConditions,
         repetition: impl FnOnce() -> Fault,
     ) -> bool {
+        let change = self.innovation_change(sample);
         let away = self.stays_away(sample, witnessed);
         let repetition = if away { Fault::None } else { repetition() };
         let Innovation { residual, noise, .. } = sample.innovation;
@@ -478,7 +475,7 @@ impl Encoder {
         };
         self.stuck = self.fault == Fault::Stuck;
         // A force that has moved an axis so far moves it on; the next sample tells.
-        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && self.jumps(bank, sample) {
+        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && self.jumps(bank, sample, change) {
             self.jump = residual;
         }
         if self.fault == Fault::None {
@@ -490,9 +487,14 @@ impl Encoder {
         false
     }
 
-    /// Whether no assumed force explains how the innovation has changed since the last sample.
-    fn jumps(&self, bank: &Bank, sample: &Sample) -> bool {
-        bank.predict_sample(&sample.change(self.innovation_change, self.interval)).nis_of_loudest_model(0.0) > GATE
+    /// Change of the innovation from the last sample to this one, rad.
+    fn innovation_change(&self, sample: &Sample) -> f64 {
+        sample.innovation.residual - self.innovation
+    }
+
+    /// Whether no assumed force explains how the innovation has changed, by `change`, rad, since the last sample.
+    fn jumps(&self, bank: &Bank, sample: &Sample, change: f64) -> bool {
+        bank.predict_sample(&sample.change(change, self.interval)).nis_of_loudest_model(0.0) > GATE
     }
 
     /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
@@ -632,6 +634,7 @@ mod tests {
         let is_away_after = |samples: &[(f64, f64)]| {
             let mut encoder = Encoder { believed_for: 2.0 * SETTLING_TIME, interval: h, time_since_sample: 0.0, ..Encoder::NEW };
             let noise = encoder.noise(0.0, quantum, 0.0);
+            let (bank, conditions) = (Bank::new([1e-6, 1.0, 1.0]), GateConditions { patient: true, witnessed: true });
             for &(residual, second_difference) in samples {
                 let innovation = Innovation { residual, row, noise };
                 let sample = Sample {
@@ -645,8 +648,6 @@ mod tests {
                     unrevealed: 0.0,
                     innovation,
                 };
-                let bank = Bank::new([1e-6, 1.0, 1.0]);
-                let conditions = GateConditions { patient: true, witnessed: true };
                 encoder.admit(&bank, (&bank.predict_sample(&innovation), &sample), conditions, || Fault::None);
             }
             encoder.is_away()

@@ -223,7 +223,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             (self.length, self.elapsed) = (0.0, 0.0);
             return Ok(());
         }
-        let shown = self.sample(system, settings).work;
+        let sampled = self.sample(system, settings).work;
         self.memory = self.before;
         self.next_mode_at_end = self.mode;
         self.discard();
@@ -234,7 +234,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             rest -= self.length;
         }
         // Dissipation shown to the caller is not taken back: of two values below the exact one the larger is closer.
-        self.end.work.dissipated = self.end.work.dissipated.max(shown.dissipated);
+        self.end.work.dissipated = self.end.work.dissipated.max(sampled.dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
     }
@@ -268,20 +268,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Moves to other coordinates and rates after the current step has been ended; [`restart`](Self::restart) follows.
-    pub fn jump<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, [q, v]: [Vector<N>; 2]) {
+    pub fn jump(&mut self, [q, v]: [Vector<N>; 2]) {
         (self.end.q, self.end.v) = (q, v);
-        self.end.configuration_signs = system.configuration_signs(&system.pose(&q));
     }
 
     /// Restarts after a discontinuity that did the given work, J, and before which the current step has been ended. `pose` is the
     /// pose at the present state.
     pub fn restart<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose, work: Work) {
         let mode = system.mode_of(&self.end.q, &self.end.v);
+        self.end.configuration_signs = system.configuration_signs(pose);
         self.end.restart(&*system.on(mode), pose, settings.regularization);
         self.end.work += work;
         self.start = self.end;
         (self.mode, self.next_mode_at_end) = (mode, mode);
-        (self.dense, self.is_linear) = ([StageDerivative::NONE; 4], false);
+        (self.dense, self.is_linear, self.truncated_from) = ([StageDerivative::NONE; 4], false, 0.0);
     }
 
     /// Shifts the coordinates by whole turns, which leave the system unchanged, rad.

@@ -35,9 +35,9 @@ pub(super) enum Outcome {
     EventAt(f64),
 }
 
-/// End of a step.
+/// Progress of a step, or of a macro step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum End {
+pub enum Progress {
     /// The step is made: by a trial, at rest, or past a vertex.
     Done,
     /// A trial of this length, s, was rejected next to a bifurcation of the constraints; the caller decides.
@@ -75,7 +75,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,
     (passage, tolerance): (&PassageLimits, f64),
-) -> Result<End, StepError> {
+) -> Result<Progress, StepError> {
     /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
     const DWELL_MARGIN: f64 = 1.2;
     let mut trials = Trials { h: f64::INFINITY, rejected: None, events: EventTrials::NONE, longest: f64::INFINITY };
@@ -84,7 +84,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let in_mode = system.on(method.initial_mode());
         if in_mode.stuck() == Stuck::Wholly {
             method.rest();
-            return Ok(End::Done);
+            return Ok(Progress::Done);
         }
         // A passage goes by the forces of its states, whatever the mode.
         let near = match system.approach(passage, &method.start().departure(method.longest())) {
@@ -92,7 +92,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
             Approach::Limited(limits) => Some(limits),
             Approach::Passed(transit) => {
                 method.pass(system, &transit)?;
-                return Ok(End::Done);
+                return Ok(Progress::Done);
             }
         };
         let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
@@ -141,10 +141,10 @@ fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
     system: &S,
     (from, longest): (Option<&Probe<S::GuardValues>>, f64),
     trials: &mut Trials,
-) -> Result<Option<End>, StepError> {
+) -> Result<Option<Progress>, StepError> {
     loop {
         match method.attempt(system, trials, from)? {
-            Outcome::Accepted => return Ok(Some(End::Done)),
+            Outcome::Accepted => return Ok(Some(Progress::Done)),
             Outcome::EventAt(when) => {
                 method.discard();
                 trials.events.repeat(trials.h, when.min(longest).min(method.longest()));
@@ -156,7 +156,7 @@ fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
             Outcome::Rejected(error) => {
                 let (h, State { q, v, .. }) = (trials.h, method.start());
                 if system.is_near_bifurcation(q, v, h) {
-                    return Ok(Some(End::Blocked(h)));
+                    return Ok(Some(Progress::Blocked(h)));
                 }
                 method.discard();
                 let shorter = method.shorten(trials, error)?;

@@ -19,7 +19,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::Interpolant;
-use super::driver::{self, End, Method, Outcome, Trials};
+pub use super::driver::Progress;
+use super::driver::{self, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
 use super::events::separation_loss;
 use super::locator::{self, EventCheck, Path, Probe};
@@ -77,15 +78,6 @@ pub struct MacroStep {
     shorter: f64,
 }
 
-/// Progress of a macro step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Progress {
-    /// The macro step is done.
-    Done,
-    /// A sub-step of this length, s, has failed next to a bifurcation of the constraints: the caller decides by [`MacroStep::cross`].
-    Blocked(f64),
-}
-
 impl MacroStep {
     /// Macro step of `h` seconds.
     pub fn of(h: f64) -> Self {
@@ -111,7 +103,7 @@ impl MacroStep {
         while self.rest > 0.0 {
             self.check_work(settings)?;
             let mut substep = Substep { of: self, settings, state, mode, limits: StepLimits::NONE };
-            if let End::Blocked(h) = driver::step(&mut substep, system, (&passage, settings.error_tolerance))? {
+            if let Progress::Blocked(h) = driver::step(&mut substep, system, (&passage, settings.error_tolerance))? {
                 return Ok(Progress::Blocked(h));
             }
         }

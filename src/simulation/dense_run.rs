@@ -54,7 +54,7 @@ impl DenseRun {
     ) {
         let system = AngleSystem::of(model, inputs, turns);
         if let Some([q, v]) = motion {
-            self.step.jump(&system, [angles_of(&q), angles_of(&v)]);
+            self.step.jump([angles_of(&q), angles_of(&v)]);
         }
         self.step.restart(&system, &self.settings, &system.pose(self.step.end()), work);
     }

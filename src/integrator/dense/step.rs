@@ -127,7 +127,7 @@ impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M
         Origin { q: self.step.start.q, pose: self.pose, regularization: self.settings.regularization }
     }
 
-    /// Makes the trial `trial` and takes it over if its error is admissible and no event occurs earlier; `from` is the beginning among the
+    /// Completes a trial and takes it over if its error is admissible and no event occurs earlier; `from` is the beginning among the
     /// guards, where there are any.
     fn judge<T: Trial<N>>(
         &mut self,

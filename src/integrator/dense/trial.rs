@@ -1,4 +1,4 @@
-//! Interface of all schemes: how a step is made, judged and ended; error weights, evaluation of stages, projection of the end.
+//! Interface of all schemes: how a step is completed and projected; error weights, evaluation of stages, projection of the end.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -26,7 +26,7 @@ pub(super) trait Trial<const N: usize>: Sized {
     /// Scheme of the step.
     const SCHEME: Scheme;
 
-    /// Completes the stages: error of the step in tolerances, and q and q̇ at its end, not projected.
+    /// Makes the stages that are not made yet, and returns the error of the step, in tolerances, and q and q̇ at its end, not projected.
     fn complete<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
