@@ -28,6 +28,7 @@ use clap::{Parser, Subcommand};
 use package::Scope;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use test::Level;
 
 /// The commands of this repository
 #[derive(Parser)]
@@ -52,18 +53,21 @@ enum Command {
     Twin(twin::Options),
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
-        /// Also run the tests that need Debian packages (installed by .ci/setup): the page in a browser, memory and threads under
-        /// valgrind
+        /// Also run the tests that need Debian packages (installed by .ci/setup): browsers, other masters, memory and threads under
+        /// valgrind. CI runs this
         #[arg(long)]
         full: bool,
-        /// Pack for all platforms and test that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
+        /// Run all of that, tests that are too long for every run, --platforms and --page
         #[arg(long, conflicts_with = "full")]
+        nightly: bool,
+        /// Pack for all platforms and test that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
+        #[arg(long, conflicts_with_all = ["full", "nightly"])]
         platforms: bool,
         /// Only build the master fmi-sim, which takes minutes, and let it drive the FMU (its needs: .ci/setup-fmi-sim)
-        #[arg(long, conflicts_with_all = ["full", "platforms"])]
+        #[arg(long, conflicts_with_all = ["full", "nightly", "platforms"])]
         fmi_sim: bool,
         /// Only make the live page, compare its bits with the unit's and open it in a browser (its needs: .ci/setup-page)
-        #[arg(long, conflicts_with_all = ["full", "platforms", "fmi_sim"])]
+        #[arg(long, conflicts_with_all = ["full", "nightly", "platforms", "fmi_sim"])]
         page: bool,
     },
     /// Format every .rs file, also those that `cargo fmt` does not find because a macro declares their modules
@@ -136,6 +140,8 @@ enum Command {
         #[arg(long)]
         this_platform: bool,
     },
+    /// Pin the Python packages that python/pyproject.toml names, with hashes: python/lock.txt. Versions that are pinned already stay
+    Lock,
     /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
     Page,
 }
@@ -158,7 +164,9 @@ fn command(command: Command) -> Result<()> {
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { page: true, .. } => test::page(),
-        Command::Test { full, .. } => test::test(full),
+        Command::Test { nightly: true, .. } => test::test(Level::Nightly),
+        Command::Test { full, .. } => test::test(if full { Level::Full } else { Level::Usual }),
+        Command::Lock => venv::lock(),
         Command::Format { check } => format::format(check),
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),

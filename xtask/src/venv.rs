@@ -1,83 +1,107 @@
-//! The private Python environments under `target/`, made from pinned requirements.
+//! The private Python environment `target/venv`: the package `fivebar` with all its extras, and groups of packages that commands need.
+//!
+//! `python/pyproject.toml` names the packages, `python/lock.txt` pins them with their hashes. `uv` installs them; pip, which comes with
+//! Python, installs `uv`.
 
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// The name under which a Python 3 is on the path.
 const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 
-/// Packages that need another version of one of the others: in a folder of their own within the environment, which only those see who
-/// put it on Python's path.
-const APART: &str = "xtask/python/requirements-cofmupy.txt";
+/// The package, its dependencies and the dependency groups.
+const PROJECT: &str = "python/pyproject.toml";
 
-/// The package that users have in Python: installed where it lies, so that a change of it needs no new installation.
-const OWN: &str = "python/pyproject.toml";
+/// Every version that may be installed, with hashes.
+const LOCK: &str = "python/lock.txt";
 
-/// Sets of packages in the environment; each file is a pinned closure, but that of the package `fivebar`.
-#[derive(Clone, Copy)]
+/// The pinned `uv`.
+const UV: &str = "xtask/python/uv.txt";
+
+/// Packages that need another version of a package in the lock. They lie in a folder of their own, which a test puts on Python's path.
+const APART: &str = "xtask/python/cofmupy.txt";
+
+/// The groups of [`PROJECT`].
+const GROUPS: [&str; 7] = ["test", "full", "platforms", "release", "filters", "mujoco", "peers"];
+
+/// What a command needs beside the package `fivebar`, its extras and the group `test`.
+#[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Packages {
-    /// The package `fivebar` with its extras, and packages of the Python tests.
+    /// Nothing.
     Usual,
-    /// Also packages of the tests in a browser and with other masters.
+    /// A driver of browsers, masters other than FMPy.
     Full,
-    /// Also packages that build libraries for other machines.
+    /// Linker and C libraries of other machines.
     Platforms,
-    /// Also the package that judges a bill of materials.
+    /// The validator of bills of materials.
     Release,
-    /// Also the filters that the estimator is compared with.
+    /// The filters that the estimator is compared with.
     Filters,
-    /// Also MuJoCo, which simulates a machine that is followed.
+    /// MuJoCo, which simulates a machine that is followed.
     Mujoco,
-    /// The package `fivebar` and packages of the comparison with peers: large, and in an environment of its own.
+    /// The programs that the unit is compared with: large.
     Peers,
 }
 
 impl Packages {
-    fn files(self) -> &'static [&'static str] {
-        const USUAL: &str = "xtask/python/requirements.txt";
-        const TWIN: &str = "xtask/python/requirements-twin.txt";
+    fn groups(self) -> &'static [&'static str] {
         match self {
-            Self::Usual => &[USUAL, TWIN, OWN],
-            Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
-            Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
-            Self::Release => &[USUAL, TWIN, OWN, "xtask/python/requirements-release.txt"],
-            Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
-            Self::Mujoco => &[USUAL, TWIN, OWN, "xtask/python/requirements-mujoco.txt"],
-            Self::Peers => &["xtask/python/requirements-peers.txt", OWN],
-        }
-    }
-
-    fn folder(self) -> PathBuf {
-        match self {
-            Self::Usual | Self::Full | Self::Platforms | Self::Release | Self::Filters | Self::Mujoco => {
-                paths::in_root("target/venv")
-            }
-            Self::Peers => paths::in_root("target/venv-peers"),
+            Self::Usual => &["test"],
+            Self::Full => &["test", "full"],
+            Self::Platforms => &["test", "platforms"],
+            Self::Release => &["test", "release"],
+            Self::Filters => &["test", "filters"],
+            Self::Mujoco => &["test", "mujoco"],
+            Self::Peers => &["test", "peers"],
         }
     }
 }
 
-/// Python of the private environment, which is made, renewed or completed first where the requirements ask for it.
+/// Python of the private environment, which is made or completed first if it lacks packages or the pins have changed.
 pub(crate) fn python(packages: Packages) -> Result<Command> {
-    let folder = packages.folder();
-    let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
-    let requirements = packages.files().iter().map(|file| Requirements::read(file, &folder)).collect::<Result<Vec<_>>>()?;
-    let outdated = requirements.iter().any(|file| file.state() == State::Changed);
-    if outdated || requirements[0].state() == State::Missing {
-        make(&folder)?;
+    let pins = pins()?;
+    // Commands that run at the same time wait for each other here.
+    let guard = File::create(paths::in_root("target/venv.lock"))?;
+    guard.lock()?;
+    let is_installed = |group: &str| fs::read_to_string(stamp(group)).is_ok_and(|text| text == pins);
+    for group in packages.groups() {
+        if !is_installed(group) {
+            if *group == "test" {
+                make()?;
+            }
+            install(group)?;
+            if packages == Packages::Full && *group == "full" {
+                process::run(uv_pip_install()?.args(["--no-deps", "--target"]).arg(apart()).arg("--requirements").arg(paths::in_root(APART)))?;
+            }
+            fs::write(stamp(group), &pins).with_context(|| paths::short(&stamp(group)))?;
+        }
     }
-    for file in requirements.iter().filter(|file| file.state() == State::Missing) {
-        file.install(&python)?;
-    }
-    let mut command = process::program(python);
-    // Python's own settings of the caller must not reach into the private environment. Without bytecode every process would compile all
-    // that it imports, a second of CPU or two.
+    let mut command = process::program(folder().join(program("python")));
+    // The caller's own settings of Python must not reach into the private environment. Without bytecode every process would compile
+    // all that it imports, a second of CPU or two.
     command.env_remove("PYTHONPATH").env_remove("PYTHONHOME").env_remove("PYTHONDONTWRITEBYTECODE");
     command.env("PYTHONPYCACHEPREFIX", paths::in_root("target/pycache"));
     Ok(command)
+}
+
+/// A program that a package of the environment has brought.
+pub(crate) fn installed(packages: Packages, name: &str) -> Result<Command> {
+    python(packages)?;
+    Ok(process::program(folder().join(program(name))))
+}
+
+/// Pins the newest allowed versions of all packages in [`LOCK`]; versions that are pinned already stay.
+pub(crate) fn lock() -> Result<()> {
+    let mut compile = uv()?;
+    compile.args(["pip", "compile", "--quiet", "--universal", "--python-version", "3.11", "--generate-hashes", "--no-annotate"]);
+    compile.args(["--all-extras", "--no-emit-package", "fivebar", "--custom-compile-command", "cargo xtask lock", PROJECT]);
+    for group in GROUPS {
+        compile.args(["--group", &format!("{PROJECT}:{group}")]);
+    }
+    process::run(compile.args(["--output-file", LOCK]).stdout(Stdio::null()))
 }
 
 /// The folder that the packages are installed in.
@@ -88,69 +112,52 @@ pub(crate) fn site_packages(packages: Packages) -> Result<PathBuf> {
 
 /// The folder of the packages that are kept apart.
 pub(crate) fn apart() -> PathBuf {
-    Packages::Full.folder().join("cofmupy")
+    folder().join("cofmupy")
 }
 
-/// A file of requirements and its copy as installed.
-struct Requirements {
-    file: &'static str,
-    text: String,
-    /// Written after the installation: one that was interrupted has none.
-    stamp: PathBuf,
-}
-
-#[derive(Debug, PartialEq)]
-enum State {
-    Missing,
-    Changed,
-    Installed,
-}
-
-impl Requirements {
-    fn read(file: &'static str, folder: &Path) -> Result<Self> {
-        let path = Path::new(file);
-        let mut text = fs::read_to_string(paths::in_root(file)).with_context(|| format!("{file} cannot be read"))?;
-        // The package goes by its folder, and is installed anew under a new version, which is the workspace's.
-        let name = if file == OWN {
-            text += concat!("# version ", env!("CARGO_PKG_VERSION"), "\n");
-            path.parent().and_then(Path::file_name)
-        } else {
-            path.file_stem()
-        };
-        let name = name.unwrap_or_default();
-        Ok(Self { file, text, stamp: folder.join(name).with_extension("installed") })
+/// The pinned `uv`, which is installed first if it is missing. It uses the Python on the path and the machine's certificates.
+pub(crate) fn uv() -> Result<Command> {
+    let folder = paths::in_root("target/uv");
+    let pin = fs::read_to_string(paths::in_root(UV)).context(UV)?;
+    let stamp = folder.join("installed");
+    if fs::read_to_string(&stamp).ok().as_ref() != Some(&pin) {
+        make_for_uv(&folder)?;
+        let mut pip = process::program(folder.join(program("python")));
+        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", "--require-hashes", "--requirement"]);
+        process::run(pip.arg(paths::in_root(UV))).context("uv could not be installed")?;
+        fs::write(&stamp, pin).with_context(|| paths::short(&stamp))?;
     }
-
-    fn state(&self) -> State {
-        match fs::read_to_string(&self.stamp) {
-            Ok(text) if text == self.text => State::Installed,
-            Ok(_) => State::Changed,
-            Err(_) => State::Missing,
-        }
-    }
-
-    fn install(&self, python: &Path) -> Result<()> {
-        println!("installing the Python packages of {} (first run, or the file changed)", self.file);
-        let mut pip = process::program(python);
-        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
-            // Only packages of the file, for each is a closure; modules that are never imported are not compiled.
-            .args(["--no-deps", "--no-compile"]);
-        let file = paths::in_root(self.file);
-        match self.file {
-            // The build backend is among the packages of the pinned closures.
-            OWN => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
-            APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
-            _ => pip.arg("--requirement").arg(file),
-        };
-        process::run(&mut pip).context("the Python packages could not be installed")?;
-        fs::write(&self.stamp, &self.text).with_context(|| format!("{} cannot be written", paths::short(&self.stamp)))
-    }
+    let mut uv = process::program(folder.join(program("uv")));
+    uv.env("UV_SYSTEM_CERTS", "1").env("UV_PYTHON_DOWNLOADS", "never");
+    Ok(uv)
 }
 
-/// Makes an empty environment in place of the one there may be: packages that are no longer required go, a broken one is mended.
-fn make(folder: &Path) -> Result<()> {
+fn uv_pip_install() -> Result<Command> {
+    let mut uv = uv()?;
+    uv.args(["pip", "install", "--quiet", "--python"]).arg(folder().join(program("python")));
+    Ok(uv)
+}
+
+/// Makes an empty environment in the place of an older one, so that packages go that nothing names any longer.
+fn make() -> Result<()> {
+    println!("making a private Python environment in {}", paths::short(&folder()));
+    process::run(uv()?.args(["venv", "--quiet", "--clear", "--python", PYTHON]).arg(folder()))
+}
+
+/// Installs a group; with the group `test` also the package, from where it lies, with all its extras.
+fn install(group: &str) -> Result<()> {
+    println!("installing the Python packages of the group `{group}` (first run, or the pins have changed)");
+    let mut install = uv_pip_install()?;
+    install.args(["--constraints", LOCK, "--build-constraints", LOCK, "--group", &format!("{PROJECT}:{group}")]);
+    if group == "test" {
+        install.args(["--editable", "python[all]"]);
+    }
+    process::run(&mut install).context("the Python packages could not be installed")
+}
+
+/// Makes the environment that holds `uv` alone.
+fn make_for_uv(folder: &Path) -> Result<()> {
     need_python()?;
-    println!("making a private Python environment in {}", paths::short(folder));
     if process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder)).is_err() {
         bail!(
             "`{PYTHON} -m venv` failed: Python's module venv (with ensurepip) is needed; \
@@ -174,26 +181,46 @@ fn need_python() -> Result<()> {
     Ok(())
 }
 
+fn folder() -> PathBuf {
+    paths::in_root("target/venv")
+}
+
+/// Path of a program within an environment.
+fn program(name: &str) -> PathBuf {
+    if cfg!(windows) { Path::new("Scripts").join(name).with_extension("exe") } else { Path::new("bin").join(name) }
+}
+
+/// A file that says with which pins a group was installed; an interrupted installation has none.
+fn stamp(group: &str) -> PathBuf {
+    folder().join(group).with_extension("installed")
+}
+
+/// All that an installation follows from. The package's version is the workspace's.
+fn pins() -> Result<String> {
+    let mut pins = concat!("version ", env!("CARGO_PKG_VERSION"), "\n").to_owned();
+    for file in [PROJECT, LOCK, APART] {
+        pins += &fs::read_to_string(paths::in_root(file)).context(file)?;
+    }
+    Ok(pins)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn the_stamp_tells_whether_a_file_is_installed() {
-        let folder = tempfile::tempdir().unwrap();
-        let requirements = Requirements::read(Packages::Usual.files()[0], folder.path()).unwrap();
-        assert_eq!(requirements.state(), State::Missing);
-        fs::write(&requirements.stamp, "fmpy==0.0.1\n").unwrap();
-        assert_eq!(requirements.state(), State::Changed);
-        fs::write(&requirements.stamp, &requirements.text).unwrap();
-        assert_eq!(requirements.state(), State::Installed);
+    fn every_group_is_one_of_the_project() {
+        let project = fs::read_to_string(paths::in_root(PROJECT)).unwrap();
+        let all = [Packages::Usual, Packages::Full, Packages::Platforms, Packages::Release, Packages::Filters, Packages::Mujoco, Packages::Peers];
+        for group in all.iter().flat_map(|packages| packages.groups()) {
+            assert!(GROUPS.contains(group) && project.contains(&format!("\n{group} = [")), "{group}");
+        }
     }
 
     #[test]
-    fn each_file_of_requirements_has_a_stamp_of_its_own() {
-        let folder = Path::new("venv");
-        let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
-        let names = ["requirements", "requirements-twin", "python", "requirements-full", "requirements-cofmupy"];
-        assert_eq!(stamps, names.map(|name| folder.join(name).with_extension("installed")));
+    fn every_package_of_the_lock_has_a_hash() {
+        let lock = fs::read_to_string(paths::in_root(LOCK)).unwrap();
+        let packages = lock.lines().filter(|line| line.starts_with(char::is_alphanumeric)).count();
+        assert!(packages > 50 && lock.matches(" \\\n    --hash=sha256:").count() >= packages);
     }
 }
