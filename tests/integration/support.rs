@@ -11,6 +11,11 @@ use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 /// m g L of the paper's links, J: the unit in which energy errors are judged.
 pub(crate) const MGL: f64 = 0.017 * 9.81 * 0.21;
 
+/// Whether tests run in their long form: `cargo xtask test --nightly`.
+pub(crate) fn is_nightly() -> bool {
+    std::env::var_os("FIVEBAR_NIGHTLY").is_some()
+}
+
 /// A file of the repository.
 pub(crate) fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)

@@ -86,22 +86,25 @@ def run_own(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 # Calls, seed and magnitude of values, as a power of ten; one walk of one's own where `cargo xtask walk` says so.
 OWN_WALK = os.environ.get("FIVEBAR_WALK")
-WALKS = [tuple(OWN_WALK.split())] if OWN_WALK else [(250_000, 1, 12), (250_000, 5, 12), (250_000, 6, 308)]
+LONG = pytest.mark.nightly
+WALKS = [(50_000, 1, 12), (50_000, 6, 308), *(pytest.param(250_000, *more, marks=LONG) for more in ((1, 12), (5, 12), (6, 308)))]
 
 
-@pytest.mark.parametrize(("calls", "seed", "largest"), WALKS)
+@pytest.mark.parametrize(("calls", "seed", "largest"), [tuple(OWN_WALK.split())] if OWN_WALK else WALKS)
 def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> None:
     assert "steps discarded" in run("walk", calls, seed, largest)
 
 
-def test_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
-    assert "steps discarded" in run_own("walk", 250_000, 3, 12)
+@pytest.mark.parametrize("calls", [100_000, pytest.param(250_000, marks=LONG)])
+def test_walk_on_a_unit_of_one_s_own(run_own: Run, calls: int) -> None:
+    assert "steps discarded" in run_own("walk", calls, 3, 12)
 
 
 @pytest.mark.full
-def test_random_walk_under_valgrind(run: Run) -> None:
-    # Values up to 1e2: what needs many sub-steps takes fifty times as long here.
-    assert "steps discarded" in run("walk", 250_000, 4, 2, under=MEMCHECK)
+@pytest.mark.parametrize("calls", [25_000, pytest.param(250_000, marks=LONG)])
+def test_random_walk_under_valgrind(run: Run, calls: int) -> None:
+    # Values up to 1e2: steps of many sub-steps take fifty times as long here.
+    assert "steps discarded" in run("walk", calls, 4, 2, under=MEMCHECK)
 
 
 def test_load_run_free_without_growth(run: Run) -> None:

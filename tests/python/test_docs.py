@@ -11,9 +11,6 @@ from fmpy import simulate_fmu
 
 from conftest import REPOSITORY
 
-LONGEST_CELL = 160
-"""Characters of a table cell in the README: longer ones are no reading for five minutes."""
-
 DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving", "automatic")
 """The pages of docs/ that derive the mathematics, in the order of their equation numbers."""
 
@@ -24,10 +21,6 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 POINTER = re.compile(
     r"docs/(\w[\w-]*)\.md[`)]*, (?:section (?P<section>[\d.]*\d)|equation \((?P<equation>\d+)\)|\"(?P<title>[^\"]+)\")"
 )
-
-
-LEANING = re.compile(r'^\s*(?://[/!]?|#|"{3})\s?(?:The same|It|This|What|Which|Where)\b')
-"""A line that begins a comment or docstring with a word that leans on something else."""
 
 
 def tracked(*patterns: str) -> list[Path]:
@@ -70,13 +63,6 @@ def test_links_lead_somewhere(paper: Path) -> None:
         assert target.exists(), f"{short(paper)} links to {link}, which is not there"
         if place:
             assert place in map(anchor, headings(target.read_text(encoding="utf-8"))), f"{short(paper)}: {link} has no such heading"
-
-
-def test_cells_of_the_readme_are_short() -> None:
-    for line in (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines():
-        if line.startswith("|"):
-            for cell in line.strip("|").split("|"):
-                assert len(cell.strip()) <= LONGEST_CELL, f"{len(cell.strip())} characters: {cell.strip()}"
 
 
 def test_equations_are_numbered_in_order() -> None:
@@ -126,24 +112,6 @@ def test_tests_named_in_papers_are_there() -> None:
     for paper in ("docs/scope.md", "CONTRIBUTING.md"):
         names = set(re.findall(r"`([a-z][a-z0-9]*_[a-z0-9_]+)`", (REPOSITORY / paper).read_text(encoding="utf-8")))
         assert names and names <= known, f"{paper} names {sorted(names - known)}"
-
-
-def leans(before: str, line: str) -> bool:
-    """Whether a comment begins on the line with a word that leans on something else; a line that continues a comment may."""
-    mark = re.match(r"\s*(//|#)", line)
-    continues = mark is not None and before.lstrip().startswith(mark[1])
-    return not continues and LEANING.match(line) is not None
-
-
-def test_comments_stand_alone() -> None:
-    """A comment is a sentence with its own subject: CONTRIBUTING.md has the rule."""
-    assert leans("", "    /// It ends") and leans("x = 1", "# Where it is") and leans("def f():", '    """What is written."""')
-    assert not leans("/// The step ends.", "/// It is short.") and not leans("", "// Itself a step") and not leans("", "x = 1  # It")
-    for file in SOURCES:
-        if file.suffix in (".rs", ".py"):
-            lines = file.read_text(encoding="utf-8").splitlines()
-            found = [number for number, (before, line) in enumerate(zip(["", *lines], lines), 1) if leans(before, line)]
-            assert not found, f"{short(file)}: comments of lines {found} lean on something else"
 
 
 def test_the_machine_of_the_readme_runs(fmu: Path) -> None:

@@ -9,10 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fmpy.model_description import ModelDescription
 
 from conftest import REPOSITORY
-from fivebar import scene as scenes
 from fivebar.kinematics import GEOMETRY, LEAST_SINE, WORKING_MODES, Machine, Posture, Working, sines
 from instance import Instance
 

@@ -1,7 +1,5 @@
 """The pages of a run and of a map in a real browser: Debian's Chromium, headless, the page opened from disk."""
 
-import os
-import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from browser import COMMAND_LIMIT, open_browser
+from browser import open_browser
 from conftest import wait_until
 from fivebar import simulate
 from fivebar.variables import of_unit
@@ -48,32 +46,6 @@ def picture(browser: object) -> str:
            [blank.width, blank.height] = [canvas.width, canvas.height];
            return canvas.toDataURL() === blank.toDataURL() ? "" : canvas.toDataURL();"""
     )
-
-
-def test_a_browser_that_stops_answering_ends_the_test(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stopped browser answers no command, not even the one to end; by the usual limits that takes minutes."""
-    from urllib3.exceptions import HTTPError
-
-    with pytest.raises(HTTPError), open_browser(page.as_uri(), tmp_path) as driver:
-        process = driver.capabilities["goog:processID"]
-        assert driver.command_executor.client_config.timeout == COMMAND_LIMIT
-        driver.command_executor.client_config.timeout = 2
-        monkeypatch.setattr("browser.PROCESS_LIMIT", 3)
-        os.kill(process, signal.SIGSTOP)
-        stopped = time.monotonic()
-        clock(driver)
-    # Limits of 2 s and 3 s end it, also where a busy machine makes them ten times longer: the usual ones would not.
-    assert time.monotonic() - stopped < COMMAND_LIMIT
-
-    def gone() -> bool:
-        try:
-            os.kill(process, 0)
-        except ProcessLookupError:
-            return True
-        return False
-
-    # The system removes a killed process a little later.
-    wait_until(gone)
 
 
 def test_opens_and_draws(browser: object) -> None:

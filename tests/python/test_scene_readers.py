@@ -15,7 +15,7 @@ from fivebar import scene
 from fivebar.errors import FiveBarError
 from fivebar.variables import of_unit
 
-MADE = 260
+MADE = 80
 """Files that differ from shipped ones by an accident."""
 
 ODD = (
@@ -116,7 +116,7 @@ def test_both_readers_give_the_same_answers(files: list[Path]) -> None:
         else:
             assert json.dumps(ours) == json.dumps(theirs), file.read_bytes()[:300]
             good += 1
-    assert good > 60 and refused > 140 and 1 < elsewhere < 6, (good, refused, elsewhere)
+    assert good > 40 and refused > 100 and 1 < elsewhere < 6, (good, refused, elsewhere)
 
 
 def plain(sentence: str) -> str:

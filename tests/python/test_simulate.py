@@ -1,19 +1,17 @@
 """The plain way: simulate_fmu, and the script that the README quotes."""
 
-import os
 import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
+from fmpy.util import create_plotly_figure
 
-from conftest import PATIENCE, REPOSITORY
+from conftest import REPOSITORY
 
 
 def test_five_lines(fmu: Path) -> None:
@@ -42,40 +40,13 @@ def test_the_default_experiment_is_interesting(fmu: Path) -> None:
 
 
 @pytest.mark.full
-def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str], tmp_path: Path) -> None:
-    """`fmpy simulate FiveBar.fmu --show-plot`, in a browser that takes a picture of what it is shown: a row for every output, each with
-    its curve from the beginning to the end, that of whatever moves with its ups and downs."""
-    picture = tmp_path / "picture.png"
-    browser = "chromium --headless=new --no-sandbox --disable-gpu --hide-scrollbars --window-size=1280,1600 --virtual-time-budget=8000"
-    environment = os.environ | {"BROWSER": f"{browser} --user-data-dir={tmp_path / 'profile'} --screenshot={picture} %s &"}
-    command = [str(Path(sys.executable).parent / "fmpy"), "simulate", str(fmu), "--show-plot"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = rows_of_curves(picture)
-    assert len(rows) == len(outputs) == 16
-    assert all(width > 0.85 * 1280 for _, width in rows)
-    # A variable at rest is a line of 1 or 2 pixels: without servos, plane and estimator, the last eight. Sixteen rows leave 8 to the others.
-    assert [height > 4 for height, _ in rows] == [True] * 8 + [False] * 8
-
-
-def rows_of_curves(picture: Path) -> list[tuple[int, int]]:
-    """Height and width, in pixels, of each row in which FMPy's blue stands; waits until the picture is written."""
-    end = time.monotonic() + PATIENCE
-    while True:
-        try:
-            red, _, blue = np.moveaxis(matplotlib.image.imread(picture)[:, :, :3], 2, 0)
-            break
-        except (OSError, SyntaxError):
-            assert time.monotonic() < end, "the browser has taken no picture"
-            time.sleep(0.2)
-    # Bright blue on white, also where a line lies between two rows of pixels; text is dark.
-    curve = (blue > 0.7) & (blue - red > 0.3)
-    # Below the icons of the page.
-    curve[:28, 900:] = False
-    lines = np.flatnonzero(curve.any(axis=1))
-    bands = np.split(lines, np.flatnonzero(np.diff(lines) > 10) + 1)
-    columns = [np.flatnonzero(curve[band].any(axis=0)) for band in bands]
-    return [(int(band[-1] - band[0] + 1), int(column[-1] - column[0] + 1)) for band, column in zip(bands, columns, strict=True)]
+def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str]) -> None:
+    """The figure of `fmpy simulate --show-plot` has a curve of each output from the beginning to the end; what moves, moves in it."""
+    figure = create_plotly_figure(simulate_fmu(str(fmu), output=outputs, stop_time=1))
+    assert len(figure.data) == len(outputs) == 16
+    assert all(curve.x[0] == 0 and curve.x[-1] == pytest.approx(1) for curve in figure.data)
+    # Without servos, plane and estimator the last eight stay where they are.
+    assert [np.ptp(curve.y) > 0 for curve in figure.data] == [True] * 8 + [False] * 8
 
 
 def test_input_from_a_table(fmu: Path) -> None:

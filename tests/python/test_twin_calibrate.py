@@ -308,9 +308,13 @@ def test_usual_unknowns_are_what_the_scene_has() -> None:
 
 
 def test_machines_at_random_are_others_and_keep_away_from_singularities(library: Library) -> None:
-    """Each its own, the same for the same key, and calibrated like the one of the usual trials."""
+    """Each its own, the same for the same key."""
     benches = [trials.any_bench(np.random.Generator(np.random.Philox(key=key)), library) for key in (1, 2, 1)]
     assert benches[0] == benches[2] != benches[1] and all(trials.away(bench) for bench in benches)
+
+
+@pytest.mark.nightly
+def test_a_machine_at_random_is_calibrated(library: Library) -> None:
     row = trials.one(library, 3, "any")
     assert all(row["identified"]) and np.abs(np.divide(row["off"], row["sigma"])).max() < 4
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
-from fivebar.twin import figures, priority
+from fivebar.twin import figures
 from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import configured, machine
@@ -132,23 +132,12 @@ class Ear:
 # --- killing --------------------------------------------------------------------------------------------------------------------------
 
 
-def bare_start() -> float:
-    """Seconds that this machine takes now to start Python with packages that processes of a run load, in the same hurry."""
-    begin = time.monotonic()
-    process = subprocess.Popen([sys.executable, "-c", "import fmpy, numpy, pyarrow.parquet, paho.mqtt.client"])
-    priority.hurry(process.pid)
-    assert process.wait(PATIENCE) == 0
-    return time.monotonic() - begin
-
-
-def test_whatever_is_killed_is_back_soon(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """How soon depends on the machine: it is judged by starts of Python beside it, and printed."""
-    took: dict[str, float] = {}
-    starts: dict[str, float] = {}
+@pytest.mark.parametrize("names", [("follow", "record"), pytest.param(ENDING, marks=pytest.mark.nightly)], ids=["two", "all"])
+def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu: Path, scenes: Path) -> None:
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf") as run:
         ear = Ear(run.config["broker"]["port"], "est", "forecast")
         wait_until(lambda: ear.last("forecast"))
-        for name in ENDING:
+        for name in names:
             # At least one stored state further than the last kill.
             time.sleep(1.2)
             (pid,) = run.pids(name)
@@ -156,18 +145,11 @@ def test_whatever_is_killed_is_back_soon(tmp_path: Path, fmu: Path, scenes: Path
             killed = time.monotonic()
             work = "forecast" if name == "forecast" else "est"
             wait_until(lambda name=name, work=work, killed=killed: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05)
-            took[name] = time.monotonic() - killed
-            starts[name] = bare_start()
         time.sleep(1.5)
         run.stop()
         summary = run.finish()
     ear.close()
-    for name in ENDING:
-        print(f"{name}: back after {took[name]:.2f} s, a bare start of Python takes {starts[name]:.2f} s")
-    # Pauses between attempts to connect grow to 1 s, on any machine, and a broker has clients that lose two attempts. A start loads the
-    # unit and a stored state as well, so that it takes up to three bare ones.
-    assert max(took.values()) < 2 + 3 * max(starts.values()), took
-    assert summary["restarts"] == dict.fromkeys(summary["restarts"], 1)
+    assert summary["restarts"] == {name: int(name in names) for name in summary["restarts"]}
     run.replayed(fmu)
     # After each kill the twin's estimates agree with the machine, within their bands.
     story = figures.read(run.folder / "record")
@@ -175,9 +157,6 @@ def test_whatever_is_killed_is_back_soon(tmp_path: Path, fmu: Path, scenes: Path
     known = np.isfinite(judged.error)
     assert known.mean() > 0.9 and judged.error[known].max() < 1e-3
     assert (judged.error[known] < story.estimated["band"][known]).mean() > 0.85
-    # The recorder was killed between two parts: less than a second of its rows is gone, and what was sent until it was back.
-    longest = max((gap.last - gap.first + 1 for gap in story.gaps if gap.of != "est"), default=1)
-    assert longest < 200 * (1 + took["record"])
     # All of it has ended.
     for name in ENDING:
         for pid in run.pids(name):
@@ -193,7 +172,8 @@ def mosquitto(folder: Path, file: Path) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(file)], cwd=folder, stdout=log, stderr=log)
 
 
-def test_a_broker_that_is_gone_for_five_seconds(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+@pytest.mark.parametrize("seconds", [1, pytest.param(5, marks=pytest.mark.nightly)])
+def test_a_broker_that_is_gone_for_a_while(seconds: int, tmp_path: Path, fmu: Path, scenes: Path) -> None:
     port = free_port()
     file = tmp_path / "mosquitto.conf"
     file.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nuser root\n")
@@ -205,9 +185,9 @@ def test_a_broker_that_is_gone_for_five_seconds(tmp_path: Path, fmu: Path, scene
             broker.terminate()
             broker.wait()
             gone = time.monotonic()
-            time.sleep(5)
+            time.sleep(seconds)
             broker = mosquitto(tmp_path, file)
-            wait_until(lambda: ear.last("est") > gone + 5)
+            wait_until(lambda: ear.last("est") > gone + seconds)
             back, before = time.monotonic() - gone, len(ear.heard)
             wait_until(lambda: len(ear.heard) > before + 600)
             run.stop()
@@ -215,12 +195,11 @@ def test_a_broker_that_is_gone_for_five_seconds(tmp_path: Path, fmu: Path, scene
             ear.close()
     finally:
         broker.kill()
-    print(f"the broker was gone for 5 s, estimates for {back:.1f} s")
     assert not any(summary["restarts"].values()), "nothing crashed"
     (lost,) = (gap for gap in summary["gaps"] if gap["of"] == "meas")
     missing = lost["last"] - lost["first"] + 1
-    # Five seconds, and those until all are connected again, each up to a second, the longest pause between two attempts, sooner or later.
-    assert 1000 <= missing < 200 * (back + 1) and abs(summary["samples"]["lost"] - missing) < 200
+    # Those of the while, and those until all are connected again.
+    assert 200 * seconds <= missing < 200 * (back + 1)
     assert summary["samples"]["estimated"] > 900
     assert summary["tip_error_mm"]["max"] < 1
     run.replayed(fmu)
@@ -345,6 +324,7 @@ def drawn(browser: Any, canvas: Any) -> bool:
     return browser.execute_script("const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", canvas)
 
 
+@pytest.mark.nightly
 def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """Ten parameters, each as text and as a band over the one before the first sample, for those who see it and those who hear it."""
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--learn", "--exact") as run:
@@ -385,6 +365,7 @@ def frozen(folder: Path, fmu: Path, scenes: Path) -> Path:
     return file
 
 
+@pytest.mark.nightly
 def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """The cause stands beside the status, and the run's summary counts one alarm of the encoder."""
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", "--csv", str(frozen(tmp_path, fmu, scenes))) as run:
@@ -484,7 +465,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
     ear.close()
 
 
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.nightly)])
 def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
     """Pill and status stayed green for 4.6 s, on a telephone too. Estimates that still come, and are old, make nothing green."""
     ear = Ear(live.config["broker"]["port"], "est")
@@ -520,6 +501,7 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
     ear.close()
 
 
+@pytest.mark.nightly
 def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
     """On a processor a twentieth as fast it was 7.3 s behind, and more and more: it leaves out instead."""
     listen = """

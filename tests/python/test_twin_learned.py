@@ -290,6 +290,7 @@ def test_the_page_counts_what_the_server_counts() -> None:
     assert found and tuple(json.loads(found[1])) == dashboard.SKIPPED
 
 
+@pytest.mark.nightly
 def test_the_command_learns_and_hands_over(tmp_path: Path, fmu: Path) -> None:
     """Processes, broker and summary; a run that does not learn leaves no scene of an earlier one that did."""
 

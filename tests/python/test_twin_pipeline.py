@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import signal
+import stat
 import subprocess
 import sys
 import threading
@@ -33,11 +34,21 @@ COMMAND = [sys.executable, "-m", "fivebar"]
 def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen[str]":
     """A run of its own."""
     given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
-    return subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, umask=0)
+
+
+def assert_private(folder: Path) -> None:
+    """Records, states, logs, configuration of a run are its owner's alone: 0600 in folders of 0700, whatever the umask."""
+    found = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
+    kept = {path.relative_to(folder).parts[0] for path in found if path != folder}
+    assert {"record", "state", "log", "status", "twin.json"} <= kept
+    shown = {"summary.json", "index.html", "finished", *(f"{name}.png" for name in ("tip", "error", "forecast", "latency"))}
+    assert not [(path, oct(mode)) for path, mode in found.items() if path.is_dir() and mode != 0o700]
+    assert not [(path, oct(mode)) for path, mode in found.items() if path.is_file() and path.name not in shown and mode != 0o600]
 
 
 def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu: Path, scenes: Path) -> None:
-    """Two starts find ports of their own; each leaves summary, pictures, page and a record that is replayed to the bit."""
+    """Two starts find ports of their own; each leaves summary, pictures, page and a private record that is replayed to the bit."""
     runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "3", "--unit", name) for name in ("one", "two")}
     for name, run in runs.items():
         text = run.communicate(timeout=PATIENCE)[0]
@@ -60,6 +71,7 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
             assert (out / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
         replay = subprocess.run([*COMMAND, "replay", summary["record"], "--fmu", str(fmu)], capture_output=True, text=True, check=False)
         assert replay.returncode == 0 and f"{samples['estimated']} estimates" in replay.stdout, replay.stdout + replay.stderr
+        assert_private(Path(summary["record"]).parent)
         for log in Path(summary["record"]).parent.glob("log/*.log"):
             lines = log.read_text().splitlines()
             assert all("INFO connected" in line or "no connection" in line or " s behind" in line for line in lines), (log.name, lines)

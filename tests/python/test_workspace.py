@@ -10,11 +10,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from PIL import Image
 
 from fivebar import map_page, statics, workspace, workspace_pictures
@@ -242,32 +239,6 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
     assert all(np.isfinite(float(row[name])) for row in rows for name in row if "[" in name and row[name] not in ("inf", "-inf"))
     with (tmp_path / "a" / "loci.csv").open(encoding="utf-8") as file:
         assert {row["kind"] for row in csv.DictReader(file)} == {"inverse", "direct", "stop"}
-
-
-def boxes(figure: Figure) -> tuple[list[float], list[tuple[str, list[float]]]]:
-    """The box of the map's axes in pixels, and those of all texts and of the colour bar."""
-    FigureCanvasAgg(figure).draw()
-    axes, bar = figure.axes
-    legend = axes.get_legend()
-    texts = [*legend.get_texts(), axes.title, axes._left_title, *axes.texts, axes.xaxis.label, axes.yaxis.label, *(bar.get_yticklabels() if bar.axison else [])]
-    found = [(text.get_text(), text.get_window_extent()) for text in texts if text.get_text()]
-    found += [("legend", legend.get_window_extent()), ("colour bar", bar.get_window_extent())]
-    return axes.get_window_extent().extents.tolist(), [(name, box.extents.tolist()) for name, box in found]
-
-
-@pytest.mark.parametrize("machine", ["paper", "coaxial", "stopped"])
-def test_labels_cover_nothing(machine: str) -> None:
-    """No text, legend or colour bar lies over the axes or over another one."""
-    for picture, limits in ((workspace_pictures.condition_picture, None), (workspace_pictures.force_picture, (0.5, 0.5))):
-        map_ = workspace.compute(made(MACHINES[machine]), limits, cells=40, modes=WORKING_MODES[:2])
-        for mode in map_.modes:
-            with matplotlib.rc_context(workspace_pictures.STYLE):
-                frame, labels = boxes(picture(map_, mode))
-            single = [label for label in labels if label[0] not in ("legend", "colour bar")]
-            pairs = [(("axes", frame), label) for label in labels] + [(a, b) for i, a in enumerate(single) for b in single[:i]]
-            for (a, (left, bottom, right, top)), (b, other) in pairs:
-                apart = left >= other[2] - 1 or other[0] >= right - 1 or bottom >= other[3] - 1 or other[1] >= top - 1
-                assert apart, f"{a!r} and {b!r} overlap in {mode.name}"
 
 
 def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:

@@ -74,7 +74,9 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
             }
             install(group)?;
             if packages == Packages::Full && *group == "full" {
-                process::run(uv_pip_install()?.args(["--no-deps", "--target"]).arg(apart()).arg("--requirements").arg(paths::in_root(APART)))?;
+                process::run(
+                    uv_pip_install()?.args(["--no-deps", "--target"]).arg(apart()).arg("--requirements").arg(paths::in_root(APART)),
+                )?;
             }
             fs::write(stamp(group), &pins).with_context(|| paths::short(&stamp(group)))?;
         }
@@ -123,7 +125,16 @@ pub(crate) fn uv() -> Result<Command> {
     if fs::read_to_string(&stamp).ok().as_ref() != Some(&pin) {
         make_for_uv(&folder)?;
         let mut pip = process::program(folder.join(program("python")));
-        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", "--require-hashes", "--requirement"]);
+        pip.args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-input",
+            "--require-hashes",
+            "--requirement",
+        ]);
         process::run(pip.arg(paths::in_root(UV))).context("uv could not be installed")?;
         fs::write(&stamp, pin).with_context(|| paths::short(&stamp))?;
     }
@@ -211,7 +222,15 @@ mod tests {
     #[test]
     fn every_group_is_one_of_the_project() {
         let project = fs::read_to_string(paths::in_root(PROJECT)).unwrap();
-        let all = [Packages::Usual, Packages::Full, Packages::Platforms, Packages::Release, Packages::Filters, Packages::Mujoco, Packages::Peers];
+        let all = [
+            Packages::Usual,
+            Packages::Full,
+            Packages::Platforms,
+            Packages::Release,
+            Packages::Filters,
+            Packages::Mujoco,
+            Packages::Peers,
+        ];
         for group in all.iter().flat_map(|packages| packages.groups()) {
             assert!(GROUPS.contains(group) && project.contains(&format!("\n{group} = [")), "{group}");
         }

@@ -1,7 +1,7 @@
 //! Properties of random machines, states and loads, beyond the list of cases. Every run must be finite, closed and balanced in its
 //! energy, or end with a status that leaves the state unchanged; and it must end.
 //!
-//! The seed is fixed; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for other machines.
+//! The seed is fixed; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for other machines, the nightly run for 1024.
 
 use fivebar::mechanism::{Assembly, Link};
 use fivebar::observers::{self, SingularityKind};
@@ -13,6 +13,9 @@ use proptest::test_runner::{Config, RngSeed};
 
 fn config() -> Config {
     let mut config = Config { failure_persistence: None, max_shrink_iters: 500, ..Config::default() };
+    if std::env::var_os("PROPTEST_CASES").is_none() {
+        config.cases = 64;
+    }
     if matches!(config.rng_seed, RngSeed::Random) {
         config.rng_seed = RngSeed::Fixed(3);
     }

@@ -69,16 +69,20 @@ pub(crate) fn test(level: Level) -> Result<()> {
     let instructions = if full { Some(process::start("instructions", &mut bench::instructions())?) } else { None };
     steps.run("format", || format::format(true))?;
     steps.run("lints", || {
-        process::run(process::cargo().args(["clippy", "--quiet", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]))
+        process::run(
+            process::cargo().args(["clippy", "--quiet", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]),
+        )
     })?;
     steps.run("Rust documentation", || {
-        process::run(process::cargo().args(["doc", "--quiet", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
+        process::run(
+            process::cargo().args(["doc", "--quiet", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"),
+        )
     })?;
     let programs = steps.run("build of the Rust tests", rust::build)?;
     let times = steps.run("Rust tests", || rust::run(&programs, nightly))?;
     steps.add(times);
     steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
-    steps.run("lints of Python", || python::lints(full))?;
+steps.run("lints of Python", || python::lints(full))?;
     steps.run("package (the rest)", || packed.finish())?;
     let fmu = paths::fmu("FiveBar");
     steps.run("package, own machine", || own(&fmu))?;

@@ -77,7 +77,10 @@ fn times(report: &str) -> Result<Vec<Timed>> {
         .filter_map(|test| {
             let file = test.attribute("classname")?.rsplit('.').next()?;
             let seconds = test.attribute("time")?.parse().ok()?;
-            Some(Timed { name: format!("{file}.py::{}", test.attribute("name")?), time: Duration::try_from_secs_f64(seconds).ok()? })
+            Some(Timed {
+                name: format!("{file}.py::{}", test.attribute("name")?),
+                time: Duration::try_from_secs_f64(seconds).ok()?,
+            })
         })
         .collect())
 }
