@@ -82,7 +82,7 @@ pub(crate) fn test(level: Level) -> Result<()> {
     let times = steps.run("Rust tests", || rust::run(&programs, nightly))?;
     steps.add(times);
     steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
-steps.run("lints of Python", || python::lints(full))?;
+    steps.run("lints of Python", || python::lints(full))?;
     steps.run("package (the rest)", || packed.finish())?;
     let fmu = paths::fmu("FiveBar");
     steps.run("package, own machine", || own(&fmu))?;
