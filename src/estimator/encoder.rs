@@ -92,10 +92,13 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// The sample of encoder i about another motion, of which the present alone is known.
+    /// The sample, as one of encoder i, about another motion. A motion without a history is known at present only: a past angle is
+    /// extrapolated by its rate.
     pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
-        let innovation = Innovation::new(motion, frame, i, self.angle, [self.innovation.noise, self.persistent]);
-        Self { age: 0.0, rate: motion.omega[MEASURED[i]], innovation, ..*self }
+        let rate = motion.omega[MEASURED[i]];
+        let angle = self.angle + self.age * rate;
+        let innovation = Innovation::new(motion, frame, i, angle, [self.innovation.noise, self.persistent]);
+        Self { angle, age: 0.0, rate, innovation, ..*self }
     }
 
     /// Variance of the sample, rad², where its quantisation error is its own.

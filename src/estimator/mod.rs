@@ -400,10 +400,8 @@ impl Estimator {
         }
         let nis =
             |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.predict_sample(innovation).nis()).sum::<f64>();
-        let of = |i: usize, sample: &Sample| {
-            Innovation::new(motion, frame, i, sample.angle, [sample.innovation.noise, sample.persistent])
-        };
-        nis([left.innovation, right.innovation]) > GATE && nis([of(1, left), of(0, right)]) <= GATE
+        let exchanged = [left.about(1, motion, frame), right.about(0, motion, frame)].map(|sample| sample.innovation);
+        nis([left.innovation, right.innovation]) > GATE && nis(exchanged) <= GATE
     }
 
     /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where

@@ -1,5 +1,7 @@
 //! A machine that is measured: a simulation with other parameters and a push that nobody tells the twin of, and its encoders.
 
+use std::collections::VecDeque;
+
 use fivebar::effects::Inputs;
 use fivebar::estimator::{MEASURED, Measured};
 use fivebar::mechanism::coordinates::THETA;
@@ -114,6 +116,8 @@ pub struct Plan {
     pub systematic: [Systematic; 2],
     /// Both encoders are silent between these times, s.
     pub silent: [f64; 2],
+    /// Time from taking a sample until it arrives, with the time at which it was taken, s.
+    pub delay: f64,
 }
 
 /// A scene to follow.
@@ -281,16 +285,21 @@ pub fn follow(
 ) -> Result<(), StepFailure> {
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
     let mut measured = Measured::default();
-    let [hushed, back] = scenario.plan.silent;
+    let mut on_the_way = VecDeque::new();
+    let Plan { silent: [hushed, back], delay, systematic, .. } = scenario.plan;
     for step in 0..(scenario.duration / h).round() as u64 {
         let time = step as f64 * h;
         let truth = machine.state();
         let (theta, _) = motion(&truth);
         if !(hushed..back).contains(&time) {
-            measured = Measured {
-                theta: [0, 1].map(|i| encoder.read(scenario.plan.systematic[i].shown(theta[MEASURED[i]]), random)),
+            on_the_way.push_back(Measured {
+                theta: [0, 1].map(|i| encoder.read(systematic[i].shown(theta[MEASURED[i]]), random)),
                 time: [time; 2],
-            };
+            });
+        }
+        // Half a step is added for round-off of times.
+        while let Some(arrived) = on_the_way.pop_front_if(|sample| sample.time[0] <= time - delay + 0.5 * h) {
+            measured = arrived;
         }
         twin.correct(&measured, time);
         let inputs = scenario.inputs(time);

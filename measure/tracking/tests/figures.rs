@@ -152,6 +152,18 @@ fn vertices_are_passed() {
     }
 }
 
+/// Samples that arrive 2 ms after they were taken choose the machine's branch behind a vertex: all of these are lost where the angle of then is compared
+/// with the branches of now.
+#[test]
+fn delayed_samples_choose_the_branch_behind_a_vertex() {
+    for seed in [3, 43, 58, 61, 72, 81, 91] {
+        let mut random = Random::new(300 + seed);
+        let mut scenario = singular::vertex(&mut random, [0.0, 1e-4, 1e-3][seed as usize % 3]);
+        (scenario.plan.delay, scenario.model.estimator.max_delay) = (2e-3, 5e-3);
+        assert!(!outcome(&scenario, &FINE, 1e-3, &mut random).lost, "seed {seed}");
+    }
+}
+
 /// Machines of which the encoders have said nothing for 1.5 s of a fall, through singularities, are found again: the estimate begins anew, is
 /// sound at every step, and is back on the machine within 1 s. (Without a new beginning 9 of 10 are lost.)
 #[test]
