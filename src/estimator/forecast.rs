@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Cholesky, Matrix2, Matrix4x2};
 
 use super::belief::Belief;
-use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS};
+use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_POINT};
 use super::error_state::{FORCE, MOVING};
 use super::flow::{self, Scene, unit_forces};
 use super::parameters::Constants;
@@ -45,14 +45,16 @@ pub(super) struct Forecast {
 }
 
 impl Point {
-    /// Integrates by h seconds under the force of the estimate and its own; keeps the state where that fails.
-    fn step(&mut self, linkage: &Linkage, scene: &impl Scene, force: &Links, h: f64) {
+    /// Integrates by h seconds under the force of the estimate and its own; keeps the state where that fails. Returns the number of
+    /// Runge–Kutta steps.
+    fn step(&mut self, linkage: &Linkage, scene: &impl Scene, force: &Links, h: f64) -> u32 {
         let force = force + self.force;
         let near = scene.linearised(&self.motion, &force, &Matrix4x2::zeros());
         let steps = flow::steps(&linkage.frame(&self.motion.theta), &near, scene, (&self.motion, h));
         if let Some((motion, _)) = linkage.closed(flow::motion(scene, &self.motion, &force, h, steps)) {
             self.motion = motion;
         }
+        steps
     }
 }
 
@@ -75,17 +77,24 @@ impl SigmaPoints {
         Self { points, force: own * own.transpose(), walk, inputs }
     }
 
-    /// Time update of all sigma points. The force of a point in a force direction grows in proportion to the standard deviation of the force's
-    /// random walk, so that its distribution is that of the walk at each instant. `scales`: torque scale and inertia torques, N·m.
+    /// Time update of all sigma points. `scales`: torque scale and inertia torques, N·m.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, force: &Links, (h, scales): (f64, [f64; 2])) {
         let grown: f64 = self.walk.iter().zip(scales).map(|(walk, scale)| walk * scale * scale * h).sum();
         self.force += Matrix2::identity() * grown;
+        self.spread_force();
+        for point in &mut self.points {
+            point.step(linkage, scene, force, h);
+        }
+    }
+
+    /// Gives each point in a force direction a force in proportion to the standard deviation of the force, so that the points have its
+    /// distribution at each instant of its random walk.
+    fn spread_force(&mut self) {
         let root = root(self.force);
         for (k, point) in self.points.iter_mut().enumerate() {
             if let Some(column) = (k % MOVING).checked_sub(FORCE) {
                 point.force = self.inputs * root.column(column) * displacement(k);
             }
-            point.step(linkage, scene, force, h);
         }
     }
 
@@ -153,7 +162,8 @@ impl Forecast {
     }
 
     /// Fraction of sigma points, estimate included, whose sin(θ₃ − θ₂) changes sign within the horizon, under held inputs that include the
-    /// unknown force; `step` is the time between two checks, s, longer where there would be more than [`MOST_CHECKS`].
+    /// unknown force; `step` is the time between two checks, s, longer if there would be more than [`MOST_CHECKS`]. A point that turns so
+    /// fast that it takes more than [`MOST_STEPS_OF_POINT`] counts as one that meets a singularity.
     pub(super) fn singularity_probability(
         &self,
         constants: &Constants,
@@ -162,28 +172,28 @@ impl Forecast {
         step: f64,
     ) -> f64 {
         let linkage = &constants.linkage;
+        // The force is constant: its random walk makes covariances consistent, but blurs the prediction of a singularity.
         let mut sigma_points = self.sigma_points.unwrap_or_else(|| SigmaPoints::around(linkage, motion, belief, [0.0; 2]));
-        // The force is held: its random walk makes covariances consistent, but blurs the prediction of a singularity.
-        sigma_points.walk = [0.0; 2];
-        let mut own = Point { motion: *motion, force: Links::zeros() };
         let side = motion.side()[0];
-        let mut met = [false; POINTS + 1];
-        let mut look = |sigma_points: &SigmaPoints, own: &Point| {
-            for (met, point) in met.iter_mut().zip(sigma_points.points.iter().chain([own])) {
-                // A point on the other side has met the singularity already.
-                let now = point.motion.side()[0] * side;
-                *met |= now.is_nan() || now <= 0.0;
-            }
+        // A point on the other side has met the singularity already.
+        let is_across = |point: &Point| {
+            let now = point.motion.side()[0] * side;
+            now.is_nan() || now <= 0.0
         };
-        look(&sigma_points, &own);
         let horizon = constants.parameters.horizon.max(0.0);
-        let checks = (horizon / step).ceil().min(MOST_CHECKS);
+        let checks = (horizon / step).ceil().min(MOST_CHECKS) as u64;
         let step = step.max(horizon / MOST_CHECKS);
-        for _ in 0..checks as u64 {
-            sigma_points.step(linkage, scene, &Links::zeros(), (step, [0.0; 2]));
-            own.step(linkage, scene, &Links::zeros(), step);
-            look(&sigma_points, &own);
-        }
-        met.iter().filter(|met| **met).count() as f64 / met.len() as f64
+        sigma_points.spread_force();
+        let own = Point { motion: *motion, force: Links::zeros() };
+        let points = sigma_points.points.into_iter().chain([own]);
+        let meets = |mut point: Point| {
+            let mut steps = 0;
+            is_across(&point)
+                || (0..checks).any(|_| {
+                    steps += point.step(linkage, scene, &Links::zeros(), step);
+                    is_across(&point) || steps > MOST_STEPS_OF_POINT
+                })
+        };
+        points.filter(|point| meets(*point)).count() as f64 / (POINTS + 1) as f64
     }
 }

@@ -83,6 +83,10 @@ impl Instance {
         let clock = Clock::new(start, stop)?;
         if let Some(tolerance) = tolerance {
             check_finite(tolerance, || format!("tolerance is {tolerance}"))?;
+            // Masters that have no tolerance pass 0.
+            if tolerance < 0.0 {
+                return Err(CallError::error(format!("tolerance is {tolerance}, must not be negative.")));
+            }
             self.log.push(Status::Ok, || {
                 format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
             });

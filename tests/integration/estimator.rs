@@ -1,12 +1,15 @@
 //! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
 
+use std::cell::Cell;
+
 use fivebar::effects::{Inputs, NAMES};
-use fivebar::estimator::error_state::LENGTHS;
+use fivebar::estimator::error_state::{LENGTHS, LOADS};
 use fivebar::estimator::flow::{flow, motion as moved_on, unit_forces};
-use fivebar::estimator::{Bands, Fault, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
+use fivebar::estimator::{Bands, Fault, Linearised, LinkState, Linkage, Links, MEASURED, Measured, Scene, Status};
 use fivebar::mechanism::Assembly;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{FollowedScene, Following, Method, Parameters, Signal, Simulation};
+use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -822,4 +825,68 @@ fn delay_is_accounted_for() {
     let (at_once, accounted, ignored) = (error(0, 0.0), error(4, 5e-3), error(4, 0.0));
     assert!(accounted < 2.0 * at_once, "{at_once} {accounted}");
     assert!(ignored > 5.0 * accounted, "{accounted} {ignored}");
+}
+
+/// A machine on which nothing acts, which turns as one body about its coaxial motors; counts evaluations.
+struct Turning(Cell<u64>);
+
+impl Scene for Turning {
+    fn acceleration(&self, _: &LinkState, _: &Links) -> Links {
+        self.0.update(|count| count + 1);
+        Links::zeros()
+    }
+
+    fn linearised(&self, _: &LinkState, _: &Links, _: &Matrix4x2<f64>) -> Linearised {
+        self.0.update(|count| count + 1);
+        let none = Matrix4::zeros();
+        Linearised { alpha: Links::zeros(), by_angle: none, by_rate: none, by_torque: Matrix4x2::zeros() }
+    }
+
+    fn by_loads(&self, _: &LinkState, _: &Links, _: &Links) -> SMatrix<f64, 4, LOADS> {
+        SMatrix::zeros()
+    }
+
+    fn by_delay(&self, _: &LinkState, _: &Links, _: f64) -> Links {
+        Links::zeros()
+    }
+
+    fn by_lengths(&self, _: &LinkState, _: &Links, _: &Links) -> Option<Matrix4<f64>> {
+        None
+    }
+
+    fn by_offsets(&self, _: &LinkState, _: &Links) -> Option<Matrix4x2<f64>> {
+        None
+    }
+
+    fn mass(&self, _: &Links) -> Matrix4<f64> {
+        Matrix4::identity()
+    }
+
+    fn has_stiff_forces(&self) -> bool {
+        false
+    }
+
+    fn has_abrupt_forces(&self) -> bool {
+        false
+    }
+}
+
+/// The forecast of singularities over the longest horizon takes bounded work, however fast the machine turns: one that is too fast to be followed counts
+/// as one that meets a singularity, a slow one that turns as one body meets none.
+#[test]
+fn a_forecast_of_singularities_takes_bounded_work() {
+    for (rate, probability) in [(5.0, 0.0), (5e3, 1.0)] {
+        let mut parameters = default_parameters();
+        parameters.geometry.base_distance = 0.0;
+        parameters.start.theta = [2.2, 0.9];
+        parameters.start.omega = [rate; 2];
+        let own = &mut parameters.estimator;
+        (own.enabled, own.horizon, own.sigma0_theta, own.sigma0_omega) = (true, 10.0, 1e-9, 1e-9);
+        let twin = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let scene = Turning(Cell::new(0));
+        let found = twin.estimator().singularity_probability(twin.constants(), &twin.motion(), &scene, 1e-3);
+        assert_eq!(found, probability, "at {rate} rad/s");
+        // Of 13 points each takes 15,000 steps of four evaluations and 10,000 choices of their number, and up to 64 steps more.
+        assert!(scene.0.get() <= 13 * (4 * (15_000 + 64) + 10_000), "{} evaluations at {rate} rad/s", scene.0.get());
+    }
 }

@@ -100,6 +100,8 @@ fn experiments_that_cannot_be_are_refused() {
     assert_eq!(host.line(), "fmi2SetupExperiment: stopTime is 0.5 s, must not be before startTime, which is 1.0 s.");
     assert_eq!(host.setup(None, f64::NAN, None), fmi2Error);
     assert_eq!(host.line(), "fmi2SetupExperiment: startTime is NaN s, must be finite.");
+    assert_eq!(host.setup(Some(-1.0), 0.0, None), fmi2Error);
+    assert_eq!(host.line(), "fmi2SetupExperiment: tolerance is -1, must not be negative.");
     assert_eq!(host.setup(Some(1e-4), 0.0, None), fmi2OK);
     assert_eq!(host.take(), [], "an event, and the log does not want events");
 }
