@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from conftest import REPOSITORY
+from fivebar import scene as scenes
+from fivebar.errors import FiveBarError
 from fivebar.kinematics import GEOMETRY, LEAST_SINE, WORKING_MODES, Machine, Posture, Working, sines
 from instance import Instance
 
@@ -254,6 +256,56 @@ def test_direct_loci_are_whole(made: Machine) -> None:
                 crossings += 1
                 assert np.hypot(*(tips - line[i]).T).min() < 2e-3
     assert crossings > 0 or made.distance == 0 or not loci or made.reach_area < 0.02
+
+
+@pytest.mark.parametrize("more", [sign * more for more in (5.6e-17, 1e-15, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3) for sign in (1, -1)])
+@pytest.mark.parametrize(("distance", "proximal"), [(0.1, (0.21, 0.21)), (0.25, (0.2, 0.17)), (0.3, (0.17, 0.2))])
+def test_loci_of_distal_links_of_almost_equal_length(distance: float, proximal: tuple[float, float], more: float) -> None:
+    """Links have their lengths to round-off, and the folded loci differ from those of equal lengths in proportion to the difference."""
+    alike, made = (Machine(distance, (proximal[0], 0.3 + by, 0.3, proximal[1])) for by in (0.0, more))
+    loci = [[locus for locus in each.direct_singularities(4001) if locus.posture == "folded"] for each in (alike, made)]
+    assert len(loci[0]) == len(loci[1]) == 2
+    for locus in loci[1]:
+        assert np.abs(sines(locus.theta)[:, 0]).max() < 1e-12
+        posture = Posture(locus.theta, locus.tip, np.zeros((len(locus.tip), 2, 2)))
+        assert np.abs(elbow_to_tip(made, posture) - np.array(made.lengths[1:3])).max() < 1e-15 * made.size
+        # An elbow moves by the difference over the sine of the proximal links' angle, 0.44 here at least; the links' points lie 5e-4 m apart.
+        chords = np.concatenate([each.tip for each in loci[0]])
+        nearest = np.hypot(*(locus.tip[::40, None] - chords).transpose(2, 0, 1)).min(axis=-1)
+        assert nearest.max() < 4 * abs(more) + 5e-4 / 2
+        # With the tip there, both legs bent as on the locus, the distal links are in line: but for what 1e-15 m of the tip turns them.
+        for row in range(0, len(locus.tip), 200):
+            bends = np.sign(sines(locus.theta[row])[1:])
+            if np.abs(sines(locus.theta[row])[1:]).min() > 0.1:
+                names = ["plus" if bend > 0 else "minus" for bend in bends]
+                assert abs(sines(made.inverse(locus.tip[row], (names[0], names[1])).theta)[0]) < 1e-13
+
+
+@pytest.mark.parametrize("more", [1e-12, 1e-9, 1e-5, 1e-2])
+def test_loci_at_an_angle_of_the_motor(more: float) -> None:
+    """The elbows are as far apart as the lengths differ: to round-off, over the sine of the right leg's angle there."""
+    made = Machine(0.1, (0.21, 0.3 + more, 0.3, 0.21))
+    # Both elbows on one point, and a bit on.
+    theta1 = np.arccos(0.05 / 0.21) + more
+    found = [posture for kind, posture in made.direct_at(float(theta1)) if kind == "folded"]
+    assert len(found) == 2
+    for posture in found:
+        assert np.hypot(*(posture.elbows[1] - posture.elbows[0])) == pytest.approx(more, abs=1e-15)
+        assert np.hypot(*(posture.elbows[1] - (0.1, 0))) == pytest.approx(0.21, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["base.distance", "link[1].length", "link[2].length"])
+def test_almost_coaxial_motors_are_degenerate(name: str) -> None:
+    values = {"base.distance": 0.0} | {f"link[{i}].length": 0.1 if i in (1, 4) else 0.12 for i in range(1, 5)}
+    assert Machine.from_values(values | {name: values[name] + 1e-12}).is_degenerate(ALIKE)
+    assert not Machine.from_values(values | {name: values[name] + 1e-6}).is_degenerate(ALIKE)
+
+
+@pytest.mark.parametrize("working", [None, 3, "plus", ("plus",), ("plus", None), (["plus"], "minus"), {"plus", "minus"}])
+def test_working_modes_that_are_none(working: object) -> None:
+    for call in (HAPTIC.inverse, HAPTIC.field):
+        with pytest.raises(FiveBarError, match="^working = .*(it must name two bends|it must be 'plus' or 'minus')"):
+            call((0.05, 0.25), working)  # type: ignore[operator]
 
 
 def test_coaxial_motors() -> None:

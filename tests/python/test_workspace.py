@@ -208,6 +208,16 @@ def test_tip_force_is_what_all_directions_allow() -> None:
             assert np.any(np.abs(torques) > limits)
 
 
+def test_tip_force_of_any_shape() -> None:
+    scene = made({})
+    theta = Machine.from_scene(scene).inverse(np.tile((0.2, 0.25), (2, 3, 1)), OUT).theta
+    forces = statics.tip_force(scene, theta, (1.0, 2.0))
+    assert forces.shape == (2, 3) and statics.tip_force(scene, theta[0], (1.0, 2.0)).shape == (3,)
+    assert np.shape(statics.tip_force(scene, theta[0, 0], (1.0, 2.0))) == () and statics.tip_force(scene, theta[0, 0], (1.0, 2.0)) == forces[0, 0]
+    # A left leg that is stretched puts no load on its motor.
+    assert statics.tip_force(scene, (0.0, 0.0, 0.5, 0.7), (1e9, 1e9)) > 0
+
+
 def test_tip_force_ends_at_direct_singularities() -> None:
     machine = Machine.from_scene(made({}))
     for locus in machine.direct_singularities(200):

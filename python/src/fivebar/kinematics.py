@@ -38,6 +38,9 @@ NEAR = 1e-3
 LEAST_SINE = 1e-8
 """Sines below this count as 0 where a Jacobian is divided by them: the unit refuses such postures as coordinates."""
 
+SHORT = 1e-2
+"""Share of the machine's size below which the distance of the elbows is a short one: more than two digits of their angle would be lost."""
+
 ROUND_OFF = 16 * np.finfo(float).eps
 """Round-off of a distance, in multiples of the machine's size; it must not make a stretched leg unreachable."""
 
@@ -387,32 +390,31 @@ class Machine:
         With distal links of equal length, folded ones have both elbows on one point: circles. Coaxial motors with equal proximal links as
         well have that everywhere in the working modes `plus`, `plus` and `minus`, `minus`: that is no curve, see `is_degenerate`.
         """
-        _, l2, l3, _ = self.lengths
-        loci = self._coupler_curves("stretched", l2 + l3, l2 / (l2 + l3), points)
-        if l2 == l3:
-            return loci + self._coinciding_elbows(points)
-        return loci + self._coupler_curves("folded", abs(l2 - l3), l2 / (l2 - l3), points)
+        return [locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)]
 
     def direct_at(self, theta1: float) -> list[tuple[Literal["stretched", "folded"], Posture]]:
         """Postures with the left motor at `theta1`, rad, and the distal links in line; none where the elbows' distance forbids it.
 
         Folded links of equal length are left out: both elbows are on one point, and the tip may lie anywhere about it.
         """
-        _, l2, l3, _ = self.lengths
         found: list[tuple[Literal["stretched", "folded"], Posture]] = []
-        cases: list[tuple[Literal["stretched", "folded"], float, float]] = [("stretched", l2 + l3, l2 / (l2 + l3))]
-        if l2 != l3:
-            cases.append(("folded", abs(l2 - l3), l2 / (l2 - l3)))
-        for posture, apart, share in cases:
-            cosine, middle = self._four_bar(np.float64(theta1), apart)
+        for posture, coupler in self._couplers():
+            if coupler == 0:
+                continue
+            elbow = self.lengths[0] * _direction(np.float64(theta1))
+            cosine, middle = self._turn_of_coupler(elbow, coupler)
             if abs(cosine) <= 1:
-                both = [self._in_line(np.float64(theta1), middle + side * np.arccos(cosine), share) for side in (-1, 1)]
+                both = [self._in_line(elbow, middle + side * np.arccos(cosine), coupler) for side in (-1, 1)]
                 found += [(posture, each) for each in both[: 1 if abs(cosine) == 1 else 2]]
         return found
 
     def is_degenerate(self, working: Working) -> bool:
-        """Whether every posture of the working mode is a direct singularity: coaxial motors and equal legs that lie on each other."""
-        return self.distance == 0 and self.is_symmetric and working[0] == working[1]
+        """Whether every posture of the working mode is a direct singularity: coaxial motors and equal legs that lie on each other.
+
+        Distances below `LEAST_SINE` of the machine's size count as 0.
+        """
+        (l1, l2), (l4, l3) = self.legs
+        return max(self.distance, abs(l1 - l4), abs(l2 - l3)) <= LEAST_SINE * self.size and working[0] == working[1]
 
     # Parts
 
@@ -424,7 +426,7 @@ class Machine:
 
     @staticmethod
     def _bends(working: Working) -> tuple[float, float]:
-        if isinstance(working, str) or len(working) != 2:
+        if not isinstance(working, (tuple, list)) or len(working) != 2:
             raise FiveBarError(f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first.")
         return _sign("working", working[0]), _sign("working", working[1])
 
@@ -469,51 +471,80 @@ class Machine:
         (s2, c2), (s3, c3) = ((np.sin(theta[..., i]), np.cos(theta[..., i])) for i in (1, 2))
         return np.stack([np.stack([s3 * left, -s2 * right], axis=-1), np.stack([-c3 * left, c2 * right], axis=-1)], axis=-2)
 
-    def _four_bar(self, theta1: Floats, apart: float) -> tuple[Floats, Floats]:
-        """Cosine of the right motor's angle from its middle value, and that value, where the elbows are `apart`."""
-        l1, _, _, l4 = self.lengths
-        a, b = 2 * l4 * (self.distance - l1 * np.cos(theta1)), -2 * l1 * l4 * np.sin(theta1)
-        c = apart**2 - self.distance**2 - l1**2 - l4**2 + 2 * self.distance * l1 * np.cos(theta1)
+    def _couplers(self) -> tuple[tuple[Literal["stretched", "folded"], float], ...]:
+        """The vector from the left to the right elbow when the distal links are in line, as a multiple of the left one's direction, m."""
+        _, l2, l3, _ = self.lengths
+        return ("stretched", l2 + l3), ("folded", l2 - l3)
+
+    def _turn_of_coupler(self, elbow: Floats, coupler: float) -> tuple[Floats, Floats]:
+        """Cosine of the left distal link's angle from its middle value, and that value, with the left elbow at `elbow` (..., 2)."""
+        arrow, l4 = self.motors[1] - elbow, self.lengths[3]
+        away = np.hypot(arrow[..., 0], arrow[..., 1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            cosine = np.where(np.hypot(a, b) > 0, c / np.hypot(a, b), np.inf)
-        # Round-off at the ends, where the right proximal link is in line with the elbows' distance.
-        return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(b, a)
+            cosine = np.where(away > 0, (coupler**2 + (away - l4) * (away + l4)) / (2 * coupler * away), np.inf)
+        # Round-off at the ends, where the right proximal link is in line with the coupler.
+        return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(arrow[..., 1], arrow[..., 0])
 
-    def _in_line(self, theta1: Floats, theta4: Floats, share: float) -> Posture:
-        """Postures with the tip on the line of both elbows, at that share of their distance."""
-        left = self.lengths[0] * _direction(theta1)
-        right = self.motors[1] + self.lengths[3] * _direction(theta4)
-        tip = left + share * (right - left)
-        to_tip = [tip - left, tip - right]
-        passive = [np.arctan2(v[..., 1], v[..., 0]) for v in to_tip]
-        return Posture(np.stack([theta1, *passive, theta4], axis=-1), tip, np.stack([left, right], axis=-2))
+    def _elbow_at(self, turn: Floats, coupler: float, side: Floats | float) -> Floats:
+        """The left elbow (..., 2), on either side of the line that it may lie on, with the left distal link at angles `turn` (...)."""
+        l1, _, _, l4 = self.lengths
+        # The right motor as seen from the left one, with the coupler shrunk to a point.
+        arrow = self.motors[1] - coupler * _direction(turn)
+        away = np.hypot(arrow[..., 0], arrow[..., 1])
+        along = ((l1 - l4) * (l1 + l4) + away**2) / (2 * away)
+        across = side * np.sqrt(np.maximum((l1 - along) * (l1 + along), 0.0))
+        unit = arrow / away[..., None]
+        return along[..., None] * unit + across[..., None] * _turned(unit)
 
-    def _coupler_curves(self, posture: Literal["stretched", "folded"], apart: float, share: float, points: int) -> list[Locus]:
-        """Curves of the tip as the four-bar of motors, proximal links and a coupler of length `apart` goes round."""
+    def _in_line(self, left: Floats, turn: Floats, coupler: float) -> Posture:
+        """Postures with the left elbow at `left` (..., 2) and the left distal link at `turn` (...), in line with the right one."""
+        along = _direction(turn)
+        right, tip = left + coupler * along, left + self.lengths[1] * along
+        vectors = (left, along, along * np.sign(self.lengths[1] - coupler), right - self.motors[1])
+        theta = np.stack([np.arctan2(v[..., 1], v[..., 0]) for v in vectors], axis=-1)
+        return Posture(theta, tip, np.stack([left, right], axis=-2))
+
+    def _coupler_curves(self, posture: Literal["stretched", "folded"], coupler: float, points: int) -> list[Locus]:
+        """Curves of the tip as the four-bar of motors, proximal links and coupler goes round.
+
+        Its crank is the left proximal link, or the coupler if that is short: the angle between elbows that nearly coincide would be lost in
+        round-off. If the coupler is also as long as the motors' distance, it need not turn while the proximal links do.
+        """
+        l1, _, _, l4 = self.lengths
+        length = abs(coupler)
+        by_coupler = length < SHORT * self.size and abs(length - self.distance) >= length / 2
+        crank, nearest, farthest = (length, abs(l1 - l4), l1 + l4) if by_coupler else (l1, abs(length - l4), length + l4)
         loci = []
-        for lower, upper in self._crank_ranges(apart):
+        for lower, upper in self._crank_ranges(crank, nearest, farthest):
             if upper - lower >= 2 * np.pi:
-                theta1 = np.linspace(lower, upper, points)
-                runs = [(theta1, side) for side in (-1.0, 1.0)]
+                angles = np.linspace(lower, upper, points)
+                runs: list[tuple[Floats, Floats | float]] = [(angles, side) for side in (-1.0, 1.0)]
             else:
                 # Both branches meet at the ends, and the points lie densest there: the curve is smooth in this parameter.
                 phase = np.linspace(0, 2 * np.pi, points)
-                theta1 = (lower + upper) / 2 - (upper - lower) / 2 * np.cos(phase)
-                runs = [(theta1, np.where(phase <= np.pi, 1.0, -1.0))]
+                angles = (lower + upper) / 2 - (upper - lower) / 2 * np.cos(phase)
+                runs = [(angles, np.where(phase <= np.pi, 1.0, -1.0))]
             for angles, side in runs:
-                cosine, middle = self._four_bar(angles, apart)
-                postures = self._in_line(angles, middle + side * np.arccos(np.clip(cosine, -1, 1)), share)
-                loci.append(Locus(posture, postures.theta, postures.tip))
+                if by_coupler:
+                    turn = angles if coupler >= 0 else angles + np.pi
+                    elbow = self._elbow_at(turn, coupler, side)
+                else:
+                    elbow = l1 * _direction(angles)
+                    cosine, middle = self._turn_of_coupler(elbow, coupler)
+                    turn = middle + side * np.arccos(np.clip(cosine, -1, 1))
+                made = self._in_line(elbow, turn, coupler)
+                loci.append(Locus(posture, made.theta, made.tip))
         return loci
 
-    def _crank_ranges(self, apart: float) -> list[tuple[float, float]]:
-        """Ranges of theta1 in which the right proximal link and a coupler of length `apart` close the four-bar."""
-        l1, _, _, l4 = self.lengths
-        # The left elbow must be |apart - l4| to apart + l4 away from the right motor.
-        nearest, farthest = abs(apart - l4), apart + l4
-        if self.distance == 0:
-            return [(-np.pi, np.pi)] if nearest <= l1 <= farthest else []
-        highest, lowest = ((self.distance**2 + l1**2 - away**2) / (2 * self.distance * l1) for away in (nearest, farthest))
+    def _crank_ranges(self, crank: float, nearest: float, farthest: float) -> list[tuple[float, float]]:
+        """Ranges of the angle of a crank on the left motor whose end is at least and at most so far from the right one."""
+        round_off = ROUND_OFF * self.size
+        if min(self.distance, crank) <= round_off:
+            away = max(self.distance, crank)
+            return [(-np.pi, np.pi)] if away > round_off and nearest - round_off <= away <= farthest + round_off else []
+        highest, lowest = (
+            ((self.distance - away) * (self.distance + away) + crank**2) / (2 * self.distance * crank) for away in (nearest, farthest)
+        )
         if highest < -1 - 1e-12 or lowest > 1 + 1e-12:
             return []
         begin, end = np.arccos(np.clip(highest, -1, 1)), np.arccos(np.clip(lowest, -1, 1))
@@ -524,24 +555,6 @@ class Machine:
         if lowest < -1 + 1e-12:
             return [(begin, 2 * np.pi - begin)]
         return [(begin, end), (-end, -begin)]
-
-    def _coinciding_elbows(self, points: int) -> list[Locus]:
-        """Circles of the tip about the points where both elbows can lie; distal links of equal length."""
-        l1, l2, _, l4 = self.lengths
-        if self.distance == 0:
-            return []
-        x = (self.distance**2 + l1**2 - l4**2) / (2 * self.distance)
-        height_squared = (l1 - x) * (l1 + x)
-        if height_squared < -ROUND_OFF * self.size**2:
-            return []
-        height = np.sqrt(max(height_squared, 0.0))
-        phi = np.linspace(-np.pi, np.pi, points)
-        loci = []
-        for y in (height, -height) if height_squared > ROUND_OFF * self.size**2 else (0.0,):
-            motors = np.arctan2(y, x), np.arctan2(y, x - self.distance)
-            theta = np.stack([np.full(points, motors[0]), phi, phi, np.full(points, motors[1])], axis=-1)
-            loci.append(Locus("folded", theta, np.array([x, y]) + l2 * _direction(phi)))
-        return loci
 
     def _finite(self, name: str, values: ArrayLike, width: int, unit: str) -> Floats:
         try:
@@ -590,7 +603,7 @@ def _turned(vector: Floats) -> Floats:
 
 
 def _sign(name: str, value: str) -> float:
-    if value not in SIGN:
+    if not isinstance(value, str) or value not in SIGN:
         raise FiveBarError(f"{name} = {value!r}: it must be 'plus' or 'minus'.")
     return SIGN[value]
 

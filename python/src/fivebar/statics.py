@@ -42,7 +42,7 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
         free = _springs(scene, theta)[..., motor] + by_angle[..., own]
         carried = free * sine[..., 0] + by_angle[..., 1] * turn_2[motor] + by_angle[..., 2] * turn_3[motor]
         spare = limits[motor] * np.abs(sine[..., 0]) - np.abs(carried)
-        forces.append(np.divide(spare, np.abs(arm), out=np.copysign(np.full_like(spare, np.inf), spare), where=arm != 0))
+        forces.append(np.where(arm != 0, spare / np.where(arm != 0, np.abs(arm), 1.0), np.copysign(np.inf, spare)))
     return np.minimum(*forces)
 
 

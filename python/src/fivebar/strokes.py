@@ -6,16 +6,15 @@ unless it says otherwise: an SVG by the units of its width and height, a CSV by 
 
 import csv
 import io
+import itertools
 import re
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from svgelements import SVG, Arc, Close, CubicBezier, Image, Matrix, Move, QuadraticBezier, Shape, Text
-from svgelements import Path as Outline
 
+from fivebar import svg
 from fivebar.errors import FiveBarError
 
 Floats = NDArray[np.float64]
@@ -28,20 +27,8 @@ MOST_CURVES = 100_000
 
 MM = 1e-3
 
-PIXELS_PER_INCH = 1 / 0.0393701
-"""Makes a millimetre of svgelements, which takes 0.0393701 of them for an inch, one user unit exactly."""
-
-ARC = np.pi / 16
-"""Largest angle of an arc that one cubic curve stands for: it is off by 1e-8 of the radius."""
-
 ROUND_OFF = 1e-12
 """Size of a curve, in multiples of its largest coordinate, below which it is a point."""
-
-NEVER_DRAWN = ("clipPath", "defs", "linearGradient", "marker", "mask", "pattern", "radialGradient", "symbol")
-"""Elements whose children are drawn by reference only."""
-
-COMMANDS = re.compile(r"[\sMmZzLlHhVvCcSsQqTtAaEe0-9+\-.,]*")
-"""The characters of path data; `e` in numbers."""
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": MM, "in": 25.4e-3}
 """Units that the header of a CSV may name, in m."""
@@ -55,7 +42,7 @@ class Drawing:
     """Cubic curves, m, shape (n, 4, 2) each; a curve begins where the one before it ends."""
 
     left_out: tuple[str, ...] = ()
-    """Sentences on what the file has beside strokes."""
+    """Sentences on what the file has beside strokes, and on its units."""
 
     @property
     def box(self) -> Floats:
@@ -100,8 +87,6 @@ def read(file: str | Path) -> Drawing:
     if not drawing.strokes:
         also = " ".join(("", *drawing.left_out))
         raise FiveBarError(f"{path} has no line to draw.{also}")
-    if (count := sum(map(len, drawing.strokes))) > MOST_CURVES:
-        raise FiveBarError(f"{path} has {count} curves; {MOST_CURVES} are allowed")
     return drawing
 
 
@@ -109,113 +94,9 @@ def read(file: str | Path) -> Drawing:
 
 
 def _svg(content: bytes) -> Drawing:
-    try:
-        root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, UnicodeDecodeError, LookupError) as error:
-        raise FiveBarError(f"it is no XML: {error}") from None
-    if _name(root) != "svg":
-        raise FiveBarError(f"its first element is <{_name(root)}>, not <svg>")
-    for element in root.iter():
-        data = element.get("d", "") if _name(element) == "path" else ""
-        if not COMMANDS.fullmatch(data):
-            wrong = data[COMMANDS.match(data).end()]  # type: ignore[union-attr]
-            raise FiveBarError(f"a path's data have {wrong!r}, which is no command: {data[:60]!r}")
-    left_out = _leave_out_symbols(root)
-    _complete_size(root)
-    try:
-        svg = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=False, ppi=PIXELS_PER_INCH)
-    except (ValueError, TypeError, AttributeError, KeyError, IndexError, ZeroDivisionError, RecursionError) as error:
-        raise FiveBarError(f"svgelements cannot read it: {type(error).__name__}: {error}") from None
-    strokes: list[Floats] = []
-    for element in svg.elements():
-        if isinstance(element, Shape):
-            strokes += _of_shape(element)
-        elif isinstance(element, Text):
-            left_out.append(f"The text {str(element.text)[:40]!r} is left out: only its outline can be drawn (Inkscape: Object to Path).")
-        elif isinstance(element, Image):
-            left_out.append("An image is left out: only lines can be drawn.")
-    return Drawing(strokes, tuple(left_out))
-
-
-def _name(element: ElementTree.Element) -> str:
-    """The name of an element without its namespace; comments have none."""
-    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
-
-
-def _leave_out_symbols(root: ElementTree.Element) -> list[str]:
-    """Takes out what is drawn by reference only, but <defs>: svgelements would draw it in place, and refers to shapes and groups alone."""
-    symbols = {f"#{element.get('id')}" for element in root.iter() if _name(element) == "symbol"}
-    used = [element for element in root.iter() if _name(element) == "use"]
-    sentences = [
-        f"A <use> of the symbol {target} is left out."
-        for target in sorted({value for element in used for key, value in element.items() if key.rpartition("}")[2] == "href"} & symbols)
-    ]
-    for parent in list(root.iter()):
-        for child in list(parent):
-            if _name(child) in NEVER_DRAWN and _name(child) != "defs":
-                parent.remove(child)
-    return sentences
-
-
-def _complete_size(root: ElementTree.Element) -> None:
-    """Gives a root with a viewBox both width and height: one that is missing keeps the shape (CSS 2.1, section 10.4)."""
-    box = root.get("viewBox", "").replace(",", " ").split()
-    given = {name: root.get(name) for name in ("width", "height")}
-    given = {name: value for name, value in given.items() if value and value != "auto" and not value.strip().endswith("%")}
-    if len(box) != 4 or len(given) == 2:
-        return
-    try:
-        wide, high = float(box[2]), float(box[3])
-    except ValueError:
-        raise FiveBarError(f"its viewBox is {root.get('viewBox')!r}: it must be four numbers") from None
-    if not (wide > 0 and high > 0):
-        raise FiveBarError(f"its viewBox is {root.get('viewBox')!r}: width and height must be positive")
-    if not given:
-        root.set("width", box[2])
-        root.set("height", box[3])
-        return
-    (known, value), share = next(iter(given.items())), {"width": high / wide, "height": wide / high}
-    if number := re.fullmatch(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([a-zA-Z]*)\s*", value or ""):
-        root.set("height" if known == "width" else "width", f"{float(number[1]) * share[known]!r}{number[2]}")
-
-
-def _of_shape(shape: Shape) -> list[Floats]:
-    """Strokes of a shape: its curves, then transformed, because arcs are no arcs any more where a transform skews them."""
-    strokes: list[Floats] = []
-    curves: list[list[complex]] = []
-    for segment in Outline(shape).segments(transformed=False):
-        if isinstance(segment, Move):
-            strokes += _stroke(curves, shape.transform)
-            curves = []
-        else:
-            curves += _cubics(segment)
-    return strokes + _stroke(curves, shape.transform)
-
-
-def _cubics(segment: object) -> list[list[complex]]:
-    """Cubic curves of a segment, each by four points."""
-    if isinstance(segment, Arc):
-        parts = max(1, int(np.ceil(abs(float(segment.sweep)) / ARC)))
-        return [[complex(p) for p in (c.start, c.control1, c.control2, c.end)] for c in segment.as_cubic_curves(parts)]
-    start, end = complex(segment.start), complex(segment.end)  # type: ignore[attr-defined]
-    if isinstance(segment, CubicBezier):
-        return [[start, complex(segment.control1), complex(segment.control2), end]]
-    if isinstance(segment, QuadraticBezier):
-        control = complex(segment.control)
-        return [[start, start + 2 / 3 * (control - start), end + 2 / 3 * (control - end), end]]
-    assert isinstance(segment, Close) or type(segment).__name__ == "Line"
-    return [[start, (2 * start + end) / 3, (start + 2 * end) / 3, end]]
-
-
-def _stroke(curves: list[list[complex]], transform: Matrix) -> list[Floats]:
-    """A stroke in m with y upwards, or none if it has no length."""
-    points = np.array(curves, dtype=complex).reshape(-1, 4)
-    x, y = points.real, points.imag
-    with np.errstate(over="ignore", invalid="ignore"):
-        moved = np.stack([transform.a * x + transform.c * y + transform.e, transform.b * x + transform.d * y + transform.f], axis=-1)
-    if not np.all(np.isfinite(moved)):
-        raise FiveBarError("a point of it is not finite")
-    return _without_points(moved * (MM, -MM))
+    found, remarks = svg.read(content, MOST_CURVES)
+    # The y of an SVG points down.
+    return Drawing([stroke for each in found for stroke in _without_points(each * (MM, -MM))], remarks)
 
 
 def _without_points(stroke: Floats) -> list[Floats]:
@@ -232,12 +113,15 @@ def _without_points(stroke: Floats) -> list[Floats]:
 
 def _csv(content: bytes) -> Drawing:
     try:
-        rows = [row for row in csv.reader(io.StringIO(content.decode("utf-8-sig"))) if any(cell.strip() for cell in row)]
+        lines = csv.reader(io.StringIO(content.decode("utf-8-sig")))
+        rows = list(itertools.islice((row for row in lines if any(cell.strip() for cell in row)), MOST_CURVES + 3))
     except (UnicodeDecodeError, csv.Error) as error:
         raise FiveBarError(f"it is no CSV: {error}") from None
     scale = MM
     if rows and not _is_number(rows[0][0]):
         scale, rows = _unit_of(rows[0]), rows[1:]
+    if len(rows) > MOST_CURVES + 1:
+        raise FiveBarError(f"it has more than {MOST_CURVES} lines")
     table = []
     for number, row in enumerate(rows, 1):
         if len(row) not in (2, 3) or not all(map(_is_number, row)) or (len(row) == 3 and float(row[2]) not in (0, 1)):
