@@ -258,6 +258,19 @@ def test_reasons_and_places(values: dict[str, float | bool], stroke: np.ndarray,
         assert blocked.value.place == pytest.approx(place, abs=2e-6)
 
 
+def test_work_on_blocked_drawings_is_bounded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No length of a piece is computed, and all strokes of the picture are one artist."""
+    drawing = strokes.Drawing([line((0.05, 0.3), (0.05, 0.31), (0.06, 0.31)), line((0.05, 0.3), (-0.2, 0.3))] * 50)
+    monkeypatch.setattr(pieces, "_lengths", None)
+    with pytest.raises(Blocked) as blocked:
+        paths.plan(table(), drawing, SLOW)
+    figures: list[Figure] = []
+    monkeypatch.setattr(path_pictures, "_save", lambda figure, *_: figures.append(figure))
+    path_pictures.draw_blocked(table(), ("minus", "plus"), drawing, blocked.value, "trial", tmp_path)
+    assert all(len(axes.lines) < 50 for axes in figures[0].axes)
+    assert all(any(len(each.get_paths()) == 100 for each in axes.collections) for axes in figures[0].axes)
+
+
 def test_ways_with_lifted_pen_are_checked() -> None:
     """Two strokes left and right of the direct locus, each of them free."""
     left, right = line((-0.1, 0.05), (-0.1, 0.06)), line((0.2, 0.05), (0.2, 0.06))

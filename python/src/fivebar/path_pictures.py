@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -89,8 +90,8 @@ def draw_blocked(scene: Scene, working: Working, drawing: Drawing, blocked: Bloc
         handles: list[Patch | Line2D] = []
         for axes in (whole, near):
             handles = _background(axes, scene, machine, working)
-            for stroke in strokes:
-                axes.plot(*(stroke.T * MM), color=PURPLE, linewidth=1.3, zorder=7)
+            # One artist: drawings have up to 100,000 strokes.
+            axes.add_collection(LineCollection([stroke * MM for stroke in strokes], colors=PURPLE, linewidths=1.3, zorder=7))
             axes.plot(*(blocked.place * MM), "X", color=VERMILLION, markeredgecolor=WHITE, markersize=11, zorder=10)
         points = np.concatenate([*strokes, blocked.place[None]])
         _frame(whole, np.concatenate([points, _corners(machine)]), 0.03)

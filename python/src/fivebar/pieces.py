@@ -1,6 +1,7 @@
 """Pieces of a drawing that a pen follows without a rest: smooth chains of curves by arc length, and how fast they are followed."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,8 @@ CORNER = np.radians(5)
 
 PARTS = 8
 """Parts of a curve whose lengths are computed one by one."""
+
+ENDS = np.linspace(0, 1, PARTS + 1)
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -73,9 +76,11 @@ class Piece:
         self.curves, self.stroke, self.pen = curves, stroke, pen
         """`stroke` counts from 1, for a way with lifted pen it is that which follows; `pen` says whether the pen is down."""
 
-        self._ends = np.linspace(0, 1, PARTS + 1)
-        lengths = _lengths(curves[:, None], self._ends[:-1], self._ends[1:])
-        self._before = np.concatenate([[0.0], np.cumsum(lengths.ravel())])
+    @cached_property
+    def _before(self) -> Floats:
+        """Ways at which the parts of all curves begin, and the length, m, (PARTS n + 1,): of pieces that are drawn, not of blocked ones."""
+        lengths = _lengths(self.curves[:, None], ENDS[:-1], ENDS[1:])
+        return np.concatenate([[0.0], np.cumsum(lengths.ravel())])
 
     @property
     def length(self) -> float:
@@ -86,7 +91,7 @@ class Piece:
         """Places, m, unit tangents and curvature vectors, 1/m, (n, 2) each, at ways (n,) along the piece, m."""
         part = np.clip(np.searchsorted(self._before, way, side="right") - 1, 0, len(self._before) - 2)
         curve, within = np.divmod(part, PARTS)
-        curves, begin, end = self.curves[curve], self._ends[within], self._ends[within + 1]
+        curves, begin, end = self.curves[curve], ENDS[within], ENDS[within + 1]
         left, whole = way - self._before[part], self._before[part + 1] - self._before[part]
         u = begin + (end - begin) * np.divide(left, whole, out=np.zeros_like(left), where=whole > 0)
         for _ in range(4):  # each doubles the digits

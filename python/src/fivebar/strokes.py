@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 LARGEST = 10_000_000
 """Bytes of a drawing, at most."""
 
+MOST_STROKES = 10_000
+"""Strokes of a drawing, at most: the rests between as many take more than an hour."""
+
 MOST_CURVES = 100_000
 """Curves of a drawing, at most."""
 
@@ -94,7 +97,7 @@ def read(file: str | Path) -> Drawing:
 
 
 def _svg(content: bytes) -> Drawing:
-    found, remarks = svg.read(content, MOST_CURVES)
+    found, remarks = svg.read(content, MOST_STROKES, MOST_CURVES)
     # The y of an SVG points down.
     return Drawing([stroke for each in found for stroke in _without_points(each * (MM, -MM))], remarks)
 
@@ -130,6 +133,8 @@ def _csv(content: bytes) -> Drawing:
     strokes, begin = [], 0
     points = np.array(table).reshape(-1, 3)
     lifted = [*np.flatnonzero(points[1:, 2] == 0) + 1, len(points)]
+    if len(lifted) > MOST_STROKES:
+        raise FiveBarError(f"it has more than {MOST_STROKES} strokes")
     for end in lifted:
         chain = points[begin:end, :2] * scale
         strokes += _without_points(chain[:-1, None] + np.linspace(0, 1, 4)[:, None] * np.diff(chain, axis=0)[:, None])

@@ -1,6 +1,6 @@
-"""The lines of an SVG: its tree with units, styles, references and transforms; svgelements knows path data, arcs and colours.
+"""The lines of an SVG: its tree with units, styles, references and transforms; svgelements reads path data, arcs and colours.
 
-The work is bounded: elements and curves are counted, each as often as `<use>` repeats it, before anything is made of them.
+The work is bounded: elements, strokes and curves are counted before anything is made of them, each as often as `<use>` repeats it.
 """
 
 import re
@@ -12,7 +12,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from svgelements import Arc, Circle, Close, Color, CubicBezier, Ellipse, Move, Polygon, Polyline, QuadraticBezier, Rect, Shape, SimpleLine
+from svgelements import (
+    Arc,
+    Circle,
+    Close,
+    Color,
+    CubicBezier,
+    Ellipse,
+    Move,
+    Polygon,
+    Polyline,
+    QuadraticBezier,
+    Rect,
+    Shape,
+    SimpleLine,
+)
 from svgelements import Path as Outline
 
 from fivebar.errors import FiveBarError
@@ -47,7 +61,14 @@ SVG = "{http://www.w3.org/2000/svg}"
 SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
 CONTAINERS = ("svg", "g", "a", "switch", "use")
 
-INHERITED = {"visibility": "visible", "fill": "black", "fill-opacity": "1", "stroke": "none", "stroke-opacity": "1", "stroke-width": "1"}
+INHERITED = {
+    "visibility": "visible",
+    "fill": "black",
+    "fill-opacity": "1",
+    "stroke": "none",
+    "stroke-opacity": "1",
+    "stroke-width": "1",
+}
 """Properties that children have from their parents, with their initial values."""
 
 LEFT_OUT = {
@@ -69,7 +90,10 @@ COMMANDS = re.compile(r"[\sMmZzLlHhVvCcSsQqTtAaEe0-9+\-.,]*")
 """The characters of path data; `e` in numbers."""
 
 ARGUMENTS = {
-    **{command: re.compile(rf"(?:{SEPARATOR}{NUMBER}){{{count}}}") for command, count in zip("mlhvcsqt", (2, 2, 1, 1, 6, 4, 4, 2))},
+    **{
+        command: re.compile(rf"(?:{SEPARATOR}{NUMBER}){{{count}}}")
+        for command, count in zip("mlhvcsqt", (2, 2, 1, 1, 6, 4, 4, 2))
+    },
     "a": re.compile(rf"(?:{SEPARATOR}{NUMBER}){{3}}(?:{SEPARATOR}[01]){{2}}(?:{SEPARATOR}{NUMBER}){{2}}"),
 }
 """One group of arguments of each command of path data that has any."""
@@ -95,7 +119,7 @@ Style = dict[str, str]
 
 
 class _Frame(NamedTuple):
-    """Where an element is drawn."""
+    """Place of an element on the page."""
 
     matrix: Floats
     """From its user units to mm, shape (3, 3), y downwards."""
@@ -112,7 +136,7 @@ _Planned = tuple[Element, Callable[[], Shape], Floats]
 """An element, what makes its shape, and the matrix from its user units to mm."""
 
 
-def read(content: bytes, most_curves: int) -> tuple[list[Floats], tuple[str, ...]]:
+def read(content: bytes, most_strokes: int, most_curves: int) -> tuple[list[Floats], tuple[str, ...]]:
     """Strokes, cubic curves in mm of shape (n, 4, 2) each, y downwards, and sentences on units and on what is left out."""
     try:
         root = ElementTree.fromstring(content)
@@ -120,7 +144,7 @@ def read(content: bytes, most_curves: int) -> tuple[list[Floats], tuple[str, ...
         raise FiveBarError(f"it is no XML: {error}") from None
     if _name(root) != "svg":
         raise FiveBarError(f"its first element is <{root.tag}>, not <svg>")
-    document = _Document(root, most_curves)
+    document = _Document(root, most_strokes, most_curves)
     strokes = list(document.strokes())
     return strokes, document.remarks()
 
@@ -134,9 +158,9 @@ def _name(element: Element) -> str:
 class _Document:
     """An SVG as it is walked through."""
 
-    def __init__(self, root: Element, most_curves: int):
+    def __init__(self, root: Element, most_strokes: int, most_curves: int):
         self.root = root
-        self.most = {"elements": MOST_ELEMENTS, "curves": most_curves, "moves": most_curves}
+        self.most = {"elements": MOST_ELEMENTS, "strokes": most_strokes, "curves": most_curves}
         self.spent: Counter[str] = Counter()
         self.said: dict[str, None] = {}
         self.hidden = ""
@@ -149,7 +173,11 @@ class _Document:
     def remarks(self) -> tuple[str, ...]:
         """Sentences on units and on what is left out."""
         said = [*self.said, *filter(None, [self.hidden])]
-        return tuple(said if len(said) <= MOST_REMARKS else [*said[:MOST_REMARKS], f"{len(said) - MOST_REMARKS} other things are left out."])
+        return tuple(
+            said
+            if len(said) <= MOST_REMARKS
+            else [*said[:MOST_REMARKS], f"{len(said) - MOST_REMARKS} other things are left out."]
+        )
 
     def strokes(self) -> Iterator[Floats]:
         """All strokes; to be called once. Shapes are made when all of them have been counted."""
@@ -175,7 +203,10 @@ class _Document:
         if element in frame.within:
             raise FiveBarError(f"{_called(element)} is drawn within itself, by <use>")
         style = self.css.style(element)
-        inherited = {key: style[key] if style.get(key, "inherit") != "inherit" else value for key, value in frame.inherited.items()}
+        inherited = {
+            key: style[key] if style.get(key, "inherit") != "inherit" else value
+            for key, value in frame.inherited.items()
+        }
         if _word(style, "display") == "none" or _is_zero(style.get("opacity", "1")):
             self._hide(element)
             return
@@ -205,7 +236,9 @@ class _Document:
         """Says what cannot be drawn; definitions and descriptions are not meant to be."""
         if name == "text":
             text = next((part.strip() for part in element.itertext() if part.strip()), "")
-            self.said[f"The text {text[:40]!r} is left out: only its outline can be drawn (Inkscape: Object to Path)."] = None
+            self.said[
+                f"The text {text[:40]!r} is left out: only its outline can be drawn (Inkscape: Object to Path)."
+            ] = None
         elif name == "image":
             self.said["An image is left out: only lines can be drawn."] = None
         elif name == "foreignObject":
@@ -231,14 +264,20 @@ class _Document:
         """The child of a <switch> that is drawn: the first one that asks for no extension, nor for another language than English."""
         for child in element:
             languages = [language.strip() for language in child.get("systemLanguage", "en").split(",")]
-            if _name(child) and not child.get("requiredExtensions") and any(language.partition("-")[0] == "en" for language in languages):
+            if (
+                _name(child)
+                and not child.get("requiredExtensions")
+                and any(language.partition("-")[0] == "en" for language in languages)
+            ):
                 return [child]
         self.said["A <switch> is left out: each of its children asks for an extension or another language."] = None
         return []
 
     # Units
 
-    def _length(self, element: Element, style: Style, name: str, frame: _Frame, axis: int | None, least: float = -np.inf) -> float | None:
+    def _length(
+        self, element: Element, style: Style, name: str, frame: _Frame, axis: int | None, least: float = -np.inf
+    ) -> float | None:
         """A length in user units, None if it is not given; `axis` 0 and 1 say what a percentage refers to, None: the diagonal."""
         text = style.get(name)
         if text is None or text == "auto":
@@ -256,7 +295,9 @@ class _Document:
         match = LENGTH.fullmatch(text)
         unit = match[2].lower() if match else ""
         if match is None or unit not in ("", "%", *FACTORS) or not np.isfinite(float(match[1])):
-            raise FiveBarError(f"{what}: it must be a number, without a unit or in {', '.join(UNITS)} or %, such as 100.5mm")
+            raise FiveBarError(
+                f"{what}: it must be a number, without a unit or in {', '.join(UNITS)} or %, such as 100.5mm"
+            )
         if unit == "%":
             if share is None:
                 raise FiveBarError(f"{what}: the page has no size of which this is a share")
@@ -271,7 +312,11 @@ class _Document:
     def _page(self, root: Element, style: Style, frame: _Frame) -> _Frame:
         """The frame of what is in the root: its units by width and height, of which one that is missing keeps the viewBox's shape (CSS 2.1, 10.4)."""
         texts = {name: style.get(name, "auto").strip() for name in ("width", "height")}
-        texts = {name: text for name, text in texts.items() if text and text != "auto" and not (text.endswith("%") and LENGTH.fullmatch(text))}
+        texts = {
+            name: text
+            for name, text in texts.items()
+            if text and text != "auto" and not (text.endswith("%") and LENGTH.fullmatch(text))
+        }
         if any(re.search(r"[a-zA-Z]\s*$", text) for text in texts.values()):
             self.unit = PX
         size = {name: self._measure(f"<svg> has {name}={text!r:.60}", text, None) for name, text in texts.items()}
@@ -282,9 +327,13 @@ class _Document:
         if box is None and self.unit == PX:
             self._say_px()
         if box is not None:
-            known = next((size[name] / extent for name, extent in (("width", box[2]), ("height", box[3])) if name in size), 1.0)
+            known = next(
+                (size[name] / extent for name, extent in (("width", box[2]), ("height", box[3])) if name in size), 1.0
+            )
             size = {"width": size.get("width", known * box[2]), "height": size.get("height", known * box[3])}
-        frame = frame._replace(matrix=np.diag([self.unit, self.unit, 1.0]), viewport=(size.get("width"), size.get("height")))
+        frame = frame._replace(
+            matrix=np.diag([self.unit, self.unit, 1.0]), viewport=(size.get("width"), size.get("height"))
+        )
         return self._within_box(root, frame._replace(matrix=frame.matrix @ self._transform(root, style, frame)), box)
 
     def _nested(self, element: Element, style: Style, frame: _Frame) -> _Frame:
@@ -300,7 +349,11 @@ class _Document:
         if text is None:
             return None
         parts = text.replace(",", " ").split()
-        if len(parts) != 4 or not all(re.fullmatch(NUMBER, part) for part in parts) or not np.all(np.isfinite(box := np.array(parts, dtype=np.float64))):
+        if (
+            len(parts) != 4
+            or not all(re.fullmatch(NUMBER, part) for part in parts)
+            or not np.all(np.isfinite(box := np.array(parts, dtype=np.float64)))
+        ):
             raise FiveBarError(f"its viewBox is {text!r:.60}: it must be four numbers")
         if not (box[2] > 0 and box[3] > 0):
             raise FiveBarError(f"its viewBox is {text!r:.60}: width and height must be positive")
@@ -323,7 +376,9 @@ class _Document:
             scale[:] = scale.max() if match[4] == "slice" else scale.min()
         share = np.array([{"Min": 0.0, "Mid": 0.5, "Max": 1.0}.get(match[i], 0.0) for i in (2, 3)])
         shift = share * (viewport - scale * box[2:]) - scale * box[:2]
-        return frame._replace(matrix=frame.matrix @ _moved(*shift) @ np.diag([*scale, 1.0]), viewport=(float(box[2]), float(box[3])))
+        return frame._replace(
+            matrix=frame.matrix @ _moved(*shift) @ np.diag([*scale, 1.0]), viewport=(float(box[2]), float(box[3]))
+        )
 
     # Transforms
 
@@ -342,7 +397,9 @@ class _Document:
             raise FiveBarError(f"{what}: it must be a list of functions, such as translate(10 5) rotate(30)")
         origin = style.get("transform-origin", "0 0").split()
         if _word(style, "transform-box") not in ("", "view-box") and "transform-origin" in style:
-            raise FiveBarError(f"<{_name(element)}> has transform-box={style['transform-box']!r:.60}: transform-origin is read with view-box only")
+            raise FiveBarError(
+                f"<{_name(element)}> has transform-box={style['transform-box']!r:.60}: transform-origin is read with view-box only"
+            )
         if len(origin) == 1:
             origin.append("center")
         if origin[0] in ("top", "bottom") or origin[1] in ("left", "right"):
@@ -356,7 +413,9 @@ class _Document:
         if name not in FUNCTIONS:
             raise FiveBarError(f"{what}: {name} is none of {', '.join(FUNCTIONS)}")
         if len(texts) not in FUNCTIONS[name]:
-            raise FiveBarError(f"{what}: {name} must have {' or '.join(map(str, FUNCTIONS[name]))} arguments, not {len(texts)}")
+            raise FiveBarError(
+                f"{what}: {name} must have {' or '.join(map(str, FUNCTIONS[name]))} arguments, not {len(texts)}"
+            )
         if name.startswith("translate"):
             shares = frame.viewport[::-1] if name == "translateY" else frame.viewport
             found = [self._measure(what, text, share) for text, share in zip(texts, shares)]
@@ -393,22 +452,36 @@ class _Document:
             data = style.get("d", "").strip()
             self._count(data)
             return partial(Outline, data) if data not in ("", "none") else None
+        self._spend("strokes")
         if name in ("polyline", "polygon"):
             text = element.get("points", "")
             if not re.fullmatch(rf"(?:{SEPARATOR}{NUMBER}{SEPARATOR}{NUMBER})*+\s*", text):
                 raise FiveBarError(f"<{name}> has points={text!r:.60}: they must be pairs of numbers")
             numbers = [float(number) for number in re.findall(NUMBER, text)]
             self._spend("curves", len(numbers) // 2)
-            return partial(Polygon if name == "polygon" else Polyline, *zip(numbers[::2], numbers[1::2])) if numbers else None
+            return (
+                partial(Polygon if name == "polygon" else Polyline, *zip(numbers[::2], numbers[1::2]))
+                if numbers
+                else None
+            )
         if name == "line":
             self._spend("curves")
-            return partial(SimpleLine, *(length(key, axis) or 0.0 for key, axis in (("x1", 0), ("y1", 1), ("x2", 0), ("y2", 1))))
+            return partial(
+                SimpleLine, *(length(key, axis) or 0.0 for key, axis in (("x1", 0), ("y1", 1), ("x2", 0), ("y2", 1)))
+            )
         if name == "rect":
-            x, y, rx, ry = (length(key, axis, least) for key, axis, least in (("x", 0, -np.inf), ("y", 1, -np.inf), ("rx", 0, 0), ("ry", 1, 0)))
+            x, y, rx, ry = (
+                length(key, axis, least)
+                for key, axis, least in (("x", 0, -np.inf), ("y", 1, -np.inf), ("rx", 0, 0), ("ry", 1, 0))
+            )
             width, height = length("width", 0, 0) or 0.0, length("height", 1, 0) or 0.0
             rx, ry = (ry if rx is None else rx) or 0.0, (rx if ry is None else ry) or 0.0
             self._spend("curves", 9 if rx and ry else 4)
-            return partial(Rect, x or 0.0, y or 0.0, width, height, min(rx, width / 2), min(ry, height / 2)) if width > 0 and height > 0 else None
+            return (
+                partial(Rect, x or 0.0, y or 0.0, width, height, min(rx, width / 2), min(ry, height / 2))
+                if width > 0 and height > 0
+                else None
+            )
         # Four arcs, and what closes them.
         self._spend("curves", 5)
         cx, cy = length("cx", 0) or 0.0, length("cy", 1) or 0.0
@@ -436,9 +509,11 @@ class _Document:
                 group = ARGUMENTS.get(command.lower())
                 while group is not None and (match := group.match(data, at)):
                     count, at = count + 1, match.end()
-                    self._spend("moves" if command in "Mm" and count == 1 else "curves")
+                    self._spend("strokes" if command in "Mm" and count == 1 else "curves")
                 if count == 0:
-                    raise FiveBarError(f"a path's data have {data[at - 1 : at + 30]!r}, which is no command with its numbers: {data[:60]!r}")
+                    raise FiveBarError(
+                        f"a path's data have {data[at - 1 : at + 30]!r}, which is no command with its numbers: {data[:60]!r}"
+                    )
             else:
                 self._spend("curves")
             while at < len(data) and data[at].isspace():
@@ -448,9 +523,13 @@ class _Document:
         """Strokes of a shape: its curves, then transformed, because arcs are no arcs any more where a transform skews them."""
         try:
             segments = list(Outline(make()).segments(transformed=False))
-            parts = [max(1, int(np.ceil(abs(float(each.sweep)) / ARC))) if isinstance(each, Arc) else 1 for each in segments]
+            parts = [
+                max(1, int(np.ceil(abs(float(each.sweep)) / ARC))) if isinstance(each, Arc) else 1 for each in segments
+            ]
         except (ValueError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
-            raise FiveBarError(f"svgelements makes no lines of {_called(element)} with {element.attrib!s:.80}: {type(error).__name__}: {error}") from None
+            raise FiveBarError(
+                f"svgelements makes no lines of {_called(element)} with {element.attrib!s:.80}: {type(error).__name__}: {error}"
+            ) from None
         self._spend("curves", sum(parts) - len(parts))
         curves: list[list[complex]] = []
         for segment, count in zip(segments, parts):
@@ -458,7 +537,10 @@ class _Document:
                 yield from _stroke(curves, matrix)
                 curves = []
             elif isinstance(segment, Arc):
-                curves += [[complex(p) for p in (c.start, c.control1, c.control2, c.end)] for c in segment.as_cubic_curves(count)]
+                curves += [
+                    [complex(p) for p in (c.start, c.control1, c.control2, c.end)]
+                    for c in segment.as_cubic_curves(count)
+                ]
             else:
                 curves.append(_cubic(segment))
         yield from _stroke(curves, matrix)
@@ -495,7 +577,9 @@ def _moved(x: float, y: float) -> Floats:
 def _number(what: str, text: str, units: dict[str, float]) -> float:
     match = LENGTH.fullmatch(text)
     if match is None or match[2] not in units or not np.isfinite(float(match[1])):
-        raise FiveBarError(f"{what}: {text!r:.40} must be a finite number{' in deg, rad, grad or turn' if len(units) > 1 else ''}")
+        raise FiveBarError(
+            f"{what}: {text!r:.40} must be a finite number{' in deg, rad, grad or turn' if len(units) > 1 else ''}"
+        )
     return float(match[1]) * units[match[2]]
 
 
@@ -551,7 +635,9 @@ class _Sheet:
                 if re.fullmatch(r"\*|[\w-]*(?:[.#][\w-]+)?", selector):
                     self.rules.setdefault(selector, []).append(_declared(body))
                 else:
-                    said[f"The rule {selector[:40]!r} of the style sheet is left out: selectors are read as path, .name, path.name or #name."] = None
+                    said[
+                        f"The rule {selector[:40]!r} of the style sheet is left out: selectors are read as path, .name, path.name or #name."
+                    ] = None
 
     def style(self, element: Element) -> Style:
         """Attributes and properties of an element, without those that it inherits, by the cascade."""
@@ -559,8 +645,17 @@ class _Sheet:
             name = _name(element)
             classes = element.get("class", "").split()
             mark = f"#{element.get('id')}"
-            selectors = ["*", name, *(f".{each}" for each in classes), *(f"{name}.{each}" for each in classes), mark, f"{name}{mark}"]
-            levels = [declared for selector in selectors for declared in self.rules.get(selector, [])] + [_declared(element.get("style", ""))]
+            selectors = [
+                "*",
+                name,
+                *(f".{each}" for each in classes),
+                *(f"{name}.{each}" for each in classes),
+                mark,
+                f"{name}{mark}",
+            ]
+            levels = [declared for selector in selectors for declared in self.rules.get(selector, [])] + [
+                _declared(element.get("style", ""))
+            ]
             style = dict(element.items())
             for important in (False, True):
                 for level in levels:
