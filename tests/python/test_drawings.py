@@ -1,4 +1,4 @@
-"""Drawings as people have them: units, hidden shapes, nested pages, references, and files that are refused after bounded work."""
+"""Drawings as people have them: units, hidden shapes, nested pages, references, and files refused after bounded work."""
 
 import math
 import re
@@ -223,7 +223,10 @@ def test_many_remarks_are_counted(read: Read) -> None:
 
 
 def test_a_switch_draws_one_child(read: Read) -> None:
-    children = '<g requiredExtensions="x"><path d="M0 0H99"/></g><path systemLanguage="de" d="M0 0H98"/><path systemLanguage="fr, en-GB" d="M0 0H10"/><path d="M0 0H97"/>'
+    children = (
+        '<g requiredExtensions="x"><path d="M0 0H99"/></g><path systemLanguage="de" d="M0 0H98"/>'
+        '<path systemLanguage="fr, en-GB" d="M0 0H10"/><path d="M0 0H97"/>'
+    )
     assert len(made := read(f"<switch>{children}</switch>").strokes) == 1 and made[0][-1, -1, 0] == pytest.approx(0.01)
 
 
@@ -305,6 +308,7 @@ def nest(depth: int, count: int, inner: str) -> str:
     [
         (nest(8, 10, LINE), "strokes"),
         (nest(8, 10, ""), "elements"),
+        (nest(3, 10, f'<path d="{" " * 100_000}M0 0"/>'), "characters"),
         (nest(4, 10, '<path d="M0 0' + "h1" * 20 + '"/>'), "curves"),
         ('<circle r="1"/>' * 100_000, "strokes"),
         ('<g><circle r="1"/></g>' * 3_500, "curves"),
@@ -319,7 +323,12 @@ def nest(depth: int, count: int, inner: str) -> str:
 def test_work_is_bounded_by_counts(read: Read, monkeypatch: pytest.MonkeyPatch, body: str, what: str) -> None:
     """Nothing is refused after more elements than are allowed, nor after more curves have been made."""
     counts = {"elements": 0, "curves": 0}
-    most = {"elements": svg.MOST_ELEMENTS, "strokes": strokes.MOST_STROKES, "curves": strokes.MOST_CURVES}
+    most = {
+        "elements": svg.MOST_ELEMENTS,
+        "strokes": strokes.MOST_STROKES,
+        "curves": strokes.MOST_CURVES,
+        "characters": svg.MOST_CHARACTERS,
+    }
     style, cubic = svg._Sheet.style, svg._stroke
 
     def counted_style(*values: object) -> object:
@@ -350,7 +359,9 @@ def test_lines_of_a_csv_are_counted(tmp_path: Path) -> None:
 
 def test_strokes_of_a_csv_are_counted(tmp_path: Path) -> None:
     file = tmp_path / "drawing.csv"
-    file.write_text("x,y,pen\n" + "".join(f"{i},1,{i % 2}\n" for i in range(2 * strokes.MOST_STROKES + 1)), encoding="utf-8")
+    file.write_text(
+        "x,y,pen\n" + "".join(f"{i},1,{i % 2}\n" for i in range(2 * strokes.MOST_STROKES + 1)), encoding="utf-8"
+    )
     with pytest.raises(FiveBarError, match="more than 10000 strokes"):
         strokes.read(file)
 

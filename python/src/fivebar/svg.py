@@ -1,6 +1,7 @@
-"""The lines of an SVG: its tree with units, styles, references and transforms; svgelements reads path data, arcs and colours.
+"""The lines of an SVG: its tree with units, styles, references and transforms; svgelements reads path data and colours.
 
-The work is bounded: elements, strokes and curves are counted before anything is made of them, each as often as `<use>` repeats it.
+The work is bounded: elements, strokes and curves are counted before anything is made of them, each as often as `<use>`
+repeats it.
 """
 
 import re
@@ -50,6 +51,9 @@ ARC = np.pi / 16
 
 MOST_ELEMENTS = 100_000
 """Elements that are looked at, with those that `<use>` repeats, at most."""
+
+MOST_CHARACTERS = 10_000_000
+"""Characters of their attributes, at most."""
 
 MOST_DEPTH = 200
 """Elements within each other at most, with those that `<use>` names: far below Python's limit of recursion."""
@@ -137,7 +141,7 @@ _Planned = tuple[Element, Callable[[], Shape], Floats]
 
 
 def read(content: bytes, most_strokes: int, most_curves: int) -> tuple[list[Floats], tuple[str, ...]]:
-    """Strokes, cubic curves in mm of shape (n, 4, 2) each, y downwards, and sentences on units and on what is left out."""
+    """Strokes, cubic curves (n, 4, 2) in mm, y downwards, and sentences on units and on what is left out."""
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -160,7 +164,12 @@ class _Document:
 
     def __init__(self, root: Element, most_strokes: int, most_curves: int):
         self.root = root
-        self.most = {"elements": MOST_ELEMENTS, "strokes": most_strokes, "curves": most_curves}
+        self.most = {
+            "elements": MOST_ELEMENTS,
+            "characters": MOST_CHARACTERS,
+            "strokes": most_strokes,
+            "curves": most_curves,
+        }
         self.spent: Counter[str] = Counter()
         self.said: dict[str, None] = {}
         self.hidden = ""
@@ -198,6 +207,7 @@ class _Document:
             self._leave_out(element, name)
             return
         self._spend("elements")
+        self._spend("characters", sum(map(len, element.attrib.values())))
         if len(frame.within) >= MOST_DEPTH:
             raise FiveBarError(f"more than {MOST_DEPTH} elements are within each other")
         if element in frame.within:
@@ -246,7 +256,10 @@ class _Document:
 
     def _hide(self, element: Element) -> None:
         if not self.hidden:
-            self.hidden = f"What is hidden is not drawn, such as {_called(element)} (display, visibility, opacity, or neither fill nor stroke)."
+            self.hidden = (
+                f"What is hidden is not drawn, such as {_called(element)} "
+                "(display, visibility, opacity, or neither fill nor stroke)."
+            )
 
     def _used(self, element: Element, style: Style, frame: _Frame) -> Iterator[_Planned]:
         """Shapes of the element that a <use> refers to."""
@@ -261,7 +274,7 @@ class _Document:
             yield from self._drawn(used, frame._replace(matrix=frame.matrix @ _moved(x, y)))
 
     def _chosen(self, element: Element) -> list[Element]:
-        """The child of a <switch> that is drawn: the first one that asks for no extension, nor for another language than English."""
+        """The first child of a <switch> that asks neither for an extension nor for another language than English."""
         for child in element:
             languages = [language.strip() for language in child.get("systemLanguage", "en").split(",")]
             if (
@@ -278,7 +291,7 @@ class _Document:
     def _length(
         self, element: Element, style: Style, name: str, frame: _Frame, axis: int | None, least: float = -np.inf
     ) -> float | None:
-        """A length in user units, None if it is not given; `axis` 0 and 1 say what a percentage refers to, None: the diagonal."""
+        """A length in user units, None if it is not given; percentages are of axis 0, 1, or of the diagonal (None)."""
         text = style.get(name)
         if text is None or text == "auto":
             return None
@@ -310,7 +323,10 @@ class _Document:
         self.said["Its px are 25.4/96 mm (CSS)."] = None
 
     def _page(self, root: Element, style: Style, frame: _Frame) -> _Frame:
-        """The frame of what is in the root: its units by width and height, of which one that is missing keeps the viewBox's shape (CSS 2.1, 10.4)."""
+        """The frame of what is in the root, whose width and height say the units.
+
+        If one of both is missing, it follows from the viewBox's shape (CSS 2.1, section 10.4).
+        """
         texts = {name: style.get(name, "auto").strip() for name in ("width", "height")}
         texts = {
             name: text
@@ -398,7 +414,8 @@ class _Document:
         origin = style.get("transform-origin", "0 0").split()
         if _word(style, "transform-box") not in ("", "view-box") and "transform-origin" in style:
             raise FiveBarError(
-                f"<{_name(element)}> has transform-box={style['transform-box']!r:.60}: transform-origin is read with view-box only"
+                f"<{_name(element)}> has transform-box={style['transform-box']!r:.60}: "
+                "transform-origin is read with view-box only"
             )
         if len(origin) == 1:
             origin.append("center")
@@ -512,7 +529,8 @@ class _Document:
                     self._spend("strokes" if command in "Mm" and count == 1 else "curves")
                 if count == 0:
                     raise FiveBarError(
-                        f"a path's data have {data[at - 1 : at + 30]!r}, which is no command with its numbers: {data[:60]!r}"
+                        f"a path's data have {data[at - 1 : at + 30]!r}, which is no command with its numbers: "
+                        f"{data[:60]!r}"
                     )
             else:
                 self._spend("curves")
@@ -520,7 +538,7 @@ class _Document:
                 at += 1
 
     def _of_shape(self, element: Element, make: Callable[[], Shape], matrix: Floats) -> Iterator[Floats]:
-        """Strokes of a shape: its curves, then transformed, because arcs are no arcs any more where a transform skews them."""
+        """Strokes of a shape: its curves, then transformed, because arcs are no arcs any more if a transform skews."""
         try:
             segments = list(Outline(make()).segments(transformed=False))
             parts = [
@@ -528,7 +546,8 @@ class _Document:
             ]
         except (ValueError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
             raise FiveBarError(
-                f"svgelements makes no lines of {_called(element)} with {element.attrib!s:.80}: {type(error).__name__}: {error}"
+                f"svgelements makes no lines of {_called(element)} with {element.attrib!s:.80}: "
+                f"{type(error).__name__}: {error}"
             ) from None
         self._spend("curves", sum(parts) - len(parts))
         curves: list[list[complex]] = []
@@ -636,7 +655,8 @@ class _Sheet:
                     self.rules.setdefault(selector, []).append(_declared(body))
                 else:
                     said[
-                        f"The rule {selector[:40]!r} of the style sheet is left out: selectors are read as path, .name, path.name or #name."
+                        f"The rule {selector[:40]!r} of the style sheet is left out: selectors are read as path, .name, "
+                        "path.name or #name."
                     ] = None
 
     def style(self, element: Element) -> Style:
