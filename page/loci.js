@@ -3,6 +3,9 @@
 const TAU = 2 * Math.PI;
 const LOCUS_POINTS = 720;
 
+// Share of the machine's size below which the elbows are near each other.
+const SHORT = 1e-2;
+
 // Lengths from values of the unit: base distance, then links 1 to 4.
 export function geometry(value) {
   return { d: value("base.distance"), l: [1, 2, 3, 4].map((i) => value(`link[${i}].length`)) };
@@ -35,20 +38,29 @@ function tallest(left, right, d) {
 }
 
 // Curves on which the distal links are in line, the direct singularities: a list of lists of points. The left elbow goes round;
-// the right one is where its circle meets that of radius l2 + l3, or |l2 - l3|, about the left elbow.
+// the right one is where its circle meets that of radius l2 + l3, or |l2 - l3|, about the left elbow. If the elbows are near each
+// other, their coupler goes round instead, for its direction would be lost in round-off.
 export function directLoci({ d, l }) {
   const curves = [];
-  for (const [apart, share] of [[l[1] + l[2], l[1] / (l[1] + l[2])], [Math.abs(l[1] - l[2]), l[1] / (l[1] - l[2])]]) {
-    if (apart < 1e-9) continue;
+  const size = d + l[0] + l[1] + l[2] + l[3];
+  for (const coupler of [l[1] + l[2], l[1] - l[2]]) {
+    const apart = Math.abs(coupler);
+    const short = apart < SHORT * size && Math.abs(apart - d) >= apart / 2;
     for (const side of [1, -1]) {
       curves.push(...pieces((angle) => {
-        const left = [l[0] * Math.cos(angle), l[0] * Math.sin(angle)];
+        const [x, y] = [Math.cos(angle), Math.sin(angle)];
+        if (short) {
+          const left = meeting([0, 0], l[0], [d - coupler * x, -coupler * y], l[3], side);
+          return left && [left[0] + l[1] * x, left[1] + l[1] * y];
+        }
+        const left = [l[0] * x, l[0] * y];
         const right = meeting(left, apart, [d, 0], l[3], side);
+        const share = l[1] / coupler;
         return right && [left[0] + share * (right[0] - left[0]), left[1] + share * (right[1] - left[1])];
       }));
     }
   }
-  return curves.concat(folded({ d, l }));
+  return curves;
 }
 
 // The pieces of a curve over an angle that exists for some angles only, each up to its very ends.
@@ -76,22 +88,6 @@ function end(point, inside, outside) {
     else outside = middle;
   }
   return inside;
-}
-
-// With distal links of one length the elbows can coincide: the tip is then anywhere on a circle about them.
-function folded({ d, l }) {
-  if (Math.abs(l[1] - l[2]) > 1e-9 || d === 0) return [];
-  const circles = [];
-  for (const side of [1, -1]) {
-    const centre = meeting([0, 0], l[0], [d, 0], l[3], side);
-    if (!centre || (side === -1 && Math.abs(centre[1]) < 1e-9)) continue;
-    const point = (_, i) => {
-      const angle = (TAU * i) / 180;
-      return [centre[0] + l[1] * Math.cos(angle), centre[1] + l[1] * Math.sin(angle)];
-    };
-    circles.push(Array.from({ length: 181 }, point));
-  }
-  return circles;
 }
 
 // One of the points where two circles meet.

@@ -64,4 +64,15 @@ for (const values of MACHINES) {
   }
 }
 if (!(count.direct >= 10 && count.inverse >= 10)) throw new Error(`too few singularities are passed: ${JSON.stringify(count)}`);
+
+// If distal links differ a little, their folded loci differ in proportion from the circles of equal lengths: here by 3 times as much at
+// most, and by 1e-5 m for the chords.
+for (const more of [5.6e-17, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3, -1e-9, -1e-5]) {
+  const [alike, made] = [0, more].map((by) => directLoci({ d: 0.1, l: [0.21, 0.3 + by, 0.3, 0.21] }));
+  if (alike.length !== 2 || made.length !== 2) throw new Error(`${made.length} loci instead of ${alike.length} at a difference of ${more} m`);
+  for (const point of made.flat()) {
+    const found = Math.min(...alike.map((curve) => distance(point, curve)));
+    if (!(found <= 3 * Math.abs(more) + 1e-5)) throw new Error(`folded locus at a difference of ${more} m: ${found} m off`);
+  }
+}
 console.log(JSON.stringify(count));
