@@ -71,6 +71,12 @@ def test_absolute_units_of_a_shape(read: Read, unit: str, attributes: str, px: f
     assert box(read(f'<rect width="10{unit}" height="1"/>', attributes))[2] == pytest.approx(10 * user * px)
 
 
+def test_a_page_that_fits_a_window_has_the_size_of_its_attributes(read: Read) -> None:
+    page = 'width="100mm" viewBox="0 0 50 50" style="width: 100%; height: auto"'
+    assert box(read(LINE, page))[2] == pytest.approx(20)
+    assert box(read(LINE, page.replace("100%", "25mm")))[2] == pytest.approx(5)
+
+
 def test_a_page_without_view_box_is_in_px(read: Read) -> None:
     made = read(LINE, 'width="100mm" height="50mm"')
     assert box(made)[2] == pytest.approx(10 * CSS_PX) and "px are 25.4/96 mm" in made.left_out[0]

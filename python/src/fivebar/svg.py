@@ -88,6 +88,9 @@ LEFT_OUT = {
 NUMBER = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"
 SEPARATOR = r"\s*+,?\s*+"
 LENGTH = re.compile(rf"\s*({NUMBER})\s*(%|[a-zA-Z]*)\s*")
+FLEXIBLE = re.compile(rf"\s*(?:auto|{NUMBER}\s*%)?\s*")
+"""A size that says nothing of how large a page is."""
+
 TRANSFORM = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)[\s,]*")
 
 COMMANDS = re.compile(r"[\sMmZzLlHhVvCcSsQqTtAaEe0-9+\-.,]*")
@@ -327,12 +330,10 @@ class _Document:
 
         If one of both is missing, it follows from the viewBox's shape (CSS 2.1, section 10.4).
         """
-        texts = {name: style.get(name, "auto").strip() for name in ("width", "height")}
-        texts = {
-            name: text
-            for name, text in texts.items()
-            if text and text != "auto" and not (text.endswith("%") and LENGTH.fullmatch(text))
-        }
+        # A style such as width:100% fits the page into a window: the attribute says how large it is.
+        told = {name: (style.get(name, ""), root.get(name, "")) for name in ("width", "height")}
+        sizes = {name: [text.strip() for text in both if not FLEXIBLE.fullmatch(text)] for name, both in told.items()}
+        texts = {name: found[0] for name, found in sizes.items() if found}
         if any(re.search(r"[a-zA-Z]\s*$", text) for text in texts.values()):
             self.unit = PX
         size = {name: self._measure(f"<svg> has {name}={text!r:.60}", text, None) for name, text in texts.items()}
