@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from conftest import REPOSITORY
-from fivebar import scene as scenes
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import GEOMETRY, LEAST_SINE, WORKING_MODES, Machine, Posture, Working, sines
 from instance import Instance
