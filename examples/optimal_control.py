@@ -10,6 +10,7 @@ It needs CasADi: target/venv/bin/pip install casadi. The picture is target/optim
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
+
 from unit import FMU, Unit
 
 SECONDS, PIECES, SUBSTEPS, MOST = 1.2, 24, 4, 0.01  # MOST: largest torque, N.m

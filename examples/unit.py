@@ -1,6 +1,7 @@
 """The unit through FMPy's calls, by names of variables: shared by the examples that go beyond one `simulate_fmu`."""
 
 import shutil
+from typing import Self
 
 from fmpy import extract, read_model_description
 from fmpy.simulation import instantiate_fmu
@@ -18,14 +19,14 @@ class Unit:
         self.slave = instantiate_fmu(self.folder, model, "CoSimulation")
         self.values, self.time = values, 0.0
 
-    def __enter__(self) -> "Unit":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.slave.freeInstance()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def start(self, values: dict[str, float | bool], time: float = 0.0) -> "Unit":
+    def start(self, values: dict[str, float | bool], time: float = 0.0) -> Self:
         """Through initialisation at a time, s; after `slave.reset()` as well."""
         self.set(self.values | values)
         self.slave.setupExperiment(startTime=time)

@@ -2,7 +2,7 @@
 
 import { Library, Refusal } from "./unit.js";
 import { part } from "./source.js";
-import { Settings, SPEEDS } from "./settings.js";
+import { Settings } from "./settings.js";
 import { Run } from "./run.js";
 import { View } from "./view.js";
 import { Accuracy } from "./accuracy.js";

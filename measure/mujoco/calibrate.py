@@ -5,8 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import machine
 import numpy as np
+
+import machine
 
 SECONDS = 10.0
 """Of the record that are used: a part of the motion without a push."""

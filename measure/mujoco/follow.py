@@ -14,10 +14,11 @@ import fmpy
 import matplotlib
 
 matplotlib.use("svg")
-import calibrate
-import machine
 import matplotlib.pyplot as plt
 import numpy as np
+
+import calibrate
+import machine
 from fivebar.drawing import STYLE
 from fivebar.slave import Log, get_values, instantiate, set_values
 

@@ -119,7 +119,9 @@ def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarr
             # A sum of two sines that begins and ends gently, on the way to the start's place.
             size, speed, phase = random.uniform(0.03, 0.2, (2, 2)), random.uniform(0.8, 6.0, (2, 2)), random.uniform(0, tau, (2, 2))
 
-            def motion(t, end, centre=angles.copy(), place=np.array(HOME), size=size, speed=speed, phase=phase):
+            centre, place = angles.copy(), np.array(HOME)
+
+            def motion(t, end, centre=centre, place=place, size=size, speed=speed, phase=phase):
                 blend, slope = _smooth(t / 0.8), _smooth_rate(t / 0.8) / 0.8
                 out = 1 - _smooth((t - end + 0.8) / 0.8)
                 fall = -_smooth_rate((t - end + 0.8) / 0.8) / 0.8
@@ -132,8 +134,9 @@ def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarr
                 )
 
         elif kind == "rest":
+            here = angles.copy()
 
-            def motion(t, end, here=angles.copy()):
+            def motion(t, end, here=here):
                 return here, np.zeros(2)
 
         else:

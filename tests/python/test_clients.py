@@ -18,8 +18,8 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 from conftest import Unit
-from instance import Instance, Values
 from fivebar.slave import Log, computed, get_values, instantiate, set_values
+from instance import Instance, Values
 
 New = Callable[..., Instance]
 

@@ -238,7 +238,7 @@ def test_a_run_in_python(here: Path) -> None:
     assert fall.animate("fall.html").stat().st_size > 20_000
     assert sorted(file.name for file in here.iterdir()) == ["fall.csv", "fall.html"]
     assert fivebar.unit().is_file() and fivebar.scenes()["swing"]
-    for call in (lambda: fivebar.run("fly"), lambda: fivebar.run("swing", "euler"), lambda: fivebar.run("swing", **{"tau": 1}), lambda: fall.plot("y")):
+    for call in (lambda: fivebar.run("fly"), lambda: fivebar.run("swing", "euler"), lambda: fivebar.run("swing", tau=1), lambda: fall.plot("y")):
         with pytest.raises(ValueError) as refusal:
             call()
         assert isinstance(refusal.value, FiveBarError) and "\n" not in str(refusal.value)

@@ -72,7 +72,7 @@ def test_dry_friction_holds_what_a_small_torque_would_move(new: New) -> None:
     sticking, bare = with_and_without(new, "friction", FLAT | {"tau[1]": 5e-4})
     for instance in (sticking, bare):
         instance.steps(500, 1e-3)
-    assert abs(sticking.get("theta[1]") - 2.2209) < 2.5e-3 < 0.04 < abs(bare.get("theta[1]") - 2.2209)
+    assert abs(sticking.get("theta[1]") - 2.2209) < 2.5e-3 and 0.04 < abs(bare.get("theta[1]") - 2.2209)
 
 
 def test_stop_ends_a_swing(new: New) -> None:

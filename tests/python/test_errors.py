@@ -8,8 +8,8 @@ import pytest
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription
 
-from instance import Instance, Values
 from fivebar.slave import Log, instantiate
+from instance import Instance, Values
 
 New = Callable[..., Instance]
 

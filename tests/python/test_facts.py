@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fivebar import singularities
-from fivebar import summary
 from conftest import REPOSITORY
+from fivebar import singularities, summary
 from fivebar.drive import Progress, drive
 from fivebar.scene import read
 from fivebar.variables import unit

@@ -398,30 +398,30 @@ def test_the_rim_of_the_reach_is_reached() -> None:
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: PAPER.inverse((0.9, 0.1)), "tip = (0.9, 0.1) m is out of reach of the left leg: it is 0.9055385138 m from the leg's motor, "
-         "link[1].length and link[2].length reach from 0 to 0.42 m, so that it is 0.4855 m too far."),
-        (lambda: PANTOGRAPH.inverse([(0.0125, 0.1), (0.03, 0.0)]), "tip[1] = (0.03, 0) m is out of reach of the right leg: it is 0.005 m from "
-         "the leg's motor, link[4].length and link[3].length reach from 0.012 to 0.138 m, so that it is 0.007 m too near (1 of 2 are so)."),
-        (lambda: PAPER.inverse((0.0, 0.0)), "tip = (0, 0) m lies on the left motor's axis: the links of that leg are folded, and the angle of "
-         "the motor is undetermined."),
-        (lambda: PAPER.inverse((0.21, 0.3), OUT, "minus"), "tip = (0.21, 0.3) m lies in the other assembly in working mode minus, plus: it "
-         "needs assembly plus."),
+        (lambda: PAPER.inverse((0.9, 0.1)), ("tip = (0.9, 0.1) m is out of reach of the left leg: it is 0.9055385138 m from the leg's motor, "
+         "link[1].length and link[2].length reach from 0 to 0.42 m, so that it is 0.4855 m too far.")),
+        (lambda: PANTOGRAPH.inverse([(0.0125, 0.1), (0.03, 0.0)]), ("tip[1] = (0.03, 0) m is out of reach of the right leg: it is 0.005 m from "
+         "the leg's motor, link[4].length and link[3].length reach from 0.012 to 0.138 m, so that it is 0.007 m too near (1 of 2 are so).")),
+        (lambda: PAPER.inverse((0.0, 0.0)), ("tip = (0, 0) m lies on the left motor's axis: the links of that leg are folded, and the angle of "
+         "the motor is undetermined.")),
+        (lambda: PAPER.inverse((0.21, 0.3), OUT, "minus"), ("tip = (0.21, 0.3) m lies in the other assembly in working mode minus, plus: it "
+         "needs assembly plus.")),
         (lambda: PAPER.inverse((0.21, np.nan)), "tip = (0.21, nan) m: it must be finite."),
         (lambda: PAPER.inverse((0.21, np.inf)), "tip = (0.21, inf) m: it must be finite."),
         (lambda: PAPER.inverse((0.21, 0.3, 0.0)), "tip has the shape (3,): the last axis must have 2 elements."),
         (lambda: PAPER.inverse((0.21, 0.3), ("minus", "up")), "working = 'up': it must be 'plus' or 'minus'."),
         (lambda: PAPER.inverse((0.21, 0.3), "minus"), "working = 'minus': it must name two bends, such as ('minus', 'plus'), the left leg first."),
-        (lambda: PAPER.forward((np.pi, 0.0)), "theta = (3.141592654, 0) rad cannot be closed: the elbows are 0.84 m apart, link[2].length and "
-         "link[3].length allow 0 to 0.42 m."),
-        (lambda: PAPER.forward((0.0, np.pi)), "theta = (0, 3.141592654) rad puts both elbows on the same point: the direction to the tip is "
-         "undetermined."),
+        (lambda: PAPER.forward((np.pi, 0.0)), ("theta = (3.141592654, 0) rad cannot be closed: the elbows are 0.84 m apart, link[2].length and "
+         "link[3].length allow 0 to 0.42 m.")),
+        (lambda: PAPER.forward((0.0, np.pi)), ("theta = (0, 3.141592654) rad puts both elbows on the same point: the direction to the tip is "
+         "undetermined.")),
         (lambda: PAPER.forward((1.0, 1.0), "left"), "assembly = 'left': it must be 'plus' or 'minus'."),
-        (lambda: PAPER.jacobian((2.0, 0.0, np.pi, 2.0)), "theta = (2, 0, 3.141592654, 2) rad is a singularity of the direct kind: the motors do "
-         "not determine how the tip moves."),
-        (lambda: PAPER.motor_rates((1.0, 1.0, 2.0, 1.5), (0.0, 1.0)), "theta = (1, 1, 2, 1.5) rad is a singularity of the inverse kind: no motor "
-         "rate moves the tip along its leg."),
-        (lambda: Machine.from_values({"link[1].lenght": 1.0}), "link[1].lenght is no length of a machine; there are base.distance, "
-         "link[1].length, link[2].length, link[3].length, link[4].length."),
+        (lambda: PAPER.jacobian((2.0, 0.0, np.pi, 2.0)), ("theta = (2, 0, 3.141592654, 2) rad is a singularity of the direct kind: the motors do "
+         "not determine how the tip moves.")),
+        (lambda: PAPER.motor_rates((1.0, 1.0, 2.0, 1.5), (0.0, 1.0)), ("theta = (1, 1, 2, 1.5) rad is a singularity of the inverse kind: no motor "
+         "rate moves the tip along its leg.")),
+        (lambda: Machine.from_values({"link[1].lenght": 1.0}), ("link[1].lenght is no length of a machine; there are base.distance, "
+         "link[1].length, link[2].length, link[3].length, link[4].length.")),
         (lambda: Machine.from_values({"link[3].length": 0.0}), "link[3].length = 0.0 m: it must be finite and > 0."),
         (lambda: Machine.from_values({"base.distance": -0.1}), "base.distance = -0.1 m: it must be finite and >= 0."),
     ],

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 from fmpy.model_description import ModelDescription
 
-from instance import Instance
 from fivebar.slave import Log, instantiate
+from instance import Instance
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 New = Callable[..., Instance]

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fivebar import moving_picture, simulate
 from conftest import REPOSITORY
+from fivebar import moving_picture, simulate
 from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import Event

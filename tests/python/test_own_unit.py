@@ -18,10 +18,10 @@ from fmpy import fmi2, simulate_fmu
 from fmpy.model_description import ModelDescription, read_model_description
 
 from conftest import Unit
-from instance import Instance, Values
 from fivebar.own_unit import write_unit
 from fivebar.scene import Scene, Variant
 from fivebar.slave import Log, get_values
+from instance import Instance, Values
 
 New = Callable[..., Instance]
 

@@ -65,7 +65,7 @@ def test_archive(fmu: Path) -> None:
     assert text.startswith('<?xml version="1.0" encoding="UTF-8"?>')
     for needed in ("documentation/index.html", "model.png"):
         assert needed in names
-    assert any(name.startswith("licenses/") or name.startswith("documentation/licenses/") for name in names)
+    assert any(name.startswith(("licenses/", "documentation/licenses/")) for name in names)
 
 
 def test_head(root: etree._Element) -> None:

@@ -380,7 +380,7 @@ def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
     assert made.values["payload.enabled"] and set(made.signals) == {f"servo.{what}[{i}]" for what in ("theta", "omega") for i in (1, 2)}
     with (folder / "fivebar.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    column = lambda name: np.array([float(row[name]) for row in rows])  # noqa: E731
+    column = lambda name: np.array([float(row[name]) for row in rows])
     assert np.abs(made.signals["servo.theta[1]"] - column("theta[1] [rad]")).max() < 1e-12
     result = simulate.run(made)
     assert np.abs(result["tip.x"] - column("done.x [m]")).max() < 1e-12 and {0.0, 1.0} == set(column("pen"))

@@ -21,8 +21,8 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from conftest import REPOSITORY, Unit
 from fivebar.scene import communication_points, read
-from fivebar.variables import Values
 from fivebar.slave import computed
+from fivebar.variables import Values
 
 pytestmark = pytest.mark.platforms
 
@@ -130,7 +130,7 @@ def bits(value: float) -> str:
     return struct.pack(">d", value).hex()
 
 
-def setting(variable: ScalarVariable, value: float | int | bool) -> str:
+def setting(variable: ScalarVariable, value: float | bool) -> str:
     """The line that sets a variable."""
     match variable.type:
         case "Real":

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
-from fivebar import scene
 from conftest import REPOSITORY
+from fivebar import scene
 from instance import Instance, Values
 
 New = Callable[..., Instance]

@@ -76,7 +76,7 @@ def test_a_signal_is_held_from_each_communication_point(model: ModelDescription,
     signalled = run(replace(rest, signals={"tau[1]": ramp}), model, directory)
     assert signalled["tau[1]"].tolist() == ramp.tolist()
     # The first step is made with the value at 0, which is none: the rest stays one, but for round-off.
-    assert abs(signalled["omega[1]"][1]) < 1e-15 < 1e-4 < signalled["omega[1]"][2]
+    assert abs(signalled["omega[1]"][1]) < 1e-15 and 1e-4 < signalled["omega[1]"][2]
     # Work put in is held torque times turned angle, step by step; 1e-6 of it is the integrator's error.
     work = np.sum(signalled["tau[1]"][:-1] * np.diff(signalled["theta[1]"]))
     assert signalled["energy.input"][-1] == pytest.approx(work, rel=1e-6)

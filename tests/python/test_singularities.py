@@ -10,9 +10,9 @@ from fmpy.model_description import ModelDescription
 
 from fivebar import singularities
 from fivebar.drive import Progress, Run, drive
-from made_scene import made_scene
 from fivebar.scene import communication_points
 from fivebar.singularities import Event
+from made_scene import made_scene
 
 LENGTH = 0.21
 

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from conftest import PATIENCE
 from fivebar.twin import dashboard, scene
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.dashboard import FILES, KEPT, Pace, Server, topic_of
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.starter import free_port
 from fivebar.variables import of_unit
-from websockets.asyncio.client import connect
-from websockets.exceptions import InvalidStatus
-
-from conftest import PATIENCE
 
 
 def packet(kind: str, seq: int, qos: int = 0) -> bytes:

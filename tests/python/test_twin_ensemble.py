@@ -14,14 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 from distributed.comm import CommClosedError
 
+from conftest import PATIENCE
 from fivebar.twin.ensemble import cluster, command, results, rows, what_if
 from fivebar.twin.ensemble.member import Plan, Runner
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, decode, encode
 from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library, Unit
-
-from conftest import PATIENCE
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 PLAN = Plan(values=FALL, seconds=0.5, points=10, seed=3, spreads={"theta[1]": 2e-3, "link[1,4].mass": 0.01})

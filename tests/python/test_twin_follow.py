@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+
 from fivebar.twin import figures, record
 from fivebar.twin.config import Config, Faults
 from fivebar.twin.errors import TwinError

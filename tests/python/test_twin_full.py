@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from browser import open_browser
+from conftest import PATIENCE, REPOSITORY, started, wait_until
 from fivebar.twin import figures
 from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.starter import ENDING, free_port
 from fivebar.twin.unit import Library
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
-
-from browser import open_browser
-from conftest import PATIENCE, REPOSITORY, started, wait_until
 from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full

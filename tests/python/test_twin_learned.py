@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from conftest import PATIENCE
 from fivebar import scene as scenes_of
 from fivebar.commands import main
 from fivebar.errors import FiveBarError
@@ -24,8 +26,6 @@ from fivebar.twin.soak import configured, machine
 from fivebar.twin.unit import Library, Unit
 from fivebar.twin.watch import CAUSES
 from fivebar.variables import of_unit
-
-from conftest import PATIENCE
 from twin_support import follower, recorded
 
 QUANTILE = 5.991

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused
 from fivebar.twin.intake import CONSISTENT, Intake

@@ -16,8 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from conftest import PATIENCE
 from fivebar.commands import main
-from fivebar.twin import config as configuration, figures, record, starter, summary
+from fivebar.twin import config as configuration
+from fivebar.twin import figures, record, starter, summary
 from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follow import Twin
@@ -30,8 +33,6 @@ from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import Child, Run
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import NO_SAMPLE, Watch
-
-from conftest import PATIENCE
 from test_twin_messages import of_kind
 from twin_support import recorded
 

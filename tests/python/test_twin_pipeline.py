@@ -13,6 +13,9 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 import pytest
+
+from conftest import PATIENCE, REPOSITORY
+from conftest import started as addresses
 from fivebar.twin import config as configuration
 from fivebar.twin import figures
 from fivebar.twin.ahead import Ahead
@@ -24,9 +27,6 @@ from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
-
-from conftest import PATIENCE, REPOSITORY
-from conftest import started as addresses
 
 COMMAND = [sys.executable, "-m", "fivebar"]
 

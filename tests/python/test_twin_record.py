@@ -7,12 +7,14 @@ import os
 import socket
 import stat
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from fivebar.twin import config as configuration
 from fivebar.twin import figures, record
 from fivebar.twin.bus import Bus
@@ -293,7 +295,7 @@ def test_faults_come_as_often_as_asked_and_none_by_default() -> None:
     assert 140 < sum(not each for each in sent(Faults(lost=0.05))) < 260
     assert 140 < sum(len(each) == 2 for each in sent(Faults(doubled=0.05))) < 260
     arrived = [decode(TOPIC, payload).seq for each in sent(Faults(late=0.05)) for payload in each]
-    assert 140 < sum(a > b for a, b in zip(arrived, arrived[1:], strict=False)) < 260 and len(arrived) > 3990
+    assert 140 < sum(a > b for a, b in pairwise(arrived)) < 260 and len(arrived) > 3990
     assert parse_faults("lost=0.05,clock_jump=-3") == Faults(lost=0.05, clock_jump=-3.0)
     for text in ("lost", "lost=2", "lost=nan", "gone=0.1"):
         with pytest.raises(TwinError):

@@ -253,7 +253,7 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
 
 def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
     """As a user runs it: pictures that show something, the scene's motion where it was; what is wrong is one sentence."""
-    run = lambda *words: subprocess.run(  # noqa: E731
+    run = lambda *words: subprocess.run(
         [sys.executable, "-m", "fivebar", "map", *words], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"FIVEBAR_FMU": str(fmu)}
     )
     done = run("pick_and_place", "--mode", "minusPlus")

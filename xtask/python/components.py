@@ -1,9 +1,9 @@
 """Prints the Python packages that `fivebar` asks for, with all that they ask for, as components of CycloneDX; `cargo xtask release` puts them
 into its bill of materials. Versions are those of the environment that runs this, in which the tests run."""
 
-import importlib.metadata as metadata
 import json
 import re
+from importlib import metadata
 
 from packaging.requirements import Requirement
 

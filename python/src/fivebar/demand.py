@@ -5,6 +5,7 @@ All effects of the scene count but servos, stops and the estimator; friction is 
 
 import shutil
 from ctypes import c_double
+from typing import Self
 
 import fmpy
 import numpy as np
@@ -55,7 +56,7 @@ class Demand:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise StartRefused(self._log.last() or str(error)) from None
 
-    def __enter__(self) -> "Demand":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,7 +11,6 @@ import re
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -292,16 +291,16 @@ def _pack(target: Path, files: dict[str, bytes]) -> None:
 
 def _move(whole: Path, target: Path) -> None:
     """Brings a file to its place at once, also from another file system: whoever looks there finds a whole one or none."""
-    beside = tempfile.NamedTemporaryFile(prefix=f".{target.name}.", dir=target.parent, delete=False)
+    handle, beside = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
     try:
-        with beside:
-            beside.write(whole.read_bytes())
+        with open(handle, "wb") as file:
+            file.write(whole.read_bytes())
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(beside.name, 0o666 & ~umask)
-        os.replace(beside.name, target)
+        os.chmod(beside, 0o666 & ~umask)
+        os.replace(beside, target)
     except BaseException:
-        Path(beside.name).unlink(missing_ok=True)
+        Path(beside).unlink(missing_ok=True)
         raise
 
 
@@ -325,7 +324,7 @@ def _try_start(fmu: Path) -> list[str]:
             slave.setupExperiment()
             slave.enterInitializationMode()
             slave.exitInitializationMode()
-        except Exception as error:  # FMPy's own if there is no instance
+        except Exception as error:  # noqa: BLE001 -- FMPy raises this class itself if there is no instance
             raise FiveBarError(f"the start is refused: {(log.last() or str(error)).removesuffix('.')}") from None
         finally:
             if slave is not None:

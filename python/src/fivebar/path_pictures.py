@@ -17,7 +17,19 @@ from fivebar.kinematics import SIDES, Machine, Working
 from fivebar.paths import Blocked, Limits, Outcome, Plan, strokes_of
 from fivebar.scene import Scene
 from fivebar.strokes import Drawing, points_of
-from fivebar.workspace_pictures import BLACK, GREY, MM, PURPLE, SKY, STYLE, VERMILLION, WHITE, chain, draw_loci, hide_outside
+from fivebar.workspace_pictures import (
+    BLACK,
+    GREY,
+    MM,
+    PURPLE,
+    SKY,
+    STYLE,
+    VERMILLION,
+    WHITE,
+    chain,
+    draw_loci,
+    hide_outside,
+)
 
 Floats = NDArray[np.float64]
 

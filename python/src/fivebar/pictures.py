@@ -13,8 +13,24 @@ from matplotlib.ticker import FuncFormatter
 
 from fivebar import effect_pictures
 from fivebar.drawing import (
-    FAINT, INK, KIND_COLOURS, LEFT, RIGHT, RUN_COLOURS, STYLE, TIP,
-    drawing_order, extent, full_decades, ordered_legend, positive, run_label, run_style, surroundings, thinned, time_axis,
+    FAINT,
+    INK,
+    KIND_COLOURS,
+    LEFT,
+    RIGHT,
+    RUN_COLOURS,
+    STYLE,
+    TIP,
+    drawing_order,
+    extent,
+    full_decades,
+    ordered_legend,
+    positive,
+    run_label,
+    run_style,
+    surroundings,
+    thinned,
+    time_axis,
 )  # fmt: skip
 from fivebar.drive import Run
 from fivebar.scene import Scene

@@ -10,6 +10,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from fivebar.errors import FiveBarError
@@ -94,10 +95,10 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
     if not (isinstance(value, list) and len(value) > 1 and all(_is_knot(knot) for knot in value)):
         raise FiveBarError(f"'{kind}' must be a list of two or more knots [time in s, value], not {shown(value)}")
     knots = [(float(time), float(v)) for time, v in value]
-    for (before, _), (after, _) in zip(knots, knots[1:]):
+    for (before, _), (after, _) in pairwise(knots):
         if after <= before:
             raise FiveBarError(f"the knots' times must increase, but {_short(after)} s follows {_short(before)} s")
-    for (begin, before), (end, after) in zip(knots, knots[1:]):
+    for (begin, before), (end, after) in pairwise(knots):
         if not math.isfinite((after - before) / (end - begin)):
             raise FiveBarError(f"the way between the knots at {_short(begin)} s and {_short(end)} s is too steep")
     early = EARLY if kind == STEPS else 0.0

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -80,8 +81,7 @@ class Variable:
         return next(name for name, value in self.items.items() if value == number)
 
     def _within(self, value: float) -> bool:
-        # Not a number is within no bounds.
-        return (self.least is None or self.least <= value) and (self.most is None or value <= self.most) and value == value
+        return not math.isnan(value) and (self.least is None or self.least <= value) and (self.most is None or value <= self.most)
 
     @staticmethod
     def _limits(least: float | None, most: float | None) -> str:

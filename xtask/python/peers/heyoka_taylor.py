@@ -8,9 +8,9 @@ import numpy as np
 
 from machine import (
     COM,
-    COUPLING,
     COULOMB,
     COULOMB_RATE,
+    COUPLING,
     FAR,
     JOINTS,
     KD,

@@ -46,5 +46,5 @@ def _program() -> Path:
 
 
 def _version() -> str:
-    header = subprocess.run(["gcc", "-E", "-dM", "-include", "sundials/sundials_config.h", "-"], input="", capture_output=True, text=True)
+    header = subprocess.run(["gcc", "-E", "-dM", "-include", "sundials/sundials_config.h", "-"], input="", capture_output=True, text=True, check=True)
     return re.search(r'SUNDIALS_VERSION "(.+)"', header.stdout)[1]

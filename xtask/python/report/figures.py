@@ -43,7 +43,7 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         axes.set_visible(False)
     for axes, reference in zip(panels.flat, references):
         own = [m for m in markers if m.scene == reference.scene and m.complete and m.error < USELESS]
-        for method, colour in COLOURS.items():
+        for method in COLOURS:
             line = [m for m in own if m.method == method]
             _line(axes, [m.cost for m in line], [m.error for m in line], method)
         if own:

@@ -6,8 +6,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from peers import ahead
 from fivebar.pictures import FAINT, RUN_COLOURS
+from peers import ahead
 from report.figures import COLOURS, SHAPES, logarithmic
 from report.tables import Row
 

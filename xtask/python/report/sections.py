@@ -12,6 +12,7 @@ from report import figures, more_figures, picks
 from report.page import Section, table
 from report.tables import Marker, Measurements, Reference, by_kind, setting
 
+
 def run(m: Measurements, about: str) -> Section:
     """1: the runs, the machine, how to repeat them."""
     section = Section("run", "What was run, where, how to repeat it")

@@ -13,6 +13,7 @@ import random
 import time
 from collections import deque
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -156,7 +157,7 @@ class Recording:
         from fivebar.twin.calibrate import data
 
         file, times = Path(self.config.machine.csv), [at for at, _ in self.samples]
-        for number, (before, at) in enumerate(zip(times, times[1:], strict=False), 2):
+        for number, (before, at) in enumerate(pairwise(times), 2):
             if not at > before:
                 raise TwinError(f"{file}: time of row {number} is {at!r} s after {before!r} s; times must rise")
         time = np.array(times) - times[0]

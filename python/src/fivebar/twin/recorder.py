@@ -3,6 +3,7 @@
 import logging
 import time
 import zipfile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -54,7 +55,7 @@ class Gaps:
         for when, first, last, came in self.waiting:
             if when <= now:
                 edges = [first - 1, *sorted(came), last + 1]
-                ranges += [(a + 1, b - 1) for a, b in zip(edges, edges[1:], strict=False) if b - a > 1]
+                ranges += [(a + 1, b - 1) for a, b in pairwise(edges) if b - a > 1]
         self.waiting = [each for each in self.waiting if each[0] > now]
         return ranges
 

@@ -13,7 +13,6 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS
 from fivebar.variables import Variables
 
-
 SOURCE: Final = "source.json"
 """Copy of the scene's own file, in the folder of a run."""
 

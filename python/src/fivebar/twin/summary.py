@@ -13,19 +13,19 @@ import matplotlib
 
 matplotlib.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from matplotlib.artist import Artist  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.lines import Line2D  # noqa: E402
-from matplotlib.ticker import LogLocator, NullFormatter  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from fivebar.twin import figures, handover, scene  # noqa: E402
-from fivebar.twin.config import Config  # noqa: E402
-from fivebar.twin.errors import TwinError  # noqa: E402
-from fivebar.twin.figures import Judged, Story  # noqa: E402
-from fivebar.twin.watch import Histogram  # noqa: E402
+from fivebar.twin import figures, handover, scene
+from fivebar.twin.config import Config
+from fivebar.twin.errors import TwinError
+from fivebar.twin.figures import Judged, Story
+from fivebar.twin.watch import Histogram
 
 LEARNED: Final = "learned.json"
 """Scene with what the twin has learned."""
@@ -107,8 +107,10 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ("tip error", f"rms {figure(error['rms'], 'mm')}, largest {figure(error['max'], 'mm')}"),
         (
             f"forecasts, {forecasts['ahead_s']:g} s",
-            f"{forecasts['count']} of {forecasts['due']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
-            f"{figure(forecasts['coverage95'], '%', 100)} inside",
+            (
+                f"{forecasts['count']} of {forecasts['due']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
+                f"{figure(forecasts['coverage95'], '%', 100)} inside"
+            ),
         ),
         ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),

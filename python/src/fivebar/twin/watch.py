@@ -96,7 +96,7 @@ class Cause:
 class Anomalies:
     """The states, in the time of the estimates, s."""
 
-    def __init__(self, settings: Settings = Settings()):  # noqa: B008
+    def __init__(self, settings: Settings = Settings()):
         self.settings = settings
         self.state = "starting"
         self.since = math.nan

@@ -169,8 +169,8 @@ class Machine:
             if second is not None:
                 q[second] = q[second] + torque
         for i, link in enumerate((0, 3)):
-            th, w, name = self.theta[link], self.omega[link], lambda stem: quad(scene[f"{stem}[{i + 1}]"])
-            at = lambda stem: scene.input(f"{stem}[{i + 1}]")
+            th, w, name = self.theta[link], self.omega[link], lambda stem, i=i: quad(scene[f"{stem}[{i + 1}]"])
+            at = lambda stem, i=i: scene.input(f"{stem}[{i + 1}]")
             q[link] = q[link] + at("tau")
             if scene.on("spring"):
                 q[link] = q[link] - name("spring.k") * (th - name("spring.theta0"))
@@ -240,13 +240,13 @@ def integrator(scene: Scene, state: list[mpmath.mpf], held: list, time):
     system = list(zip(machine.theta, machine.omega)) + list(zip(machine.omega, accelerations))
     # Side of each switch in double precision: no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
-    sides = [float(hy.cfunc([g], list((*machine.theta, *machine.omega)))(np.array(list(names.values())))[0]) for g in machine.switches]
+    sides = [float(hy.cfunc([g], [*machine.theta, *machine.omega])(np.array(list(names.values())))[0]) for g in machine.switches]
     inputs = len(scene.changing)
     pars = np.array([*held, *(FP(1 if g > 0 else 0) for g in sides)], dtype=FP)
     kwargs = ({"pars": pars} if len(pars) else {}) | ({"t_events": events(machine.switches, inputs)} if machine.switches else {})
     start = np.array([quad(x) for x in state], dtype=FP)
     ta = hy.taylor_adaptive(system, start, time=time, fp_type=FP, tol=FP("1e-30"), compact_mode=True, **kwargs)
-    return ta, hy.cfunc(list(machine.tip()[0]), list((*machine.theta, *machine.omega)), fp_type=FP)
+    return ta, hy.cfunc(list(machine.tip()[0]), [*machine.theta, *machine.omega], fp_type=FP)
 
 
 def main() -> None:

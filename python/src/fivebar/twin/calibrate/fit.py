@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from fivebar.twin.calibrate.data import Array, Data, Samples
 from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
-from fivebar.twin.calibrate.parameters import DELAY, Parameter
+from fivebar.twin.calibrate.parameters import DELAY
 from fivebar.twin.errors import TwinError
 
 MOVED: Final = 1e-3

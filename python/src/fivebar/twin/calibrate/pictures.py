@@ -7,10 +7,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from fivebar.drawing import FAINT, INK, LEFT, RIGHT, STYLE, TIP, WRONG, save
 from fivebar.twin.calibrate.fit import Fit
 from fivebar.twin.calibrate.identify import Judgement, interval
 from fivebar.twin.calibrate.parameters import Parameter
-from fivebar.drawing import FAINT, INK, LEFT, RIGHT, STYLE, TIP, WRONG, save
 
 
 def draw(out: Path, fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> list[Path]:

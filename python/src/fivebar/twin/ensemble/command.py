@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from fivebar import scene as scenes
 from fivebar.twin import config, scene
-from fivebar.twin.calibrate.scenes import KEPT_OUT
 from fivebar.twin.calibrate.parameters import Values
+from fivebar.twin.calibrate.scenes import KEPT_OUT
 from fivebar.twin.ensemble.member import STATE, Plan, Runner, spreads
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library, Unit

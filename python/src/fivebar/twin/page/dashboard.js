@@ -152,7 +152,7 @@ function twinAngles() {
 
 /** Elbows and tip from the four link angles. */
 function twinPose() {
-  const f = state.est.fields, { base, lengths: [l1, l2, , l4] } = state.about;
+  const f = state.est.fields, { base, lengths: [l1, , , l4] } = state.about;
   const [p1, d1, d2, p2] = twinAngles();
   const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
   return { left, right, tip: [f["tip.x"], f["tip.y"]], direct: Math.abs(Math.sin(d2 - d1)), inverse: [Math.abs(Math.sin(d1 - p1)), Math.abs(Math.sin(d2 - p2))] };
