@@ -172,3 +172,9 @@ def test_maps_and_drawings(user: User) -> None:
 def test_the_same_sources_give_the_same_wheel(fmu: Path, tmp_path: Path) -> None:
     one, two = (build(fmu, tmp_path / name) for name in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
+
+
+def test_the_wheel_has_its_types(wheel: Path) -> None:
+    """Without the file py.typed other people's type checkers ignore the annotations."""
+    with zipfile.ZipFile(wheel) as archive:
+        assert "fivebar/py.typed" in archive.namelist()

@@ -51,7 +51,8 @@ def stop_margin(scene: Scene, motors: Floats) -> Floats:
 
 def bends_like(theta: Floats, working: Working) -> Flags:
     """Whether postures (..., 4) are in a working mode, its rim included."""
-    return np.all(sines(theta)[..., 1:] * np.array([SIGN[bend] for bend in working]) >= -1e-12, axis=-1)
+    alike: Flags = np.all(sines(theta)[..., 1:] * np.array([SIGN[bend] for bend in working]) >= -1e-12, axis=-1)
+    return alike
 
 
 def stretches(flags: Flags, beyond: int = 0) -> list[slice]:
@@ -141,7 +142,8 @@ class Obstacles:
             return np.full(len(places), np.inf)
         x, y = (places[:, axis, None] - self.begin[:, axis] for axis in (0, 1))
         share = np.clip((x * self.along[:, 0] + y * self.along[:, 1]) / self.squared, 0, 1)
-        return np.sqrt(np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1))
+        apart: Floats = np.sqrt(np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1))
+        return apart
 
 
 # For pages

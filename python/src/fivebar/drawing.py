@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,12 +13,15 @@ from matplotlib.ticker import NullFormatter
 
 from fivebar.drive import Run
 
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
+
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}
 LEFT, RIGHT, TIP, INK, FAINT, BARRIER = "#1864ab", "#2b8a3e", "#e8590c", "#212529", "#adb5bd", "#f1f3f5"
 WRONG = "#c2255c"
 
-STYLE: Final[dict[str, Any]] = {
+STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
     "figure.constrained_layout.use": True,
     "font.size": 10,

@@ -1,5 +1,7 @@
 """Pictures of loads and obstacles of a scene: changing loads, servos, end stops, a plane."""
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -96,7 +98,7 @@ def _input(scene: Scene, run: Run, name: str) -> np.ndarray:
     return run[name] if name in scene.signals else np.full(len(run.time), scene.variants[0].values.get(name, 0.0))
 
 
-def _curve(axes: Axes, run: Run, values: np.ndarray, colour: str, **style: float | str) -> None:
+def _curve(axes: Axes, run: Run, values: np.ndarray, colour: str, **style: Any) -> None:
     time, values = thinned(run.time, values)
     axes.plot(time, values, color=colour, **{"linewidth": 1.2} | style)
 

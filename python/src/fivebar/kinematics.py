@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Sign = Literal["plus", "minus"]
 Working = tuple[Sign, Sign]
+Line = Literal["stretched", "folded"]
+"""How two links lie in line."""
+
 Floats = NDArray[np.float64]
 
 WORKING_MODES: tuple[Working, ...] = (("minus", "plus"), ("plus", "plus"), ("minus", "minus"), ("plus", "minus"))
@@ -94,7 +97,7 @@ class Circle(NamedTuple):
     leg: int
     """0 left, 1 right."""
 
-    posture: Literal["stretched", "folded"]
+    posture: Line
     centre: tuple[float, float]
     radius: float
 
@@ -102,7 +105,7 @@ class Circle(NamedTuple):
 class Locus(NamedTuple):
     """A curve of direct singularities: the distal links in line."""
 
-    posture: Literal["stretched", "folded"]
+    posture: Line
     theta: Floats
     """Angles of the links 1 to 4 along the curve, rad, shape (n, 4)."""
 
@@ -142,8 +145,8 @@ class Machine:
         """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
         if strange := set(values) - set(GEOMETRY):
             raise FiveBarError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
-        distance, *lengths = (float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY)
-        return cls(distance, tuple(lengths))
+        distance, l1, l2, l3, l4 = (float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY)
+        return cls(distance, (l1, l2, l3, l4))
 
     @classmethod
     def from_scene(cls, scene: "str | Path | Scene") -> "Machine":
@@ -250,7 +253,8 @@ class Machine:
 
     def is_reachable(self, tip: ArrayLike) -> NDArray[np.bool_]:
         """Whether both legs reach `tip` (..., 2), m; the working mode does not matter."""
-        return np.all(self.shortfall(tip) == 0, axis=-1)
+        within: NDArray[np.bool_] = np.all(self.shortfall(tip) == 0, axis=-1)
+        return within
 
     @property
     def reach(self) -> Floats:
@@ -281,7 +285,8 @@ class Machine:
 
     def tip_velocity(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
         """Velocity of the tip, m/s, shape (..., 2), at postures (..., 4) from the motors' rates (..., 2), rad/s."""
-        return np.einsum("...ij,...j->...i", self.jacobian(theta), self._finite("omega", omega, 2, "rad/s"))
+        velocity: Floats = np.einsum("...ij,...j->...i", self.jacobian(theta), self._finite("omega", omega, 2, "rad/s"))
+        return velocity
 
     def motor_rates(self, theta: ArrayLike, velocity: ArrayLike) -> Floats:
         """Rates of the motors, rad/s, shape (..., 2), that move the tip at `velocity` (..., 2), m/s, at postures (..., 4).
@@ -290,7 +295,8 @@ class Machine:
         """
         theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
         self._refuse_singular(theta, "inverse", "no motor rate moves the tip along its leg")
-        return np.einsum("...ij,...j->...i", self._rows(theta), velocity) / self._arms(theta)
+        rates: Floats = np.einsum("...ij,...j->...i", self._rows(theta), velocity) / self._arms(theta)
+        return rates
 
     def motor_accelerations(self, theta: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
         """Accelerations of the motors, rad/s2, shape (..., 2), that give the tip `acceleration` (..., 2), m/s2, at `velocity` (..., 2), m/s.
@@ -319,11 +325,13 @@ class Machine:
         """
         theta, torque = self._finite("theta", theta, 4, "rad"), self._finite("torque", torque, 2, "N·m")
         self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
-        return np.einsum("...ji,...j->...i", self._rows(theta), torque / self._arms(theta))
+        force: Floats = np.einsum("...ji,...j->...i", self._rows(theta), torque / self._arms(theta))
+        return force
 
     def motor_torques(self, theta: ArrayLike, force: ArrayLike) -> Floats:
         """Torques of the motors, N·m, shape (..., 2), by which the tip exerts `force` (..., 2), N, without weight; tau = J^T F."""
-        return np.einsum("...ji,...j->...i", self.jacobian(theta), self._finite("force", force, 2, "N"))
+        torques: Floats = np.einsum("...ji,...j->...i", self.jacobian(theta), self._finite("force", force, 2, "N"))
+        return torques
 
     def jacobian(self, theta: ArrayLike) -> Floats:
         """d tip / d (theta1, theta4), m/rad, shape (..., 2, 2), at postures (..., 4); refused at direct singularities."""
@@ -378,10 +386,9 @@ class Machine:
 
     def inverse_singularities(self) -> list[Circle]:
         """The circles on which a leg is stretched or folded; a radius of 0 is the motor's axis."""
+        rims: tuple[tuple[int, Line], ...] = ((1, "stretched"), (0, "folded"))
         return [
-            Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side]))
-            for leg in (0, 1)
-            for side, posture in ((1, "stretched"), (0, "folded"))
+            Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side])) for leg in (0, 1) for side, posture in rims
         ]
 
     def direct_singularities(self, points: int = 2000) -> list[Locus]:
@@ -392,7 +399,7 @@ class Machine:
         """
         return [locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)]
 
-    def direct_at(self, theta1: float) -> list[tuple[Literal["stretched", "folded"], Posture]]:
+    def direct_at(self, theta1: float) -> list[tuple[Line, Posture]]:
         """Postures with the left motor at `theta1`, rad, and the distal links in line; none where the elbows' distance forbids it.
 
         Folded links of equal length are left out: both elbows are on one point, and the tip may lie anywhere about it.

@@ -46,7 +46,7 @@ JOINTS = ("tip", "elbow[1]", "elbow[2]")
 
 def wanted(run: Run) -> bool:
     """Whether the run is short enough, and something moves."""
-    return 0 < run.time[-1] <= LONGEST
+    return bool(0 < run.time[-1] <= LONGEST)
 
 
 def write(path: Path, scene: Scene, run: Run, events: list[Event]) -> None:
@@ -187,7 +187,7 @@ def _pulses(run: Run, view: View, clock: Clock, event: Event) -> str:
     rings = []
     for joint, posture in zip(JOINTS, event.postures):
         if posture:
-            ((x, y),) = view.points(*([np.interp(event.time, run.time, run[f"{joint}.{axis}"])] for axis in "xy"))
+            ((x, y),) = view.points(*(np.interp([event.time], run.time, run[f"{joint}.{axis}"]) for axis in "xy"))
             rings.append(
                 f'<circle cx="{_number(x, 1)}" cy="{_number(y, 1)}" r="7" fill="none" stroke="{KIND_COLOURS[event.kind]}" '
                 f'stroke-width="3" opacity="0">{clock.animate("r", [begin, end], ["7", "30"])}'
@@ -222,9 +222,9 @@ def _surroundings(run: Run, view: View) -> str:
     longest = width / 4 / view.scale
     power = 10 ** np.floor(np.log10(longest))
     bar = power if longest < 5 * power else 5 * power
-    y, end = top + height - 8, left + 8 + bar * view.scale
-    parts.append(f'<path stroke="#868e96" stroke-width="1.5" d="M{left + 8},{y - 4}v4H{_number(end, 1)}v-4"/>')
-    parts.append(f'<text x="{_number(end + 8, 1)}" y="{y}">{bar:g} m</text>')
+    level, end = top + height - 8, left + 8 + bar * view.scale
+    parts.append(f'<path stroke="#868e96" stroke-width="1.5" d="M{left + 8},{level - 4}v4H{_number(end, 1)}v-4"/>')
+    parts.append(f'<text x="{_number(end + 8, 1)}" y="{level}">{bar:g} m</text>')
     return "\n".join(parts)
 
 

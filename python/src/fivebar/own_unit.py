@@ -163,7 +163,7 @@ def starts_of(scene: Scene, variables: Variables) -> list[Start]:
     starts = []
     for name, value in (scene.values | {name: float(course[0]) for name, course in scene.signals.items()}).items():
         variable = variables.settable(name)
-        names = {number: item for item, number in variable.items.items()}
+        names: dict[Value, str] = {number: item for item, number in variable.items.items()}
         starts.append(Start(variable, variable.value(names.get(value, value) if variable.type == "Enumeration" else value)))
     return starts
 

@@ -147,8 +147,9 @@ def _corners(machine: Machine) -> Floats:
 def _frame(axes: Axes, points: Floats, margin: float) -> None:
     """Axes in mm with equal scales that show the points, with a margin as a share of their extent."""
     low, high = points.min(axis=0) * MM, points.max(axis=0) * MM
-    place = axes.get_position()
-    inches = np.array([place.width * axes.figure.get_figwidth(), place.height * axes.figure.get_figheight()])
+    place, figure = axes.get_position(), axes.figure
+    assert isinstance(figure, Figure)
+    inches = np.array([place.width * figure.get_figwidth(), place.height * figure.get_figheight()])
     extent = (high - low + 2 * margin * np.max(high - low)) / inches
     half = np.max(extent) * inches / 2
     middle = (low + high) / 2

@@ -138,7 +138,7 @@ def plan(scene: Scene, drawing: Drawing, timing: Timing, working: Working | None
         theta = np.unwrap(posture.theta, axis=0) + _turns(scene, posture.theta[0])
         omega = machine.motor_rates(theta, velocity)
         torque = demand.torques(theta, omega, machine.motor_accelerations(theta, velocity, acceleration))
-    return Plan(scene, machine, mode, drawing, timing, step * np.arange(len(tip)), tip, pen, theta, omega, torque, sum(map(int.__ne__, counts, told)))
+    return Plan(scene, machine, mode, drawing, timing, step * np.arange(len(tip), dtype=float), tip, pen, theta, omega, torque, sum(map(int.__ne__, counts, told)))
 
 
 Rows = tuple[Floats, Floats, Floats, Flags]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -61,7 +62,7 @@ def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]
                 continue
             figure = picture.draw(scene, runs, events)
             # Equal scales on both axes leave bands of the figure empty.
-            crop = {"bbox_inches": "tight", "pad_inches": 0.1} if name == "path" else {}
+            crop: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.1} if name == "path" else {}
             files.append(directory / f"{name}.png")
             figure.savefig(files[-1], **crop)
             if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
@@ -261,7 +262,7 @@ def _path_over_time(figure: Figure, axes: Axes, run: Run) -> None:
     points = np.column_stack((run["tip.x"], run["tip.y"]))[::stride]
     segments = np.stack((points[:-1], points[1:]), axis=1)
     long = run.time[-1] > 5
-    lines = LineCollection(segments, cmap="viridis", linewidths=0.6 if long else 1.4, alpha=0.6 if long else 1.0)
+    lines = LineCollection(list(segments), cmap="viridis", linewidths=0.6 if long else 1.4, alpha=0.6 if long else 1.0)
     lines.set_array(run.time[::stride][:-1])
     axes.add_collection(lines, autolim=True)
     axes.autoscale_view()

@@ -184,7 +184,8 @@ def _windows(run: Run, signals: _Signals, single: list[Event]) -> list[_Window]:
 
 def _apart(signal: np.ndarray) -> np.ndarray:
     """The larger of both determinants over their largest possible values: small in a combined singularity."""
-    return np.maximum(np.abs(signal[0]), np.abs(signal[1] * signal[2]))
+    larger: np.ndarray = np.maximum(np.abs(signal[0]), np.abs(signal[1] * signal[2]))
+    return larger
 
 
 def _grave(signals: _Signals, window: _Window, parts: list[Event]) -> Event:

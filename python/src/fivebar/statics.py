@@ -69,4 +69,5 @@ def _springs(scene: Scene, theta: Floats) -> Floats:
     if not scene["spring.enabled"]:
         return np.zeros_like(motors)
     k, rest = (np.array([float(scene[f"spring.{what}[{i}]"]) for i in (1, 2)]) for what in ("k", "theta0"))
-    return -k * (np.remainder(motors - rest + np.pi, 2 * np.pi) - np.pi)
+    torques: Floats = -k * (np.remainder(motors - rest + np.pi, 2 * np.pi) - np.pi)
+    return torques

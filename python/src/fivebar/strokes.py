@@ -10,6 +10,7 @@ import itertools
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -68,7 +69,8 @@ def points_of(curves: Floats, count: int) -> Floats:
     """Points of curves (n, 4, 2) at `count` + 1 even parameters: shape (n, count + 1, 2)."""
     u = np.linspace(0, 1, count + 1)[:, None]
     weights = np.concatenate([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3], axis=1)
-    return np.einsum("ui,nik->nuk", weights, curves)
+    points: Floats = np.einsum("ui,nik->nuk", weights, curves)
+    return points
 
 
 def read(file: str | Path) -> Drawing:

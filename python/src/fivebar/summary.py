@@ -88,7 +88,8 @@ def difference(run: Run, other: Run) -> str:
 def tip_distance(run: Run, other: Run) -> np.ndarray:
     """|dQ| in m at the communication points that both runs reached."""
     n = min(len(run.time), len(other.time))
-    return np.hypot(run["tip.x"][:n] - other["tip.x"][:n], run["tip.y"][:n] - other["tip.y"][:n])
+    distance: np.ndarray = np.hypot(run["tip.x"][:n] - other["tip.x"][:n], run["tip.y"][:n] - other["tip.y"][:n])
+    return distance
 
 
 def _seen(run: Run, events: list[Event]) -> list[tuple[str, str]]:

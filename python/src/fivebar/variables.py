@@ -3,7 +3,7 @@
 import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -148,7 +148,7 @@ def _read(file: Path, _changed: int, _size: int) -> Variables:
 
 
 def _variable(variable: ScalarVariable) -> Variable:
-    kind = {"Real": float, "Integer": int, "Enumeration": int}.get(variable.type, lambda text: text == "true")
+    kind: Callable[[str], Value] = {"Real": float, "Integer": int, "Enumeration": int}.get(variable.type, lambda text: text == "true")
     declared = variable.declaredType
     items = {item.name: int(item.value) for item in (declared.items or ())} if declared is not None and variable.type == "Enumeration" else {}
     least, most = (None if bound is None or variable.type == "Enumeration" else float(bound) for bound in (variable.min, variable.max))

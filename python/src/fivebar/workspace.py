@@ -234,7 +234,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
             apart = [np.hypot(*(middle - np.array(disc[1:3]))) - disc.radius - radius for disc in found]
             if radius < 2 * cell or min(apart, default=1.0) < 10 * DISC_TOLERANCE * machine.size:
                 break
-            found.append(Disc("plus" if side > 0 else "minus", *map(float, middle), radius))
+            found.append(Disc("plus" if side > 0 else "minus", float(middle[0]), float(middle[1]), radius))
         discs += found
     return sorted(discs, key=lambda disc: -disc.radius)
 

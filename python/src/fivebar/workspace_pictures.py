@@ -5,6 +5,7 @@ as well. The legend stands below the axes.
 """
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -22,6 +23,9 @@ from fivebar.borders import Curve
 from fivebar.kinematics import WORKING_MODES, Machine
 from fivebar.workspace import Map, Mode
 
+if TYPE_CHECKING:
+    from matplotlib.typing import LineStyleType, RcKeyType
+
 Floats = NDArray[np.float64]
 
 BLACK, GREY, VERMILLION, SKY, PURPLE, WHITE = "#000000", "#6c757d", "#D55E00", "#56B4E9", "#CC79A7", "#FFFFFF"
@@ -36,7 +40,7 @@ KAPPAS = (np.inf, 20.0, 10.0, 5.0, 3.0, 2.0, 1.5, 1.0)
 
 BENDS = {"plus": "counter-clockwise", "minus": "clockwise"}
 
-STYLE = {
+STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
@@ -109,7 +113,7 @@ def force_levels(mode: Mode) -> Floats:
     positive = known[(known > 0) & np.isfinite(known)]
     if not len(positive):
         return np.zeros(0)
-    levels = MaxNLocator(8).tick_values(0.0, float(np.percentile(positive, 90)))
+    levels = np.array(MaxNLocator(8).tick_values(0.0, float(np.percentile(positive, 90))))
     return levels[levels >= 0]
 
 
@@ -152,6 +156,7 @@ def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
     hide_outside(axes, survey.machine)
     handles = [*more, *_stops(axes, survey, mode), *draw_loci(axes, survey.machine, mode.curves), *_discs(axes, survey, mode), *_path(axes, survey, mode)]
     handles += _machine(axes, survey, mode)
+    assert isinstance(axes.figure, Figure)
     height = axes.figure.get_figheight() - BELOW_ROOM - 0.9
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.5 / height), frameon=False, borderaxespad=0, handlelength=2.6)
 
@@ -200,7 +205,8 @@ def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float =
         "stretched": "direct singularity: distal links stretched" + (" (Watt's curve)" if machine.is_symmetric else ""),
         "folded": "direct singularity: distal links folded",
     }
-    for posture, style in (("stretched", "-"), ("folded", (0, (4, 1.5)))):
+    styles: dict[str, LineStyleType] = {"stretched": "-", "folded": (0, (4, 1.5))}
+    for posture, style in styles.items():
         shown = [curve.tip for curve in curves if curve.kind == "direct" and curve.detail == posture]
         for tip in shown:
             (line,) = axes.plot(*(tip.T * MM), color=VERMILLION, linewidth=thick, linestyle=style, zorder=5)

@@ -2,18 +2,25 @@
 
 import json
 from collections.abc import Callable, Iterable
-from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from fivebar.kinematics import Working
 
 FILE = click.Path(path_type=Path)
 """A file or folder; who reads or makes it says what is wrong with it."""
 
 POSITIVE = click.FloatRange(min=0, min_open=True)
 
-WORKING_MODES = {left + right.capitalize(): (left, right) for left, right in product(("minus", "plus"), ("plus", "minus"))}
+WORKING_MODES: "dict[str, Working]" = {
+    "minusPlus": ("minus", "plus"),
+    "minusMinus": ("minus", "minus"),
+    "plusPlus": ("plus", "plus"),
+    "plusMinus": ("plus", "minus"),
+}
 """Working modes by the names that the unit has for them."""
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]

@@ -2,35 +2,31 @@
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fivebar.commands import options
 
+if TYPE_CHECKING:
+    from fivebar.pieces import Profile
 
-class Place(click.ParamType):
-    """`X,Y` in m."""
 
-    name = "place"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """Both coordinates."""
-        if isinstance(value, tuple):
-            return value
-        try:
-            x, y = map(float, value.split(","))
-        except ValueError:
-            self.fail(f"{value!r:.40} is no place X,Y in m, such as 0.05,0.24", param, ctx)
-        if not (math.isfinite(x) and math.isfinite(y)):
-            self.fail(f"{value!r:.40} is no place: both coordinates must be finite", param, ctx)
-        return x, y
+def place(value: str) -> tuple[float, float]:
+    """The coordinates in `X,Y`, m."""
+    try:
+        x, y = map(float, value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r:.40} is no place X,Y in m, such as 0.05,0.24") from None
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise click.BadParameter(f"{value!r:.40} is no place: both coordinates must be finite")
+    return x, y
 
 
 @click.command()
 @click.argument("scene", metavar="SCENE|FILE")
 @click.argument("drawing", type=options.FILE, metavar="DRAWING")
-@click.option("--at", type=Place(), required=True, metavar="X,Y", help="Where the middle of the drawing lies, m.")
+@click.option("--at", type=place, required=True, metavar="X,Y", help="Where the middle of the drawing lies, m.")
 @click.option("--size", type=options.POSITIVE, metavar="W", help="Width of the drawing, m; as the drawing says unless told.")
 @click.option("--speed", type=options.POSITIVE, default=0.1, show_default=True, metavar="V", help="Speed of the pen, m/s.")
 @click.option("--acceleration", type=options.POSITIVE, default=2.0, show_default=True, metavar="A", help="Acceleration along the lines, m/s2.")
@@ -47,7 +43,7 @@ def path(
     size: float | None,
     speed: float,
     acceleration: float,
-    profile: Any,
+    profile: "Profile",
     mode: str | None,
     torque: tuple[float, float] | None,
     rate: float,

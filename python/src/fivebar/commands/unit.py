@@ -1,10 +1,14 @@
 """`fivebar unit`: the .fmu for any master."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fivebar.commands import options
+
+if TYPE_CHECKING:
+    from fivebar.own_unit import Naming
 
 
 @click.command()
@@ -12,7 +16,7 @@ from fivebar.commands import options
 @click.option("--name", help="Name of the unit; unless told FiveBar, or that of the scene in CamelCase.")
 @click.option("--naming", type=click.Choice(["structured", "flat"]), default="structured", show_default=True, help="flat: for tools that make buses of tip.x and tau[1].")
 @options.out("the current folder")
-def unit(scene: str | None, name: str | None, naming: str, out: Path | None) -> None:
+def unit(scene: str | None, name: str | None, naming: "Naming", out: Path | None) -> None:
     """Write the .fmu for your own tool, or of your machine.
 
     Any FMI 2.0 master runs it with nothing set, on every machine that the shipped unit has a library for. No compiler is needed.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
 
 from fivebar.twin.config import Broker
 from fivebar.twin.messages import topic
@@ -27,7 +28,7 @@ class Bus:
         self.unsent = 0
         """Messages that there was no connection for."""
         self.client = mqtt.Client(
-            mqtt.CallbackAPIVersion.VERSION2, client_id=f"{unit}-{name}-{os.getpid()}", clean_session=True, reconnect_on_failure=True
+            CallbackAPIVersion.VERSION2, client_id=f"{unit}-{name}-{os.getpid()}", clean_session=True, reconnect_on_failure=True
         )
         self.client.reconnect_delay_set(0.2, 1)  # type: ignore[arg-type]  # fractions of a second work as well
         self.client.on_connect, self.client.on_disconnect = self._connected, self._disconnected

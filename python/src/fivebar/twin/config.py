@@ -130,7 +130,7 @@ def read(file: Path) -> Config:
 def _of(kind: type[T], content: Any, file: Path, **parts: Any) -> T:
     if not isinstance(content, dict):
         raise TwinError(f"{file}: {kind.__name__} is {content!r:.60}, not an object")
-    known = {f.name: f.type for f in fields(kind)}  # type: ignore[arg-type]
+    known = {f.name: f.type for f in fields(kind)}  # type: ignore[arg-type]  # every T is a dataclass
     if unknown := content.keys() - known.keys():
         raise TwinError(f"{file}: {min(unknown)!r} is not known; {kind.__name__} has {', '.join(known)}")
     try:

@@ -309,7 +309,7 @@ class OneLine(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None
-        causes = []
+        causes: list[str] = []
         while error is not None and len(causes) < 4:
             causes.append(" ".join(str(error).split())[:200])
             error = error.__cause__

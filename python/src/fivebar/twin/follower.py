@@ -309,11 +309,12 @@ class Follower(Rider):
     def _start(self, message: Message) -> None:
         """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
         fields = self.setup.scene.true(message.fields)
-        angles = [fields.get(name) for name in MEASURED]
-        if None in angles:
-            self.failure = f"a start needs both angles, and {MEASURED[angles.index(None)]} is missing"
+        missing = [name for name in MEASURED if name not in fields]
+        if missing:
+            self.failure = f"a start needs both angles, and {missing[0]} is missing"
             return
-        values: dict[str, float | int | bool] = {f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}  # type: ignore[misc]
+        angles = [fields[name] for name in MEASURED]
+        values: dict[str, float | int | bool] = {f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
         before = self.previous
         rates = [message.fields.get(f"servo.omega[{i}]", 0.0) for i in LEGS]
         if before is not None and 0 < message.seq - before.seq <= 5 and all(name in before.fields for name in MEASURED):

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import paho.mqtt.client as mqtt
 import psutil
+from paho.mqtt.enums import CallbackAPIVersion
 
 from fivebar.twin import config as configuration
 from fivebar.twin.config import Broker, Config
@@ -68,7 +69,7 @@ def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, m
 def _listening(port: int) -> psutil.Process | None:
     """The process of this machine that listens there, if the system tells."""
     try:
-        found = [c.pid for c in psutil.net_connections("tcp") if c.status == psutil.CONN_LISTEN and c.laddr.port == port and c.pid]
+        found = [c.pid for c in psutil.net_connections("tcp") if c.status == psutil.CONN_LISTEN and c.laddr and c.laddr.port == port and c.pid]
     except psutil.AccessDenied:
         return None
     return psutil.Process(found[0]) if found else None
@@ -83,7 +84,7 @@ def _measure(host: str, port: int, machines: int, seconds: float) -> tuple[int, 
     """Messages sent, and latencies of those that came, s."""
     latencies: list[float] = []
     subscribed = threading.Event()
-    listener = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    listener = mqtt.Client(CallbackAPIVersion.VERSION2)
 
     def message(_client: Any, _data: Any, received: mqtt.MQTTMessage) -> None:
         latencies.append(1e-9 * (time.time_ns() - json.loads(received.payload)["time"]))
@@ -91,7 +92,7 @@ def _measure(host: str, port: int, machines: int, seconds: float) -> tuple[int, 
     listener.on_message = message
     listener.on_connect = lambda client, *_: client.subscribe("fivebar/+/meas")
     listener.on_subscribe = lambda *_: subscribed.set()
-    sender = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    sender = mqtt.Client(CallbackAPIVersion.VERSION2)
     for client in (listener, sender):
         for _ in range(100):
             try:

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import Message, decode
 
-SCHEMA: Final = pa.schema([("topic", pa.string()), ("time", pa.int64()), ("seq", pa.int64()), ("payload", pa.binary())])
+TYPES: Final[dict[str, pa.DataType]] = {"topic": pa.string(), "time": pa.int64(), "seq": pa.int64(), "payload": pa.binary()}
+SCHEMA: Final = pa.schema(TYPES)
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
 LARGEST_RECORD: Final = 64_000_000_000
 """Bytes of a record that is read at most."""

@@ -371,13 +371,15 @@ def check_followed(config: Config, stand_in: bool) -> None:
         begin = {name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start)) for i, name in enumerate(MEASURED, 1)}
         sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.told(0.0)))
         if stand_in:
-            machine = Recording(config) if config.machine.csv else None
-            if machine is not None:
+            machine: Recording | StandIn
+            if config.machine.csv:
+                machine = Recording(config)
                 machine.check()
-            try:
-                machine = machine or StandIn(config, library)
-            except UnitError as error:
-                raise TwinError(f"no machine can move by {known.name}: {error}") from None
+            else:
+                try:
+                    machine = StandIn(config, library)
+                except UnitError as error:
+                    raise TwinError(f"no machine can move by {known.name}: {error}") from None
             # The first that tells where the machine is.
             while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
                 pass

@@ -17,6 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -234,7 +235,11 @@ def _legend(axes: Axes) -> None:
 
 def _is_there(drawn: Artist) -> bool:
     """Whether a line or an area has a point that is shown."""
-    places = drawn.get_xydata() if isinstance(drawn, Line2D) else np.concatenate([np.empty((0, 2)), *(path.vertices for path in drawn.get_paths())])
+    if isinstance(drawn, Line2D):
+        places = np.asarray(drawn.get_xydata())
+    else:
+        assert isinstance(drawn, Collection), "a picture has lines and areas"
+        places = np.concatenate([np.empty((0, 2)), *(np.asarray(path.vertices) for path in drawn.get_paths())])
     return bool(np.isfinite(places).all(axis=1).any())
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -189,7 +189,7 @@ def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
     return time, table, notes
 
 
-def _times(column: pa.ChunkedArray) -> Array:
+def _times(column: "pa.ChunkedArray[Any]") -> Array:
     """Times from the first one on, s, subtracted as the decimals of the text: behind 1e9 s floats have steps of 0.1 us."""
     times = [Decimal((text or "").strip() or "nan") for text in column.to_pylist()]
     first = min((time for time in times if time.is_finite()), default=Decimal(0))

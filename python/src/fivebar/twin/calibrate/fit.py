@@ -198,7 +198,7 @@ class Fitter:
 
     def compared(self, samples: Samples) -> Array:
         """Mask of the angles that are compared: all finite ones but the last of a piece with which another piece begins."""
-        mask = np.isfinite(samples.angles)
+        mask: Array = np.isfinite(samples.angles)
         ends = {series.time[-1] for series in self.data.series}
         if samples.time[-1] not in ends:
             mask[-1] = False

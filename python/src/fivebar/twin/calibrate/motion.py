@@ -10,8 +10,9 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from scipy.interpolate import CubicHermiteSpline
 
+from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Array, Samples
-from fivebar.twin.calibrate.parameters import DELAY, OFFSETS, Parameter, Values, assemble
+from fivebar.twin.calibrate.parameters import DELAY, Parameter, Values, assemble
 from fivebar.twin.unit import Library, Unit, UnitError
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
@@ -135,7 +136,8 @@ class Machine:
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
         """Angles of the encoders at the samples' times, rad, (n, 2): with their delay and offsets."""
-        return late(path.knots, motion, self.added(x).get(DELAY, 0.0))[path.rows] + self.offsets(x)
+        angles: Array = late(path.knots, motion, self.added(x).get(DELAY, 0.0))[path.rows] + self.offsets(x)
+        return angles
 
     def added(self, x: Array) -> dict[str, float]:
         """Offsets, rad, and delay, s, of the encoders, those that are sought."""

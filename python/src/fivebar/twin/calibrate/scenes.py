@@ -18,7 +18,7 @@ KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
 def start_values(given: str | Path | None, data: Path, library: Library) -> tuple[Values, str]:
     """Start values assumed of the machine and its encoders' mounting angles, and their source: a scene, or the record's message about its run."""
     if given is not None:
-        return values(given, library) | scenes.read(given, library.known).offsets, f"scene {given}"
+        return values(given, library) | dict(scenes.read(given, library.known).offsets), f"scene {given}"
     if not (data.is_file() and data.suffix.lower() == ".csv"):
         try:
             setup = of_message(record.setup(data))

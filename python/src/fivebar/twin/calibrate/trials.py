@@ -79,7 +79,8 @@ def any_bench(chance: np.random.Generator, library: Library) -> Bench:
     def around(name: str, factor: float) -> float:
         """The usual value, or up to so many times more or less."""
         usual = MACHINE.get(name, library.variable(name).start)
-        return float(usual) * factor ** float(chance.uniform(-1, 1))
+        scale: float = factor ** float(chance.uniform(-1, 1))
+        return float(usual) * scale
 
     while True:
         values: Values = dict(MACHINE)

@@ -8,9 +8,9 @@ import shutil
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import dask
 import pyarrow as pa
@@ -26,7 +26,7 @@ WINDOW: Final = 8
 """Chunks a worker may have under way or waiting to be written."""
 
 
-class UnitOnWorker(WorkerPlugin):  # type: ignore[misc]
+class UnitOnWorker(WorkerPlugin):
     """The unit and a plan on a worker: extracted once, one instance for each of its threads."""
 
     def __init__(self, fmu: bytes, plan: Plan, name: str):
@@ -49,12 +49,13 @@ class UnitOnWorker(WorkerPlugin):  # type: ignore[misc]
                 if self.library is None:
                     self.library = library_of(self.fmu)
             self.own.runner = Runner(self.library, self.plan)
-        return self.own.runner  # type: ignore[no-any-return]
+        runner: Runner = self.own.runner
+        return runner
 
 
 def chunk(name: str, first: int, count: int) -> bytes:
     """Some members on a worker, as Arrow's bytes."""
-    runner = get_worker().plugins[name].runner()
+    runner = cast(UnitOnWorker, get_worker().plugins[name]).runner()
     return to_bytes(table(runner.plan, [runner.run(member) for member in range(first, first + count)]))
 
 
@@ -102,11 +103,12 @@ def tables(of: Client, fmu: bytes, plan: Plan, members: int, name: str) -> Itera
 def _in_order(of: Client, members: int, name: str) -> Iterator[pa.Table]:
     chunks = -(-members // CHUNK)
     waiting: dict[int, bytes] = {}
-    numbers: dict[str, int] = {}
+    numbers: dict[Hashable, int] = {}
     done = as_completed()
-    submitted = written = 0
+    submitted = written = most = 0
     while written < chunks:
-        most = WINDOW * max(1, len(of.scheduler_info(n_workers=-1)["workers"])) if submitted % 16 == 0 or not submitted else most
+        if submitted % 16 == 0:
+            most = WINDOW * max(1, len(of.scheduler_info(n_workers=-1)["workers"]))
         while submitted < chunks and submitted - written < most:
             first = submitted * CHUNK
             future = of.submit(chunk, name, first, min(CHUNK, members - first), key=f"{name}-{submitted}", pure=False, retries=3)

@@ -15,7 +15,8 @@ import numpy as np
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 
-from fivebar.twin.calibrate.parameters import OFFSETS, USUAL, Asked, Values, assemble, parameters
+from fivebar.scene_file import OFFSETS
+from fivebar.twin.calibrate.parameters import USUAL, Asked, Values, assemble, parameters
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library, Reader, Unit, UnitError
 

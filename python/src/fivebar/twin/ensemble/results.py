@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -112,7 +112,7 @@ def raised(file: Path, lowest: dict[str, float]) -> dict[str, tuple[int, float]]
 def _quantiles(parquet: pq.ParquetFile, name: str, first: int, last: int) -> Array:
     parts = []
     for batch in parquet.iter_batches(batch_size=4096, columns=[name]):
-        column = batch.column(0)
+        column = cast("pa.FixedSizeListArray[Any, Any]", batch.column(0))
         rows = column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), -1)
         parts.append(np.array(rows[:, first:last]))
     values = np.concatenate(parts)

@@ -129,7 +129,7 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
 def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list[float] | None) -> dict[str, Any]:
     """Outcome of a command: probabilities, spread of the tip, score."""
     content = pa.concat_tables(tables)
-    x, y = (np.stack(content[name].to_numpy()).astype(float) for name in ("tip.x", "tip.y"))
+    x, y = (np.stack(list(content[name].to_numpy())).astype(float) for name in ("tip.x", "tip.y"))
     ended = np.isfinite(x).all(axis=1)
     times = content["singular.time"].to_numpy(zero_copy_only=False)
     met = times[np.isfinite(times)]
