@@ -175,15 +175,31 @@ def test_the_live_page_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ca
 
 def test_missing_extras_are_one_sentence(monkeypatch: pytest.MonkeyPatch, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """All that is missing, and the command that brings it; help needs nothing."""
-    assert {"pyarrow", "scipy"} < set(extras.packages("calibrate")) < set(extras.packages("all"))
-    monkeypatch.setattr(extras, "_is_installed", lambda name: name not in ("pyarrow", "scipy", "paho-mqtt"))
+    calibrate, everything = ({requirement.name for requirement in extras.requirements(extra)} for extra in ("calibrate", "all"))
+    assert {"pyarrow", "scipy"} < calibrate < everything
+    installed = extras._installed
+    monkeypatch.setattr(extras, "_installed", lambda name: None if name in ("pyarrow", "scipy", "paho-mqtt") else installed(name))
     asks = {"calibrate": ["calibrate", "x"], "ensemble": ["what-if", "--config", "x"], "twin": ["soak"]}
     for extra, words in asks.items():
         assert main(words) == 2
         sentence = capsys.readouterr().err
         assert re.match(rf"fivebar {words[0]}: \S.* (?:is|are) needed and not installed: ", sentence) and sentence.count("\n") == 1
-        assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is missing\n")
+        assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n")
     assert list(here.iterdir()) == []
+
+
+def test_extras_that_are_too_old_are_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each with its version and the versions that are allowed, behind what is missing; the oldest allowed version is none of them."""
+    oldest = {requirement.name: next(iter(requirement.specifier)).version for requirement in extras.requirements("all")}
+    monkeypatch.setattr(extras, "_installed", oldest.get)
+    extras.need("all")
+    monkeypatch.setattr(extras, "_installed", (oldest | {"paho-mqtt": "1.6.1"}).get)
+    assert main(["soak"]) == 2
+    sentence = "paho-mqtt 1.6.1 is installed, and >= 2 is needed"
+    assert capsys.readouterr().err == f"fivebar soak: {sentence}: pip install 'fivebar[twin]' installs what is needed\n"
+    monkeypatch.setattr(extras, "_installed", (oldest | {"paho-mqtt": "1.6.1", "websockets": "12.0", "psutil": None}).get)
+    with pytest.raises(FiveBarError, match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13 is needed: pip"):
+        extras.need("twin")
 
 
 ALONE = """

@@ -96,7 +96,7 @@ def test_what_is_missing_is_one_sentence(tmp_path: Path, wheel: Path) -> None:
     assert "singularities met" in text and f"fall_90_120{os.sep}fall_90_120.html" in text
     for words, extra in ((["twin"], "twin"), (["calibrate", "x.csv"], "calibrate"), (["ensemble"], "ensemble"), (["replay", "x"], "twin")):
         sentence = user.fivebar(*words, code=2)
-        assert sentence.count("\n") == 1 and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is missing\n"), sentence
+        assert sentence.count("\n") == 1 and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n"), sentence
     assert user.made() == {"fall_90_120"}
 
 

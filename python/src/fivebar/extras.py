@@ -8,23 +8,32 @@ from fivebar.errors import FiveBarError
 
 
 def need(extra: str) -> None:
-    """Refuses with one sentence if packages are missing that an extra needs."""
-    missing = [name for name in packages(extra) if not _is_installed(name)]
-    if missing:
-        names = " and ".join([", ".join(missing[:-1]), missing[-1]] if len(missing) > 1 else missing)
+    """Refuses with one sentence if packages that an extra needs are missing or too old."""
+    needed = [(requirement, _installed(requirement.name)) for requirement in requirements(extra)]
+    wrong = []
+    if missing := [requirement.name for requirement, found in needed if found is None]:
         verb = "is" if len(missing) == 1 else "are"
-        raise FiveBarError(f"{names} {verb} needed and not installed: pip install 'fivebar[{extra}]' installs what is missing")
+        wrong.append(f"{_listed(missing)} {verb} needed and not installed")
+    for requirement, found in needed:
+        if found is not None and not requirement.specifier.contains(found, prereleases=True):
+            wrong.append(f"{requirement.name} {found} is installed, and {str(requirement.specifier).replace('>=', '>= ')} is needed")
+    if wrong:
+        raise FiveBarError(f"{'; '.join(wrong)}: pip install 'fivebar[{extra}]' installs what is needed")
 
 
-def packages(extra: str) -> list[str]:
-    """Names of the packages that an extra needs on this machine."""
+def requirements(extra: str) -> list[Requirement]:
+    """Packages that an extra needs on this machine beside those that the package always needs."""
     found = [Requirement(text) for text in requires("fivebar") or ()]
-    return [r.name for r in found if r.marker is not None and r.marker.evaluate({"extra": extra}) and not r.marker.evaluate({"extra": ""})]
+    return [r for r in found if r.marker is not None and r.marker.evaluate({"extra": extra}) and not r.marker.evaluate({"extra": ""})]
 
 
-def _is_installed(name: str) -> bool:
+def _listed(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _installed(name: str) -> str | None:
+    """The version that is installed, None if there is none."""
     try:
-        version(name)
+        return version(name)
     except PackageNotFoundError:
-        return False
-    return True
+        return None

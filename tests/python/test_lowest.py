@@ -1,0 +1,30 @@
+"""The package with the oldest packages that python/pyproject.toml allows."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from conftest import PATIENCE, REPOSITORY
+from made_wheel import build
+
+pytestmark = pytest.mark.nightly
+
+
+def test_the_twin_runs_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Path) -> None:
+    """Five seconds. Only wheels are installed: a version without one for this Python counts as too old."""
+    environment = tmp_path / "environment"
+    programs = environment / ("Scripts" if sys.platform == "win32" else "bin")
+
+    def run(*command: str | Path) -> None:
+        done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"UV_SYSTEM_CERTS": "1"}, capture_output=True, text=True, check=False, timeout=PATIENCE)
+        # 3: busy machines forecast late.
+        assert done.returncode in ((0, 3) if command[0] == programs / "fivebar" else (0,)), done.stdout + done.stderr
+
+    uv = REPOSITORY / "target" / "uv" / "bin" / "uv"
+    run(uv, "venv", "--python", sys.executable, environment)
+    oldest = ("--resolution", "lowest-direct", "--only-binary", ":all:")
+    run(uv, "pip", "install", *oldest, "--python", programs / "python", f"fivebar[twin] @ {build(fmu, tmp_path).as_uri()}")
+    run(programs / "fivebar", "twin", "--seconds", "5")
