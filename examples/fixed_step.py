@@ -19,7 +19,9 @@ with Unit(**{"solver.method": CONSERVING, "solver.maxWork": 40, "init.theta[2]":
         unit.step(STEP)
         error, iterations = unit.get("energy.error", "solver.iterations")
         worst, largest, before = max(worst, abs(error)), max(largest, iterations - before), iterations
-    steps, substeps, rescued, last = (int(x) for x in unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts"))))
+    steps, substeps, rescued, last = (
+        int(x) for x in unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts")))
+    )
     position, velocity = unit.get("solver.positionError", "solver.velocityError")
 
 print(f"{steps} steps of {1e3 * STEP} ms, {substeps} sub-steps: {rescued} rescued, {last} by the fallback")

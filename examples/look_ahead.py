@@ -31,7 +31,10 @@ with Unit(**{"solver.method": AUTOMATIC, "init.theta[2]": 2.0944, "viscous.enabl
     for _ in range(4):
         heights = {torque: predicted(twin, torque) for torque in TORQUES}
         best = max(heights, key=heights.get)
-        print(f"at {twin.time:.1f} s: " + ", ".join(f"{torque:g} N.m leads to {y:+.4f} m" for torque, y in heights.items()))
+        print(
+            f"at {twin.time:.1f} s: "
+            + ", ".join(f"{torque:g} N.m leads to {y:+.4f} m" for torque, y in heights.items())
+        )
         print(f"          taken: {best:g} N.m")
         twin.set({"tau[1]": best})
         twin.step(0.1)

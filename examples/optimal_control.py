@@ -7,6 +7,7 @@ unknowns. Then the torques are played back through the co-simulation side.
 `cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/optimal_control.py
 It needs CasADi: target/venv/bin/pip install casadi. The picture is target/optimal_control.svg.
 """
+
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
@@ -64,9 +65,14 @@ if __name__ == "__main__":
     f = dae.create("f", ["x", "u"], ["ode", "y"])
     planned, tau = swing(piece(f))
     states = played_back(tau)
-    lifted, (free, left, right) = f(GOAL, 0)[1][1] - f(REST, 0)[1][1], (f(GOAL, u)[0][2:] for u in (0, np.eye(8)[0], np.eye(8)[1]))
+    lifted, (free, left, right) = (
+        f(GOAL, 0)[1][1] - f(REST, 0)[1][1],
+        (f(GOAL, u)[0][2:] for u in (0, np.eye(8)[0], np.eye(8)[1])),
+    )
     holding = ca.norm_inf(ca.solve(ca.horzcat(left - free, right - free), free))
-    print(f"lifted by {float(lifted):.3f} m; largest torque {abs(tau).max():.4f} N.m, to hold it {float(holding):.4f} N.m")
+    print(
+        f"lifted by {float(lifted):.3f} m; largest torque {abs(tau).max():.4f} N.m, to hold it {float(holding):.4f} N.m"
+    )
     print(f"played back: the goal is missed by {np.degrees(abs(states - planned)[:2, -1].max()):.1e} deg")
     time = np.linspace(0, SECONDS, PIECES + 1)
     figure, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 5), layout="constrained")

@@ -48,5 +48,7 @@ furthest = np.argmax(np.abs(result["tip.x"] - result["tip.x"][0]))
 print(f"at the start  tip at x = {result['tip.x'][0]:.4f} m, y = {result['tip.y'][0]:.4f} m")
 print(f"furthest      tip at x = {result['tip.x'][furthest]:.4f} m at t = {result['time'][furthest]:.3f} s")
 print(f"at the end    tip at x = {result['tip.x'][-1]:.4f} m, y = {result['tip.y'][-1]:.4f} m")
-print(f"work of the push {1e3 * result['energy.input'][-1]:.3f} mJ, dissipated {1e3 * result['energy.dissipated'][-1]:.3f} mJ")
+print(
+    f"work of the push {1e3 * result['energy.input'][-1]:.3f} mJ, dissipated {1e3 * result['energy.dissipated'][-1]:.3f} mJ"
+)
 print(f"largest balance residual {np.max(np.abs(result['energy.error'])):.1e} J")

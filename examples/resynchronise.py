@@ -10,7 +10,13 @@ from time import perf_counter
 
 from unit import Unit
 
-MACHINE = {"servo.enabled": True, "servo.theta[1]": 1.7, "servo.theta[2]": 2.0, "init.theta[1]": 1.2, "init.theta[2]": 1.6}
+MACHINE = {
+    "servo.enabled": True,
+    "servo.theta[1]": 1.7,
+    "servo.theta[2]": 2.0,
+    "init.theta[1]": 1.2,
+    "init.theta[2]": 1.6,
+}
 MACHINE |= {"servo.kp[1]": 1.0, "servo.kp[2]": 1.0, "servo.kd[1]": 0.01, "servo.kd[2]": 0.01}
 """Soft servos that swing to another posture."""
 
@@ -24,14 +30,21 @@ ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "es
 def measured(machine: Unit) -> dict[str, float]:
     """Samples of the motors' encoders with their times."""
     left, right = (round(angle / COUNT) * COUNT for angle in machine.get("theta[1]", "theta[2]"))
-    return {"measured.theta[1]": left, "measured.theta[2]": right, "measured.time[1]": machine.time, "measured.time[2]": machine.time}
+    return {
+        "measured.theta[1]": left,
+        "measured.theta[2]": right,
+        "measured.time[1]": machine.time,
+        "measured.time[2]": machine.time,
+    }
 
 
 with Unit(**MACHINE, **{"payload.enabled": True, "payload.mass": 0.02}) as machine, Unit(**MACHINE, **ENCODERS) as twin:
     machine.start({})
     twin.start({})
     predictions: dict[int, tuple[float, float]] = {}
-    print("time (s)  error now (mm)  band (mm)  error of the prediction made 0.5 s before (mm)  a corrected sample takes (us)")
+    print(
+        "time (s)  error now (mm)  band (mm)  error of the prediction made 0.5 s before (mm)  a corrected sample takes (us)"
+    )
     for sample in range(11):
         now = twin.slave.getFMUstate()
         time = twin.time

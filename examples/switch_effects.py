@@ -45,4 +45,6 @@ stiffen = np.zeros(4, dtype=[(name, float) for name in ("time", "spring.k[1]", *
 stiffen["time"], stiffen["spring.k[1]"] = (0.0, 0.5, 0.5, 1.0), (0.05, 0.05, 0.5, 0.5)
 softer, stiffer = fall({"spring.enabled": True}), fall({"spring.enabled": True}, input=stiffen)
 apart = np.abs(stiffer["theta[1]"] - softer["theta[1]"]) > 0
-print(f"a spring made ten times as stiff at 0.5 s: the motion differs from t = {softer['time'][np.argmax(apart)]:.3f} s on")
+print(
+    f"a spring made ten times as stiff at 0.5 s: the motion differs from t = {softer['time'][np.argmax(apart)]:.3f} s on"
+)

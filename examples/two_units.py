@@ -14,10 +14,19 @@ SHARED = {"gravity.enabled": False, "viscous.enabled": True, "init.theta[1]": 1.
 DAMPED = {f"viscous.b[{joint}]": 0.02 for joint in (1, 5)}
 """The operator's arm damps the leader's motors."""
 
-WALL = {"contact.enabled": True, "contact.nx": -1.0, "contact.ny": 0.0, "contact.offset": -0.26, "contact.k": 2e4, "contact.mu": 0.0}
+WALL = {
+    "contact.enabled": True,
+    "contact.nx": -1.0,
+    "contact.ny": 0.0,
+    "contact.offset": -0.26,
+    "contact.k": 2e4,
+    "contact.mu": 0.0,
+}
 """Free is what lies left of x = 0.26 m."""
 
-SERVO = {"servo.enabled": True} | {f"servo.{name}[{i}]": x for i in (1, 2) for name, x in (("kp", 200.0), ("kd", 2.0), ("limit", 20.0))}
+SERVO = {"servo.enabled": True} | {
+    f"servo.{name}[{i}]": x for i in (1, 2) for name, x in (("kp", 200.0), ("kd", 2.0), ("limit", 20.0))
+}
 
 with Unit(**SHARED, **DAMPED) as leader, Unit(**SHARED, **SERVO, **WALL) as follower:
     leader.start({})
@@ -33,6 +42,8 @@ with Unit(**SHARED, **DAMPED) as leader, Unit(**SHARED, **SERVO, **WALL) as foll
             print(f"{leader.time:8.1f}  {x:12.4f}  {y:14.4f}  {force:14.3f}  {1e3 * apart:12.2f}")
         # The operator pushes to the right with 0.5 N.
         leader.set({"tip.fx": 0.5 + SCALE * force})
-        follower.set({f"servo.{name}[{i + 1}]": x[i] for i in (0, 1) for name, x in (("theta", theta), ("omega", omega))})
+        follower.set(
+            {f"servo.{name}[{i + 1}]": x[i] for i in (0, 1) for name, x in (("theta", theta), ("omega", omega))}
+        )
         leader.step(STEP)
         follower.step(STEP)

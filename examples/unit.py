@@ -15,7 +15,9 @@ class Unit:
     def __init__(self, **values: float | bool):
         self.folder = extract(FMU)
         model = read_model_description(self.folder)
-        self.variables = {v.name: (v.type.replace("Enumeration", "Integer"), v.valueReference) for v in model.modelVariables}
+        self.variables = {
+            v.name: (v.type.replace("Enumeration", "Integer"), v.valueReference) for v in model.modelVariables
+        }
         self.slave = instantiate_fmu(self.folder, model, "CoSimulation")
         self.values, self.time = values, 0.0
 

@@ -14,7 +14,9 @@ FOLDER = "target/workspace"
 # The table-top robot of the scene pick_and_place: all links 210 mm, motors 100 mm apart.
 machine = Machine.from_scene("pick_and_place")
 posture = machine.inverse((0.05, 0.25), working=("minus", "plus"))
-print(f"motors at {np.degrees(posture.motors[0]):.3f} and {np.degrees(posture.motors[1]):.3f} deg put the tip at x = 0.05 m, y = 0.25 m")
+print(
+    f"motors at {np.degrees(posture.motors[0]):.3f} and {np.degrees(posture.motors[1]):.3f} deg put the tip at x = 0.05 m, y = 0.25 m"
+)
 print(f"condition number {machine.condition(posture.theta):.4f}, assembly {posture.assembly}")
 
 velocity = machine.velocity_ellipse(posture.theta)

@@ -33,7 +33,9 @@ class ShippedFiles(BuildHookInterface):
             files |= {checkout / name: name for name in ("LICENSE-MIT", "LICENSE-APACHE")}
             files |= {file: f"scenes/{file.name}" for file in (checkout / "scenes").glob("*.json")}
             # Without the unit, or the page, the package says how to make them.
-            build_data["force_include"] |= {str(file): f"{prefix}/{name}" for file, name in sorted(files.items()) if file.is_file()}
+            build_data["force_include"] |= {
+                str(file): f"{prefix}/{name}" for file, name in sorted(files.items()) if file.is_file()
+            }
         if self.target_name == "wheel" and unit.is_file():
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{'any' if len(libraries(unit)) > 1 else platform()}"
@@ -42,7 +44,9 @@ class ShippedFiles(BuildHookInterface):
 def libraries(unit: Path) -> set[str]:
     """The platforms that an .fmu has a library for."""
     with zipfile.ZipFile(unit) as archive:
-        return {name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")}
+        return {
+            name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")
+        }
 
 
 def platform() -> str:

@@ -16,8 +16,30 @@ SECONDS = 10.0
 def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth: machine.Truth) -> dict[str, object]:
     """Values, half-widths of their 95 % bars and what is true, by variable; residuals; the command's warning, if it has one."""
     begin = _quiet(rows, kinds)
-    command = [sys.executable, "-m", "fivebar", "calibrate", folder / "record.csv", "--scene", folder / "believed.json", "--commands", "hold"]
-    command += ["--from", f"{begin:g}", "--seconds", f"{SECONDS:g}", "--patience", "300", "--no-proposal", "--fmu", fmu, "--out", folder / "calibrate"]
+    command = [
+        sys.executable,
+        "-m",
+        "fivebar",
+        "calibrate",
+        folder / "record.csv",
+        "--scene",
+        folder / "believed.json",
+        "--commands",
+        "hold",
+    ]
+    command += [
+        "--from",
+        f"{begin:g}",
+        "--seconds",
+        f"{SECONDS:g}",
+        "--patience",
+        "300",
+        "--no-proposal",
+        "--fmu",
+        fmu,
+        "--out",
+        folder / "calibrate",
+    ]
     done = subprocess.run([str(part) for part in command], check=False)
     if done.returncode not in (0, 1):
         return {"from, s": begin, "exit code": done.returncode}
@@ -61,7 +83,13 @@ def show(found: dict[str, object]) -> str:
         return f"calibration from {found['from, s']:g} s on: exit code {found['exit code']}"
     lines = ["| variable | believed | true | found | 95 % bar | inside |", "| --- | ---: | ---: | ---: | ---: | --- |"]
     for name, row in found["values"].items():
-        value = f"{row['found']:.5g} | {row['bar']:.2g} | {'yes' if row.get('inside') else 'no'}" if "found" in row else "not identified | | "
+        value = (
+            f"{row['found']:.5g} | {row['bar']:.2g} | {'yes' if row.get('inside') else 'no'}"
+            if "found" in row
+            else "not identified | | "
+        )
         true = "" if row["true"] is None else f"{row['true']:.5g}"
         lines.append(f"| `{name}` | {row['believed']:.5g} | {true} | {value} |")
-    return "\n".join([*lines, *(f"{name}: {found[name]}" for name in ("refused", "warning", "residuals, rad") if name in found)])
+    return "\n".join(
+        [*lines, *(f"{name}: {found[name]}" for name in ("refused", "warning", "residuals, rad") if name in found)]
+    )

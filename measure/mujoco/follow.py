@@ -48,8 +48,12 @@ ESTIMATE = ("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[2]", "e
 
 STATUS = "estimated.status"
 
-LEARNED = {f"link[{i}].mass": f"estimated.mass[{i}]" for i in range(1, 5)} | {f"viscous.b[{i}]": f"estimated.viscous[{i}]" for i in range(1, 6)}
-LEARNED |= {f"link[{i}].length": f"estimated.length[{i}]" for i in range(1, 5)} | {"base.distance": "estimated.length[5]"}
+LEARNED = {f"link[{i}].mass": f"estimated.mass[{i}]" for i in range(1, 5)} | {
+    f"viscous.b[{i}]": f"estimated.viscous[{i}]" for i in range(1, 6)
+}
+LEARNED |= {f"link[{i}].length": f"estimated.length[{i}]" for i in range(1, 5)} | {
+    "base.distance": "estimated.length[5]"
+}
 LEARNED |= {f"encoder.offset[{i}]": f"estimated.offset[{i}]" for i in (1, 2)}
 """Parameters that a unit learns if it is told to, and the variables that say what it has learned."""
 
@@ -70,9 +74,13 @@ class Unit:
         self.log = Log()
         self.slave = instantiate(self.model, self.folder, self.log)
         self.reference = {v.name: v.valueReference for v in self.model.modelVariables}
-        (method,) = [int(item.value) for item in self.variable("solver.method").declaredType.items if item.name == "automatic"]
+        (method,) = [
+            int(item.value) for item in self.variable("solver.method").declaredType.items if item.name == "automatic"
+        ]
         self.status_names = {int(item.value): item.name for item in self.variable(STATUS).declaredType.items}
-        values = {name: value for name, value in machine.believed().items() if name not in ("description", "experiment")}
+        values = {
+            name: value for name, value in machine.believed().items() if name not in ("description", "experiment")
+        }
         values |= {f"estimator.quantum[{i}]": machine.QUANTUM for i in (1, 2)}
         values |= {
             "estimator.enabled": True,
@@ -118,7 +126,12 @@ class Unit:
         told = {}
         for name, variable in LEARNED.items():
             found, sigma = self.read((variable, variable.replace("[", ".sigma[")))
-            told[name] = {"true": true[name], "found": found, "bar": QUANTILE * sigma, "inside": abs(found - true[name]) <= QUANTILE * sigma}
+            told[name] = {
+                "true": true[name],
+                "found": found,
+                "bar": QUANTILE * sigma,
+                "inside": abs(found - true[name]) <= QUANTILE * sigma,
+            }
         return told
 
     def end(self) -> None:
@@ -182,15 +195,20 @@ def figures(rows, true, kinds, names, said, statuses, ahead) -> dict[str, object
     kinds = np.array(kinds)
     late = np.arange(len(rows)) >= settled
     pushed = np.hypot(rows[:, 7], rows[:, 8]) > 0
-    told["estimate, by motion"] = {kind: _row(found, late & (kinds == kind) & ~pushed) for kind in ("pick", "sines", "steps", "rest")}
+    told["estimate, by motion"] = {
+        kind: _row(found, late & (kinds == kind) & ~pushed) for kind in ("pick", "sines", "steps", "rest")
+    }
     told["estimate, pushed"] = _row(found, late & pushed)
     told["forecasts"] = {
-        f"{horizon:g} s": _row(judge(rest[:, 1:], true[rest[:, 0].astype(int), 3:5]), slice(None)) for horizon, rest in ahead.items()
+        f"{horizon:g} s": _row(judge(rest[:, 1:], true[rest[:, 0].astype(int), 3:5]), slice(None))
+        for horizon, rest in ahead.items()
     }
     lost = (found["error"] > LOST) & (found["error"] > 3 * found["half"])
     told["lost, % of samples"] = round(100 * float(lost[settled:].mean()), 3)
     counts = np.unique(np.array(statuses)[settled:], return_counts=True)
-    told["status, % of samples"] = {names[int(k)]: round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)}
+    told["status, % of samples"] = {
+        names[int(k)]: round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)
+    }
     alarm = said[:, 5] > 0.5
     onsets = [i for i in range(1, len(rows)) if pushed[i] and not pushed[i - 1]]
     ends = [i for i in range(1, len(rows)) if pushed[i - 1] and not pushed[i]]
@@ -202,7 +220,9 @@ def figures(rows, true, kinds, names, said, statuses, ahead) -> dict[str, object
     told["alarms"] = {
         "pushes": len(onsets),
         "found within 0.5 s": sum(bool(len(delay)) for delay in delays),
-        "median time to find, ms": float(np.median([1e3 * machine.SAMPLE * delay[0] for delay in delays if len(delay)] or [np.nan])),
+        "median time to find, ms": float(
+            np.median([1e3 * machine.SAMPLE * delay[0] for delay in delays if len(delay)] or [np.nan])
+        ),
         "false alarms a minute": round(len(false) / told["minutes"], 2),
     }
     return told
@@ -234,7 +254,9 @@ def draw(path: Path, rows, true, said, ahead) -> None:
         upper.plot(time[part], true[part, 3] * 1e3, label="x")
         upper.plot(time[part], true[part, 4] * 1e3, label="y")
         upper.set_ylabel("tip, mm")
-        middle.fill_between(time[part], 1e-3, found["half"][part] * 1e3, alpha=0.3, label="half-width of the 95 % ellipse")
+        middle.fill_between(
+            time[part], 1e-3, found["half"][part] * 1e3, alpha=0.3, label="half-width of the 95 % ellipse"
+        )
         middle.plot(time[part], found["error"][part] * 1e3, linewidth=0.8, label="error")
         horizon = HORIZONS[-1]
         end = time[ahead[horizon][:, 0].astype(int)]
@@ -257,14 +279,19 @@ def write(folder: Path, truth: machine.Truth, rows, true) -> None:
     """The record as a table for `fivebar calibrate`, the scene that is believed, and what is true."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "believed.json").write_text(json.dumps(machine.believed(), indent=1) + "\n")
-    (folder / "truth.json").write_text(json.dumps({name: np.asarray(value).tolist() for name, value in asdict(truth).items()}, indent=1) + "\n")
+    (folder / "truth.json").write_text(
+        json.dumps({name: np.asarray(value).tolist() for name, value in asdict(truth).items()}, indent=1) + "\n"
+    )
     for name, columns, table in (("record.csv", machine.COLUMNS[:7], rows[:, :7]), ("true.csv", machine.TRUE, true)):
         np.savetxt(folder / name, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
 
 
 def show(figures: dict[str, object]) -> str:
     """Figures as lines of a table."""
-    lines = ["| what | samples | error, mm, median | 95 % | half-width, mm | inside, % | too narrow by |", "| --- | ---: | ---: | ---: | ---: | ---: | ---: |"]
+    lines = [
+        "| what | samples | error, mm, median | 95 % | half-width, mm | inside, % | too narrow by |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
     named = {"estimate": figures["estimate"]}
     named |= {f"estimate, {kind}": row for kind, row in figures["estimate, by motion"].items()}
     named |= {"estimate, pushed": figures["estimate, pushed"]}
@@ -274,10 +301,13 @@ def show(figures: dict[str, object]) -> str:
     named |= {f"learning: forecast, {horizon}": row for horizon, row in learning["forecasts"].items()}
     lines += [f"| {name} | " + " | ".join(f"{value:g}" for value in row.values()) + " |" for name, row in named.items()]
     lines += [f"{name}: {figures[name]}" for name in ("lost, % of samples", "status, % of samples", "alarms")]
-    lines += [f"learning: {name}: {learning[name]}" for name in ("lost, % of samples", "status, % of samples", "alarms")]
+    lines += [
+        f"learning: {name}: {learning[name]}" for name in ("lost, % of samples", "status, % of samples", "alarms")
+    ]
     lines += ["| learned | true | found | 95 % bar | inside |", "| --- | ---: | ---: | ---: | --- |"]
     lines += [
-        f"| `{name}` | {row['true']:.5g} | {row['found']:.5g} | {row['bar']:.2g} | {'yes' if row['inside'] else 'no'} |" for name, row in learning["learned"].items()
+        f"| `{name}` | {row['true']:.5g} | {row['found']:.5g} | {row['bar']:.2g} | {'yes' if row['inside'] else 'no'} |"
+        for name, row in learning["learned"].items()
     ]
     return "\n".join(lines)
 
@@ -306,7 +336,9 @@ def main() -> None:
     told = figures(rows, true, kinds, unit.status_names, said, statuses, ahead)
     unit.end()
     learner = Unit(asked.fmu, learn=True)
-    told["learning"] = figures(rows, true, kinds, learner.status_names, *follow(learner, rows, progress("a unit that learns follows")))
+    told["learning"] = figures(
+        rows, true, kinds, learner.status_names, *follow(learner, rows, progress("a unit that learns follows"))
+    )
     told["learning"]["learned"] = learner.learned(truth)
     learner.end()
     print(file=sys.stderr)

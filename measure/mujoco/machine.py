@@ -94,7 +94,12 @@ def believed() -> dict[str, object]:
         "servo.enabled": True,
     }
     for i in (1, 2, 3, 4):
-        scene |= {f"link[{i}].length": LENGTH, f"link[{i}].mass": MASS, f"link[{i}].com": COM, f"link[{i}].inertia": INERTIA}
+        scene |= {
+            f"link[{i}].length": LENGTH,
+            f"link[{i}].mass": MASS,
+            f"link[{i}].com": COM,
+            f"link[{i}].inertia": INERTIA,
+        }
     for i, home in enumerate(HOME, 1):
         scene |= {
             f"init.theta[{i}]": home,
@@ -117,7 +122,11 @@ def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarr
         count = min(left, round(random.uniform(2, 8) / SAMPLE))
         if kind == "sines":
             # A sum of two sines that begins and ends gently, on the way to the start's place.
-            size, speed, phase = random.uniform(0.03, 0.2, (2, 2)), random.uniform(0.8, 6.0, (2, 2)), random.uniform(0, tau, (2, 2))
+            size, speed, phase = (
+                random.uniform(0.03, 0.2, (2, 2)),
+                random.uniform(0.8, 6.0, (2, 2)),
+                random.uniform(0, tau, (2, 2)),
+            )
 
             centre, place = angles.copy(), np.array(HOME)
 
@@ -180,7 +189,17 @@ def _smooth_rate(s: float) -> float:
     return 30 * s**2 * (1 - s) ** 2
 
 
-COLUMNS = ("time", "measured.theta[1]", "measured.theta[2]", "servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]", "tip.fx", "tip.fy")
+COLUMNS = (
+    "time",
+    "measured.theta[1]",
+    "measured.theta[2]",
+    "servo.theta[1]",
+    "servo.theta[2]",
+    "servo.omega[1]",
+    "servo.omega[2]",
+    "tip.fx",
+    "tip.fy",
+)
 """Of a record: the stamp of a sample, s, what the encoders show, what the drives were told from then on; the push that nobody tells the unit, N."""
 
 TRUE = ("time", "theta[1]", "theta[2]", "tip.x", "tip.y")
@@ -235,7 +254,9 @@ def _drive(model, data, truth: Truth, motors: list[int], told: tuple[np.ndarray,
     theta, omega = data.qpos[motors], data.qvel[motors]
     shown = theta + truth.offset + truth.eccentricity * np.sin(theta + truth.phase)
     torque = LIMIT * np.tanh((KP * (told[0] - shown) + KD * (told[1] - omega)) / LIMIT)
-    data.qfrc_applied[motors] = torque * (1 + truth.ripple * np.sin(SLOTS * theta)) + truth.cogging * np.sin(2 * SLOTS * theta)
+    data.qfrc_applied[motors] = torque * (1 + truth.ripple * np.sin(SLOTS * theta)) + truth.cogging * np.sin(
+        2 * SLOTS * theta
+    )
 
 
 def _assemble(model, data, truth: Truth) -> None:
@@ -275,9 +296,18 @@ def _xml(truth: Truth) -> str:
         '<inertial pos="0 0 0" mass="2e-4" diaginertia="1e-9 1e-9 1e-9"/><site name="pin"/></body><site name="left_end" pos="{{end}} 0 0"/>'
     ).format(PLAY, truth.viscous[2], f'solreflimit="{2 * STEP} 1" solimplimit="0.9999 0.9999 0.001"')
     motors = [f'frictionloss="{loss}" armature="{ROTOR}"' for loss in truth.coulomb]
-    left = link(0, "left", truth.viscous[0], motors[0], link(1, "left_elbow", truth.viscous[1], "", pin, "{end} 0 0"), "0 0 0")
+    left = link(
+        0, "left", truth.viscous[0], motors[0], link(1, "left_elbow", truth.viscous[1], "", pin, "{end} 0 0"), "0 0 0"
+    )
     end = '<site name="right_end" pos="{end} 0 0"/>'
-    right = link(3, "right", truth.viscous[4], motors[1], link(2, "right_elbow", truth.viscous[3], "", end, "{end} 0 0"), f"{truth.base} 0 0")
+    right = link(
+        3,
+        "right",
+        truth.viscous[4],
+        motors[1],
+        link(2, "right_elbow", truth.viscous[3], "", end, "{end} 0 0"),
+        f"{truth.base} 0 0",
+    )
     return f"""<mujoco><compiler angle="radian"/>
       <option timestep="{STEP}" gravity="0 {-GRAVITY} 0" integrator="implicitfast" tolerance="1e-12" iterations="50"/>
       <worldbody>{left}{right}</worldbody>

@@ -26,7 +26,9 @@ class Instance:
         self.slave.enterInitializationMode()
         return self
 
-    def initialise(self, values: Values | None = None, start_time: float = 0.0, stop_time: float | None = None) -> "Instance":
+    def initialise(
+        self, values: Values | None = None, start_time: float = 0.0, stop_time: float | None = None
+    ) -> "Instance":
         """Sets `values` and goes through initialisation."""
         self.set(values or {})
         self.slave.setupExperiment(startTime=start_time, stopTime=stop_time)

@@ -9,7 +9,9 @@ from fivebar.variables import Values, of_unit
 METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5, "automatic": 6}
 
 
-def made_scene(values: Values, stop_time: float, step_size: float = 1e-3, *overlays: Variant, description: str = "trial") -> Scene:
+def made_scene(
+    values: Values, stop_time: float, step_size: float = 1e-3, *overlays: Variant, description: str = "trial"
+) -> Scene:
     """A scene that sets `values` for the default method."""
     return Scene("trial", description, stop_time, step_size, [Variant("i3alp", values), *overlays])
 
@@ -21,7 +23,9 @@ def write(path: Path, scene: Scene) -> Path:
         "experiment": {"stopTime": scene.stop_time, "stepSize": scene.step_size},
         **_words(scene.values),
         "overlay": [{"label": variant.label} | _words(variant.values) for variant in scene.variants[1:]],
-        "signals": {name: {"linear": list(zip(scene.time.tolist(), values.tolist()))} for name, values in scene.signals.items()},
+        "signals": {
+            name: {"linear": list(zip(scene.time.tolist(), values.tolist()))} for name, values in scene.signals.items()
+        },
     }
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
@@ -30,4 +34,7 @@ def write(path: Path, scene: Scene) -> Path:
 def _words(values: Values) -> dict[str, object]:
     """Enumerations by the names of their items."""
     known = of_unit()
-    return {name: known[name].item(int(value)) if known[name].type == "Enumeration" else value for name, value in values.items()}
+    return {
+        name: known[name].item(int(value)) if known[name].type == "Enumeration" else value
+        for name, value in values.items()
+    }

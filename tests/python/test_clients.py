@@ -110,9 +110,7 @@ def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expec
 
 
 @pytest.mark.full
-def test_two_robots_in_one_libcosim_system(
-    fmu: Path, references: dict[str, int], reals: list[str], new: New
-) -> None:
+def test_two_robots_in_one_libcosim_system(fmu: Path, references: dict[str, int], reals: list[str], new: New) -> None:
     """One robot falls, a servo-driven partner follows it: as two instances that a loop in Python connects, bit for bit."""
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
@@ -130,7 +128,9 @@ def test_two_robots_in_one_libcosim_system(
     observer = CosimObserver.create_last_value()
     assert execution.add_observer(observer)
     assert execution.step(steps)
-    found = [list(observer.last_real_values(slave, [references[name] for name in reals])) for slave in (leader, follower)]
+    found = [
+        list(observer.last_real_values(slave, [references[name] for name in reals])) for slave in (leader, follower)
+    ]
 
     first, second = new("leader"), new("follower")
     for instance, values in ((first, FALL), (second, FOLLOWER)):
@@ -151,7 +151,9 @@ def test_two_robots_in_one_libcosim_system(
 
 
 @pytest.mark.full
-def test_two_units_of_different_names_in_one_libcosim_system(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str]) -> None:
+def test_two_units_of_different_names_in_one_libcosim_system(
+    fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str]
+) -> None:
     """The plain unit and one of one's own, whose method and assembly are enumerations that libcosim cannot set, push each other: as two
     instances that a loop in Python connects, bit for bit."""
     from libcosimpy.CosimExecution import CosimExecution
@@ -245,7 +247,12 @@ def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str
     (tmp_path / "system.json").write_text(json.dumps(configuration))
     command = [sys.executable, "-c", COFMUPY, str(tmp_path / "system.json"), str(steps), repr(size)]
     done = subprocess.run(
-        command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": os.environ["COFMUPY"]}, capture_output=True, text=True, check=False
+        command,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.environ["COFMUPY"]},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
@@ -291,14 +298,18 @@ def test_ecos_runs_a_unit_of_one_s_own_with_nothing_set(own: Unit, new_own: New,
             for _ in range(2):
                 assert simulation.init()
                 simulation.step(STEPS)
-                assert [simulation.get_real(f"mine::{name}") for name in reals] == [instance.get(name) for name in reals]
+                assert [simulation.get_real(f"mine::{name}") for name in reals] == [
+                    instance.get(name) for name in reals
+                ]
                 simulation.reset()
             simulation.terminate()
 
 
 @pytest.mark.full
 def test_fmutool_finds_no_problem(fmu: Path) -> None:
-    done = subprocess.run([program("fmutool"), "-input", str(fmu), "-check"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [program("fmutool"), "-input", str(fmu), "-check"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout
 
 
@@ -354,7 +365,9 @@ def test_dask(directory: str, scheduler: str) -> None:
 
     angles = [1.6 + 0.1 * i for i in range(16)]
     tasks = [dask.delayed(fall_from)(directory, angle) for angle in angles]
-    assert list(dask.compute(*tasks, scheduler=scheduler, num_workers=4)) == [fall_from(directory, angle) for angle in angles]
+    assert list(dask.compute(*tasks, scheduler=scheduler, num_workers=4)) == [
+        fall_from(directory, angle) for angle in angles
+    ]
 
 
 def by_fmi_sim(fmu: Path, folder: Path, outputs: list[str], values: Values) -> list[float]:
@@ -375,7 +388,9 @@ def test_fmi_sim(fmu: Path, tmp_path: Path, outputs: list[str], expected_outputs
 
 
 @pytest.mark.fmi_sim
-def test_fmi_sim_runs_a_unit_of_one_s_own_with_nothing_set(own: Unit, tmp_path: Path, outputs: list[str], new_own: New) -> None:
+def test_fmi_sim_runs_a_unit_of_one_s_own_with_nothing_set(
+    own: Unit, tmp_path: Path, outputs: list[str], new_own: New
+) -> None:
     instance = new_own().initialise()
     instance.steps(STEPS, SIZE)
     assert by_fmi_sim(own.fmu, tmp_path, outputs, {}) == [instance.get(name) for name in outputs]

@@ -83,7 +83,9 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["twin", "--scene", "fly"], "fivebar twin: there is no scene 'fly'"),
     ],
 )  # fmt: skip
-def test_what_is_refused_is_one_sentence(words: list[str], sentence: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_refused_is_one_sentence(
+    words: list[str], sentence: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """On standard error, with exit code 2, and nothing is made."""
     assert main(words) == 2
     [line] = [line for line in capsys.readouterr().err.splitlines() if "real time" not in line]
@@ -105,20 +107,34 @@ def test_what_is_refused_is_one_sentence(words: list[str], sentence: str, here: 
         ("untold", "{}", "it has no text 'description'"),
         ("number", '{"description": 5}', "'description' must be a text, not 5"),
         ("control", '{"description": "a\\u0007"}', "'description' must be a text without control characters"),
-        ("typed", '{"description": "a", "gravity.enabled": "yes"}', "'gravity.enabled' must be true or false, not \"yes\""),
+        (
+            "typed",
+            '{"description": "a", "gravity.enabled": "yes"}',
+            "'gravity.enabled' must be true or false, not \"yes\"",
+        ),
         ("beyond", '{"description": "a", "base.distance": -1}', "'base.distance' must be a number in m from 0 to"),
         ("infinite", '{"description": "a", "tau[1]": 1e999}', "it is not valid JSON: number 1e999 is out of range"),
         ("dots", '{"description": "a", "link..length": 1}', "there is no variable 'link..length'"),
         ("slash", '{"description": "a", "../tau[1]": 1}', "there is no variable '../tau[1]'"),
         ("überlang", '{"description": "a", "τ": 1}', "there is no variable 'τ'"),
-        ("endless", '{"description": "a", "experiment": {"stopTime": 1e12}}', "1000000000000.0 s in steps of 0.001 s are too many"),
-        ("never", '{"description": "a", "experiment": {"stopTime": 0}}', "'experiment.stopTime' must be a positive number of seconds, not 0"),
+        (
+            "endless",
+            '{"description": "a", "experiment": {"stopTime": 1e12}}',
+            "1000000000000.0 s in steps of 0.001 s are too many",
+        ),
+        (
+            "never",
+            '{"description": "a", "experiment": {"stopTime": 0}}',
+            "'experiment.stopTime' must be a positive number of seconds, not 0",
+        ),
         ("resolved", '{"name": "a", "description": "a", "variants": []}', "there is no variable 'name'"),
         (".", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
         (" . ", '{"description": "a"}', "a scene is called as its file, whose name has dots only"),
     ],
 )
-def test_odd_files_are_refused(name: str, content: str | bytes, sentence: str, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_odd_files_are_refused(
+    name: str, content: str | bytes, sentence: str, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One sentence that names the file, and nothing half-made."""
     file = tmp_path / f"{name}.json"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -128,7 +144,9 @@ def test_odd_files_are_refused(name: str, content: str | bytes, sentence: str, t
     assert list(here.iterdir()) == []
 
 
-def test_a_file_with_an_odd_name_is_run(tmp_path: Path, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_with_an_odd_name_is_run(
+    tmp_path: Path, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Results go to a folder named after the file, and what they are named after it as well."""
     shown: list[str] = []
     monkeypatch.setattr("webbrowser.open", shown.append)
@@ -136,21 +154,31 @@ def test_a_file_with_an_odd_name_is_run(tmp_path: Path, here: Path, monkeypatch:
     file.write_text(json.dumps(FALL), encoding="utf-8")
     assert main(["run", str(file), "--set", "gravity.g=0", "--open"]) == 0
     [folder] = here.iterdir()
-    assert folder.name == file.stem and (folder / f"{file.stem}.csv").is_file() and f"{file.stem}/{file.stem}.html" in capsys.readouterr().out
+    assert (
+        folder.name == file.stem
+        and (folder / f"{file.stem}.csv").is_file()
+        and f"{file.stem}/{file.stem}.html" in capsys.readouterr().out
+    )
     assert shown == [(folder / f"{file.stem}.html").as_uri()]
 
 
-def test_a_unit_without_a_library_for_this_machine_is_told(fmu: Path, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_unit_without_a_library_for_this_machine_is_told(
+    fmu: Path, tmp_path: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with zipfile.ZipFile(fmu) as whole, zipfile.ZipFile(tmp_path / "other.fmu", "w") as other:
         other.writestr("modelDescription.xml", whole.read("modelDescription.xml"))
         other.writestr("binaries/vms64/FiveBar.exe", "")
     assert main(["run", "swing", "--fmu", str(tmp_path / "other.fmu")]) == 2
     sentence = capsys.readouterr().err
-    assert re.fullmatch(r"fivebar run: FiveBar has no library for this machine, \S+; it has vms64\n", sentence), sentence
+    assert re.fullmatch(r"fivebar run: FiveBar has no library for this machine, \S+; it has vms64\n", sentence), (
+        sentence
+    )
     assert list(here.iterdir()) == []
 
 
-def test_an_error_of_this_program_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_this_program_is_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The traceback of an unforeseen error is shown only if asked for."""
 
     def broken() -> None:
@@ -158,13 +186,18 @@ def test_an_error_of_this_program_is_a_sentence(monkeypatch: pytest.MonkeyPatch,
 
     monkeypatch.setattr(fivebar, "scenes", broken)
     assert main(["scenes"]) == 1
-    assert capsys.readouterr().err == "fivebar scenes: an error of this program, KeyError: 'surprise'; with FIVEBAR_TRACEBACK=1 it says where\n"
+    assert (
+        capsys.readouterr().err
+        == "fivebar scenes: an error of this program, KeyError: 'surprise'; with FIVEBAR_TRACEBACK=1 it says where\n"
+    )
     monkeypatch.setenv("FIVEBAR_TRACEBACK", "1")
     with pytest.raises(KeyError):
         main(["scenes"])
 
 
-def test_the_live_page_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_live_page_opens(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shown: list[str] = []
     monkeypatch.setattr("webbrowser.open", shown.append)
     monkeypatch.setattr(shipped, "page", lambda: tmp_path / "fivebar.html")
@@ -173,22 +206,33 @@ def test_the_live_page_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ca
     assert main(["page"]) == 2 and "cargo xtask page` makes it" in capsys.readouterr().err
 
 
-def test_missing_extras_are_one_sentence(monkeypatch: pytest.MonkeyPatch, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_extras_are_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All that is missing, and the command that brings it; help needs nothing."""
-    calibrate, everything = ({requirement.name for requirement in extras.requirements(extra)} for extra in ("calibrate", "all"))
+    calibrate, everything = (
+        {requirement.name for requirement in extras.requirements(extra)} for extra in ("calibrate", "all")
+    )
     assert {"pyarrow", "scipy"} < calibrate < everything
     installed = extras._installed
-    monkeypatch.setattr(extras, "_installed", lambda name: None if name in ("pyarrow", "scipy", "paho-mqtt") else installed(name))
+    monkeypatch.setattr(
+        extras, "_installed", lambda name: None if name in ("pyarrow", "scipy", "paho-mqtt") else installed(name)
+    )
     asks = {"calibrate": ["calibrate", "x"], "ensemble": ["what-if", "--config", "x"], "twin": ["soak"]}
     for extra, words in asks.items():
         assert main(words) == 2
         sentence = capsys.readouterr().err
-        assert re.match(rf"fivebar {words[0]}: \S.* (?:is|are) needed and not installed: ", sentence) and sentence.count("\n") == 1
+        assert (
+            re.match(rf"fivebar {words[0]}: \S.* (?:is|are) needed and not installed: ", sentence)
+            and sentence.count("\n") == 1
+        )
         assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n")
     assert list(here.iterdir()) == []
 
 
-def test_extras_that_are_too_old_are_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_extras_that_are_too_old_are_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Each with its version and the versions that are allowed, behind what is missing; the oldest allowed version is none of them."""
     oldest = {requirement.name: next(iter(requirement.specifier)).version for requirement in extras.requirements("all")}
     monkeypatch.setattr(extras, "_installed", oldest.get)
@@ -197,8 +241,13 @@ def test_extras_that_are_too_old_are_one_sentence(monkeypatch: pytest.MonkeyPatc
     assert main(["soak"]) == 2
     sentence = "paho-mqtt 1.6.1 is installed, and >= 2 is needed"
     assert capsys.readouterr().err == f"fivebar soak: {sentence}: pip install 'fivebar[twin]' installs what is needed\n"
-    monkeypatch.setattr(extras, "_installed", (oldest | {"paho-mqtt": "1.6.1", "websockets": "12.0", "psutil": None}).get)
-    with pytest.raises(FiveBarError, match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13 is needed: pip"):
+    monkeypatch.setattr(
+        extras, "_installed", (oldest | {"paho-mqtt": "1.6.1", "websockets": "12.0", "psutil": None}).get
+    )
+    with pytest.raises(
+        FiveBarError,
+        match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13 is needed: pip",
+    ):
         extras.need("twin")
 
 
@@ -228,14 +277,18 @@ print(len(blocked))
 """
 
 
-@pytest.mark.parametrize(("extra", "folder"), [("", "."), ("twin", "twin"), ("calibrate", "twin/calibrate"), ("ensemble", "twin/ensemble")])
+@pytest.mark.parametrize(
+    ("extra", "folder"), [("", "."), ("twin", "twin"), ("calibrate", "twin/calibrate"), ("ensemble", "twin/ensemble")]
+)
 def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
     """Each module that its subcommands load, with every package out of sight that neither the core nor the extra asks for."""
     root = Path(fivebar.__file__).parent
     files = sorted((root / folder).glob("*.py"))
     if not extra:
         files += sorted((root / "commands").glob("*.py"))
-    modules = [".".join(("fivebar", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__") for file in files]
+    modules = [
+        ".".join(("fivebar", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__") for file in files
+    ]
     modules = [module for module in modules if not module.endswith("__main__")]
     done = subprocess.run([sys.executable, "-c", ALONE, extra, *modules], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr.splitlines()[-1]
@@ -245,16 +298,29 @@ def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
 def test_a_run_in_python(here: Path) -> None:
     """Named columns with units, pictures, page and table; the scene's other values and method."""
     fall = fivebar.run("fall_90_120", method="automatic", **{"gravity.g": 0, "init.omega[1]": 0.1})
-    assert fall.failure is None and fall.time[-1] == 2.0 and fall["tip.x"].shape == (2001,) and fall.units["tip.x"] == "m"
-    assert fall.own.parameters["solver.method"] == 6 and fall["energy.kinetic"][0] > 0 and np.ptp(fall["energy.potential"]) == 0
+    assert (
+        fall.failure is None and fall.time[-1] == 2.0 and fall["tip.x"].shape == (2001,) and fall.units["tip.x"] == "m"
+    )
+    assert (
+        fall.own.parameters["solver.method"] == 6
+        and fall["energy.kinetic"][0] > 0
+        and np.ptp(fall["energy.potential"]) == 0
+    )
     assert {"time", "tip.x", "theta[1]"} < set(fall.names)
-    assert isinstance(fall.plot(), Figure) and [len(axes.lines) for axes in fall.plot("tip.x", "tip.y", "theta[1]").axes] == [2, 1]
+    assert isinstance(fall.plot(), Figure) and [
+        len(axes.lines) for axes in fall.plot("tip.x", "tip.y", "theta[1]").axes
+    ] == [2, 1]
     header, first, *_ = fall.to_csv("fall.csv").read_text(encoding="utf-8").splitlines()
     assert header.split(",")[:1] == ["time [s]"] and len(first.split(",")) == len(fall.names)
     assert fall.animate("fall.html").stat().st_size > 20_000
     assert sorted(file.name for file in here.iterdir()) == ["fall.csv", "fall.html"]
     assert fivebar.unit().is_file() and fivebar.scenes()["swing"]
-    for call in (lambda: fivebar.run("fly"), lambda: fivebar.run("swing", "euler"), lambda: fivebar.run("swing", tau=1), lambda: fall.plot("y")):
+    for call in (
+        lambda: fivebar.run("fly"),
+        lambda: fivebar.run("swing", "euler"),
+        lambda: fivebar.run("swing", tau=1),
+        lambda: fall.plot("y"),
+    ):
         with pytest.raises(ValueError) as refusal:
             call()
         assert isinstance(refusal.value, FiveBarError) and "\n" not in str(refusal.value)

@@ -19,7 +19,13 @@ HEADERS = Path(fmpy.__file__).parent / "c-code"
 SHARED = ("master.c", "scenes.c")
 WALK = ("walk_life.c", "walk_values.c", "walk_states.c", "walk_exchange.c")
 
-MEMCHECK = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite,indirect,possible")
+MEMCHECK = (
+    "valgrind",
+    "--quiet",
+    "--error-exitcode=9",
+    "--leak-check=full",
+    "--errors-for-leak-kinds=definite,indirect,possible",
+)
 HELGRIND = ("valgrind", "--quiet", "--error-exitcode=9", "--tool=helgrind")
 
 # Runs a program with arguments behind library, GUID and table: the line that it prints.
@@ -52,15 +58,29 @@ def runner(directory: str, model: ModelDescription, tmp_path_factory: pytest.Tem
     table.write_text("".join(f"{text}\n" for text in rows.values()))
     shipped = Path(directory) / "binaries" / fmpy.platform / f"{model.coSimulation.modelIdentifier}.so"
 
-    def carry_out(name: str, *arguments: object, under: tuple[str, ...] = (), library: Path = shipped, **environment: str) -> str:
+    def carry_out(
+        name: str, *arguments: object, under: tuple[str, ...] = (), library: Path = shipped, **environment: str
+    ) -> str:
         program = folder / name
         if not program.exists():
             sources = [str(SOURCES / source) for source in (f"{name}.c", *SHARED, *(WALK if name == "walk" else ()))]
-            options = ["-std=c11", "-D_GNU_SOURCE", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-isystem", str(HEADERS)]
+            options = [
+                "-std=c11",
+                "-D_GNU_SOURCE",
+                "-O1",
+                "-g",
+                "-Wall",
+                "-Wextra",
+                "-Werror",
+                "-isystem",
+                str(HEADERS),
+            ]
             subprocess.run(["cc", *options, *sources, "-o", str(program), "-ldl", "-lm", "-pthread"], check=True)
         here = tmp_path_factory.mktemp(name)
         command = [*under, str(program), str(library), model.guid, str(table), *map(str, arguments)]
-        done = subprocess.run(command, cwd=here, env=os.environ | environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=here, env=os.environ | environment, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, f"{name}: exit code {done.returncode}: {done.stderr[-4000:]}"
         assert library != shipped or done.stderr == "", "something was written to standard error"
         assert list(here.iterdir()) == [], "something was written to the working directory"
@@ -87,7 +107,11 @@ def run_own(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Run:
 # Calls, seed and magnitude of values, as a power of ten; one walk of one's own where `cargo xtask walk` says so.
 OWN_WALK = os.environ.get("FIVEBAR_WALK")
 LONG = pytest.mark.nightly
-WALKS = [(50_000, 1, 12), (50_000, 6, 308), *(pytest.param(250_000, *more, marks=LONG) for more in ((1, 12), (5, 12), (6, 308)))]
+WALKS = [
+    (50_000, 1, 12),
+    (50_000, 6, 308),
+    *(pytest.param(250_000, *more, marks=LONG) for more in ((1, 12), (5, 12), (6, 308))),
+]
 
 
 @pytest.mark.parametrize(("calls", "seed", "largest"), [tuple(OWN_WALK.split())] if OWN_WALK else WALKS)

@@ -62,7 +62,9 @@ def test_links_lead_somewhere(paper: Path) -> None:
         target = (paper.parent / name).resolve() if name else paper
         assert target.exists(), f"{short(paper)} links to {link}, which is not there"
         if place:
-            assert place in map(anchor, headings(target.read_text(encoding="utf-8"))), f"{short(paper)}: {link} has no such heading"
+            assert place in map(anchor, headings(target.read_text(encoding="utf-8"))), (
+                f"{short(paper)}: {link} has no such heading"
+            )
 
 
 def test_equations_are_numbered_in_order() -> None:
@@ -101,14 +103,18 @@ def test_no_paper_is_named_that_is_not_there() -> None:
 def test_files_named_in_the_architecture_are_there() -> None:
     """Paths in backticks; a name without a folder stands beside the path before it, or anywhere in the sources."""
     names = {path.name for path in SOURCES}
-    for name in re.findall(r"`([\w./-]+(?:\.(?:rs|py|xml)|/))`", (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")):
+    for name in re.findall(
+        r"`([\w./-]+(?:\.(?:rs|py|xml)|/))`", (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    ):
         assert (REPOSITORY / name).exists() or name in names, f"ARCHITECTURE.md names {name}, which is not there"
 
 
 def test_tests_named_in_papers_are_there() -> None:
     """Names with underscores in docs/scope.md and CONTRIBUTING.md: a test, a scene, or something else that a source defines."""
     code = "\n".join(source.read_text(encoding="utf-8") for source in SOURCES if source.suffix in (".rs", ".py"))
-    known = set(re.findall(r"\b(?:fn|def) (\w+)", code)) | {path.stem for path in (REPOSITORY / "scenes").glob("*.json")}
+    known = set(re.findall(r"\b(?:fn|def) (\w+)", code)) | {
+        path.stem for path in (REPOSITORY / "scenes").glob("*.json")
+    }
     for paper in ("docs/scope.md", "CONTRIBUTING.md"):
         names = set(re.findall(r"`([a-z][a-z0-9]*_[a-z0-9_]+)`", (REPOSITORY / paper).read_text(encoding="utf-8")))
         assert names and names <= known, f"{paper} names {sorted(names - known)}"
@@ -116,7 +122,9 @@ def test_tests_named_in_papers_are_there() -> None:
 
 def test_the_machine_of_the_readme_runs(fmu: Path) -> None:
     """The scene that the README shows as a machine of one's own, here as start values; its motion stays finite and balanced."""
-    (block,) = re.findall(r"^```json\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    (block,) = re.findall(
+        r"^```json\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
     values = json.loads(block)
     stop = values.pop("experiment")["stopTime"]
     assert values.pop("description")

@@ -91,7 +91,9 @@ def test_stop_ends_a_swing(new: New) -> None:
 
 def test_contact_carries_a_pressed_tip(new: New) -> None:
     """2 N on a wall of 2e3 N/m: 1 mm deep at rest, and the wall pushes back with 2 N; 1 s lets the bouncing die away."""
-    touching, bare = with_and_without(new, "contact", FLAT | {"contact.offset": 0.28, "tip.fy": -2.0, "viscous.enabled": True})
+    touching, bare = with_and_without(
+        new, "contact", FLAT | {"contact.offset": 0.28, "tip.fy": -2.0, "viscous.enabled": True}
+    )
     for instance in (touching, bare):
         instance.steps(1000, 1e-3)
     assert touching.get("contact.fy") == pytest.approx(2.0, rel=1e-3)
@@ -127,7 +129,9 @@ def test_a_tunable_parameter_acts_from_the_next_step(new: New) -> None:
     assert abs(tuned.get("energy.error")) < 1e-8
 
 
-@pytest.mark.parametrize(("name", "value"), [("payload.enabled", True), ("spring.enabled", False), ("rotor.inertia[1]", 1e-4)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("payload.enabled", True), ("spring.enabled", False), ("rotor.inertia[1]", 1e-4)]
+)
 def test_a_fixed_parameter_is_refused_during_the_run(new: New, name: str, value: float | bool) -> None:
     instance = new().initialise(FLAT | {"spring.enabled": True})
     before = instance.bits()
@@ -164,12 +168,18 @@ def test_a_reference_that_nobody_reads_is_warned_of_once(new: New) -> None:
 @pytest.mark.parametrize(
     ("effect", "values", "sentence"),
     [
-        ("friction", {"friction.breakaway[2]": 5e-4}, "friction.breakaway[2] = 0.0005 N.m is not allowed: it must be at least"),
+        (
+            "friction",
+            {"friction.breakaway[2]": 5e-4},
+            "friction.breakaway[2] = 0.0005 N.m is not allowed: it must be at least",
+        ),
         ("stop", {"stop.lower[2]": 4.0}, "stop.lower[2] = 4 rad is not allowed: it must be below stop.upper[2]"),
         ("contact", {"contact.ny": 0.0}, "contact.nx = 0 and contact.ny = 0 are not allowed together"),
     ],
 )
-def test_relations_are_refused_by_name_if_the_effect_is_on(new: New, effect: str, values: Values, sentence: str) -> None:
+def test_relations_are_refused_by_name_if_the_effect_is_on(
+    new: New, effect: str, values: Values, sentence: str
+) -> None:
     instance = new()
     instance.set(FLAT | values | {f"{effect}.enabled": True})
     instance.enter()
@@ -181,7 +191,16 @@ def test_relations_are_refused_by_name_if_the_effect_is_on(new: New, effect: str
 
 @pytest.mark.parametrize(
     "name",
-    ["viscous.b[1]", "friction.coulomb[5]", "spring.k[1]", "stop.d", "contact.d", "contact.mu", "servo.kd[2]", "payload.mass"],
+    [
+        "viscous.b[1]",
+        "friction.coulomb[5]",
+        "spring.k[1]",
+        "stop.d",
+        "contact.d",
+        "contact.mu",
+        "servo.kd[2]",
+        "payload.mass",
+    ],
 )
 def test_negative_magnitudes_are_refused_by_name(new: New, name: str) -> None:
     instance = new()

@@ -142,7 +142,10 @@ def test_cancel_and_status(new: New) -> None:
     instance.steps(2, 1e-3)
     assert instance.refusal(instance.slave.cancelStep)[0] == fmi2.fmi2Error
     value = c_double()
-    assert instance.slave.fmi2GetRealStatus(instance.slave.component, fmi2.fmi2LastSuccessfulTime, byref(value)) == fmi2.fmi2OK
+    assert (
+        instance.slave.fmi2GetRealStatus(instance.slave.component, fmi2.fmi2LastSuccessfulTime, byref(value))
+        == fmi2.fmi2OK
+    )
     assert value.value == pytest.approx(2e-3, abs=1e-15)
 
 

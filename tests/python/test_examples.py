@@ -28,7 +28,9 @@ def output(fmu: Path, folder: Path, name: str) -> str:
 def test_switch_effects(fmu: Path, tmp_path: Path, model: object) -> None:
     """Every effect is shown, each ends elsewhere, the balances close, and the tuned spring acts one step after 0.5 s."""
     text = (REPOSITORY / "examples" / "switch_effects.py").read_text(encoding="utf-8")
-    effects = [v.name for v in model.modelVariables if v.name.endswith(".enabled") and not v.name.startswith("estimator.")]
+    effects = [
+        v.name for v in model.modelVariables if v.name.endswith(".enabled") and not v.name.startswith("estimator.")
+    ]
     assert effects and all(f'"{effect}"' in text for effect in effects)
     printed = output(fmu, tmp_path, "switch_effects.py")
     rows = re.findall(r"^ *(\D.*?)  +(-?\d+\.\d{4}) +(-?\d+\.\d{4}) +(\d+\.\d{3}) +(\S+)$", printed, re.MULTILINE)
@@ -49,7 +51,10 @@ def test_own_scene(fmu: Path, tmp_path: Path) -> None:
 def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
     """The torque that leads highest is taken, and looking ahead leaves the twin where it was: the end is that without it."""
     printed = output(fmu, tmp_path, "look_ahead.py")
-    ways = [[(float(torque), float(y)) for torque, y in re.findall(r"(\S+) N\.m leads to (\S+) m", line)] for line in printed.splitlines()]
+    ways = [
+        [(float(torque), float(y)) for torque, y in re.findall(r"(\S+) N\.m leads to (\S+) m", line)]
+        for line in printed.splitlines()
+    ]
     taken = [float(torque) for torque in re.findall(r"taken: (\S+) N\.m", printed)]
     assert len(taken) == 4
     assert taken == [max(way, key=lambda torque_and_height: torque_and_height[1])[0] for way in ways if way]
@@ -93,7 +98,13 @@ def test_two_units(fmu: Path, tmp_path: Path) -> None:
     last = [float(x) for x in output(fmu, tmp_path, "two_units.py").splitlines()[-1].split()]
     time, leader, follower, force, apart = last
     # 2.5 N indent a wall of 2e4 N/m by 0.125 mm.
-    assert time == 1.0 and abs(force + 2.5) < 0.01 and abs(follower - 0.26) < 5e-4 and 0 < leader - follower < 1e-3 and apart < 5
+    assert (
+        time == 1.0
+        and abs(force + 2.5) < 0.01
+        and abs(follower - 0.26) < 5e-4
+        and 0 < leader - follower < 1e-3
+        and apart < 5
+    )
 
 
 @pytest.mark.parametrize("path", sorted((REPOSITORY / "examples").glob("*.py")), ids=lambda path: path.name)
@@ -117,7 +128,9 @@ def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
 def test_optimal_control(fmu: Path, tmp_path: Path) -> None:
     """The swing needs less than holding would, and what model exchange has planned is what co-simulation does; there is a picture."""
     printed = output(fmu, tmp_path, "optimal_control.py")
-    lifted, largest, holding = (float(x) for x in re.findall(r"lifted by (\S+) m; largest torque (\S+) N.m, to hold it (\S+) N.m", printed)[0])
+    lifted, largest, holding = (
+        float(x) for x in re.findall(r"lifted by (\S+) m; largest torque (\S+) N.m, to hold it (\S+) N.m", printed)[0]
+    )
     assert lifted > 0.08 and largest <= 0.01 and holding > 6 * largest
     # Runge-Kutta's error over 1.2 s of 12.5 ms, and the unit's own.
     assert float(re.findall(r"the goal is missed by (\S+) deg", printed)[0]) < 0.01

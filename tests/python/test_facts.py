@@ -48,7 +48,9 @@ def parameters(model: ModelDescription, effect: str) -> dict[str, ScalarVariable
 
 
 def test_every_effect_is_known(model: ModelDescription) -> None:
-    assert {v.name for v in model.modelVariables if v.name.endswith(".enabled")} == {f"{name}.enabled" for name in (*EFFECTS, "estimator", "estimator.learn")}
+    assert {v.name for v in model.modelVariables if v.name.endswith(".enabled")} == {
+        f"{name}.enabled" for name in (*EFFECTS, "estimator", "estimator.learn")
+    }
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

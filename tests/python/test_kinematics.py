@@ -49,17 +49,39 @@ def samples(machines: int, postures: int, seed: int = 40) -> list[Sample]:
             lengths[2:] = lengths[1::-1]
         made = Machine(0.0 if len(found) % 10 == 3 else random.uniform(0.02, 0.6), tuple(lengths.tolist()))
         theta = random.uniform(-np.pi, np.pi, (40 * postures, 2))
-        elbows = [made.lengths[i] * np.exp(1j * theta[:, j]) + foot for i, j, foot in ((0, 0, 0.0), (3, 1, made.distance))]
+        elbows = [
+            made.lengths[i] * np.exp(1j * theta[:, j]) + foot for i, j, foot in ((0, 0, 0.0), (3, 1, made.distance))
+        ]
         apart = np.abs(elbows[1] - elbows[0])
-        theta = theta[(apart < 0.9999 * (lengths[1] + lengths[2])) & (apart > 1.0001 * abs(lengths[1] - lengths[2]) + 1e-4)]
+        theta = theta[
+            (apart < 0.9999 * (lengths[1] + lengths[2])) & (apart > 1.0001 * abs(lengths[1] - lengths[2]) + 1e-4)
+        ]
         if len(theta) >= postures:
             omega = random.uniform(-5, 5, (postures, 2))
             found.append(Sample(made, theta[:postures], omega, ("plus", "minus")[len(found) % 2]))
     return found
 
 
-READ = ("tip.x", "tip.y", "tip.vx", "tip.vy", "passive.theta[1]", "passive.theta[2]", "passive.omega[1]", "passive.omega[2]")
-READ += ("elbow[1].x", "elbow[1].y", "elbow[2].x", "elbow[2].y", "singular.detJx", "singular.detJq", "singular.sigmaJx", "singular.sigmaJq")
+READ = (
+    "tip.x",
+    "tip.y",
+    "tip.vx",
+    "tip.vy",
+    "passive.theta[1]",
+    "passive.theta[2]",
+    "passive.omega[1]",
+    "passive.omega[2]",
+)
+READ += (
+    "elbow[1].x",
+    "elbow[1].y",
+    "elbow[2].x",
+    "elbow[2].y",
+    "singular.detJx",
+    "singular.detJq",
+    "singular.sigmaJx",
+    "singular.sigmaJq",
+)
 
 
 def read_from_unit(instance: Instance, sample: Sample) -> tuple[dict[str, np.ndarray], list[tuple[int, int, int]]]:
@@ -69,12 +91,16 @@ def read_from_unit(instance: Instance, sample: Sample) -> tuple[dict[str, np.nda
     values, kinds = [], []
     for theta, omega in zip(sample.theta, sample.omega):
         slave.reset()
-        slave.setReal([references[name] for name in names], [sample.machine.distance, *sample.machine.lengths, *theta, *omega])
+        slave.setReal(
+            [references[name] for name in names], [sample.machine.distance, *sample.machine.lengths, *theta, *omega]
+        )
         slave.setInteger([references["init.assembly"]], [1 if sample.assembly == "plus" else 2])
         slave.setupExperiment()
         slave.enterInitializationMode()
         values.append(slave.getReal([references[name] for name in READ]))
-        kinds.append(tuple(slave.getInteger([references[name] for name in ("mode.assembly", "mode.working", "singular.type")])))
+        kinds.append(
+            tuple(slave.getInteger([references[name] for name in ("mode.assembly", "mode.working", "singular.type")]))
+        )
     columns = dict(zip(READ, np.array(values).T))
     return columns, kinds
 
@@ -100,7 +126,11 @@ def test_the_unit_agrees(new: Callable[..., Instance]) -> None:
 
         bends = [("plusPlus", "plusMinus", "minusPlus", "minusMinus")[mode - 1] for _, mode, _ in kinds]
         assert bends == [left + right.capitalize() for left, right in posture.working]
-        assert [("plus", "minus")[side - 1] for side, _, _ in kinds] == posture.assembly.tolist() == [sample.assembly] * len(tip)
+        assert (
+            [("plus", "minus")[side - 1] for side, _, _ in kinds]
+            == posture.assembly.tolist()
+            == [sample.assembly] * len(tip)
+        )
         ours = made.singularity(posture.theta)
         theirs = np.array([("none", "direct", "inverse", "combined", "combined")[kind - 1] for _, _, kind in kinds])
         constraint = np.array([kind == 5 for _, _, kind in kinds])
@@ -155,7 +185,13 @@ def test_the_version_is_that_of_the_workspace() -> None:
     [
         (PAPER, (0.21, 0.30), OUT, (1.471804090732, 0.448336634080, 2.693256019510, 1.669788562858), 2.078980),
         (PAPER, (0.21, 0.30), ALIKE, (0.448336634080, 1.471804090732, 2.693256019510, 1.669788562858), 10 / 7),
-        (PAPER, (0.16, 0.29), OUT, (1.728905917935, 0.404354812697, 2.685232711969, 1.918173355935), 0.304156455 / 0.128696234),
+        (
+            PAPER,
+            (0.16, 0.29),
+            OUT,
+            (1.728905917935, 0.404354812697, 2.685232711969, 1.918173355935),
+            0.304156455 / 0.128696234,
+        ),
         (HAPTIC, (0.05, 0.25), OUT, (2.291884086801, None, None, 0.849708566788), 2.044428),
         (HAPTIC, (0.05, 0.25), ALIKE, (None, None, None, None), 5.0),
         (PAPER, (0.21, 0.349282907142), OUT, (1.273544965474, np.pi / 4, None, None), 1.0),
@@ -197,7 +233,11 @@ def test_known_reach() -> None:
 
 def test_known_direct_singularities() -> None:
     for made, theta4, tips in (
-        (DEXTAR, (-2.264434151713, 1.295283994041), ((0.011503154360, 0.006316745435), (0.052515191602, 0.084221251909))),
+        (
+            DEXTAR,
+            (-2.264434151713, 1.295283994041),
+            ((0.011503154360, 0.006316745435), (0.052515191602, 0.084221251909)),
+        ),
         (PAPER, (-2.719893320797, 2.0), ((0.070503138499, 0.052498521735), (0.122609164325, 0.190952459633))),
     ):
         found = made.direct_at(2.0)
@@ -226,11 +266,15 @@ def test_stretched_distal_links_are_on_the_curve_of_watt(made: Machine) -> None:
             squared = x**2 + y**2
             # Multiplied by r^2: no division at the middle, where the curve may pass.
             root = np.sqrt(np.maximum(distal**2 * squared - (half * x) ** 2, 0))
-            residual = np.minimum(*(np.abs((proximal**2 - squared) * squared - (half * y + side * root) ** 2) for side in (-1, 1)))
+            residual = np.minimum(
+                *(np.abs((proximal**2 - squared) * squared - (half * y + side * root) ** 2) for side in (-1, 1))
+            )
             assert residual.max() < 1e-15
 
 
-@pytest.mark.parametrize("made", [sample.machine for sample in samples(40, 5, seed=7)] + [PAPER, HAPTIC, DEXTAR, PANTOGRAPH])
+@pytest.mark.parametrize(
+    "made", [sample.machine for sample in samples(40, 5, seed=7)] + [PAPER, HAPTIC, DEXTAR, PANTOGRAPH]
+)
 def test_direct_loci_are_whole(made: Machine) -> None:
     """Loci are closed and singular, their links have their lengths, and wherever a random line of postures changes its assembly there is one."""
     loci = made.direct_singularities(20_000)
@@ -257,9 +301,13 @@ def test_direct_loci_are_whole(made: Machine) -> None:
     assert crossings > 0 or made.distance == 0 or not loci or made.reach_area < 0.02
 
 
-@pytest.mark.parametrize("more", [sign * more for more in (5.6e-17, 1e-15, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3) for sign in (1, -1)])
+@pytest.mark.parametrize(
+    "more", [sign * more for more in (5.6e-17, 1e-15, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3) for sign in (1, -1)]
+)
 @pytest.mark.parametrize(("distance", "proximal"), [(0.1, (0.21, 0.21)), (0.25, (0.2, 0.17)), (0.3, (0.17, 0.2))])
-def test_loci_of_distal_links_of_almost_equal_length(distance: float, proximal: tuple[float, float], more: float) -> None:
+def test_loci_of_distal_links_of_almost_equal_length(
+    distance: float, proximal: tuple[float, float], more: float
+) -> None:
     """Links have their lengths to round-off, and the folded loci differ from those of equal lengths in proportion to the difference."""
     alike, made = (Machine(distance, (proximal[0], 0.3 + by, 0.3, proximal[1])) for by in (0.0, more))
     loci = [[locus for locus in each.direct_singularities(4001) if locus.posture == "folded"] for each in (alike, made)]
@@ -300,7 +348,9 @@ def test_almost_coaxial_motors_are_degenerate(name: str) -> None:
     assert not Machine.from_values(values | {name: values[name] + 1e-6}).is_degenerate(ALIKE)
 
 
-@pytest.mark.parametrize("working", [None, 3, "plus", ("plus",), ("plus", None), (["plus"], "minus"), {"plus", "minus"}])
+@pytest.mark.parametrize(
+    "working", [None, 3, "plus", ("plus",), ("plus", None), (["plus"], "minus"), {"plus", "minus"}]
+)
 def test_working_modes_that_are_none(working: object) -> None:
     for call in (HAPTIC.inverse, HAPTIC.field):
         with pytest.raises(FiveBarError, match="^working = .*(it must name two bends|it must be 'plus' or 'minus')"):
@@ -327,7 +377,9 @@ def test_symmetric_tip_needs_no_lengths() -> None:
         for y in np.linspace(0.3, 0.9, 7) * np.sqrt(made.reach[0, 1] ** 2 - half**2):
             for working in (ALIKE, ("minus", "minus")):
                 if made.is_reachable((half, y)):
-                    assert made.condition(made.inverse((half, y), working).theta) == pytest.approx(max(y / half, half / y), rel=1e-9)
+                    assert made.condition(made.inverse((half, y), working).theta) == pytest.approx(
+                        max(y / half, half / y), rel=1e-9
+                    )
 
 
 # Relations among the functions
@@ -340,7 +392,11 @@ def test_the_jacobian_is_the_derivative() -> None:
         smooth = np.abs(sines(posture.theta)[:, 0]) > 0.05
         theta, step = sample.theta[smooth], 1e-6
         columns = [
-            (made.forward(theta + step * side, sample.assembly).tip - made.forward(theta - step * side, sample.assembly).tip) / (2 * step)
+            (
+                made.forward(theta + step * side, sample.assembly).tip
+                - made.forward(theta - step * side, sample.assembly).tip
+            )
+            / (2 * step)
             for side in np.eye(2)
         ]
         assert np.stack(columns, axis=-1) == pytest.approx(made.jacobian(posture.theta[smooth]), abs=2e-6)
@@ -370,8 +426,12 @@ def test_rates_and_forces_go_both_ways() -> None:
 def test_shapes_are_kept() -> None:
     tips = np.stack(np.meshgrid([0.15, 0.2, 0.25], [0.25, 0.3], indexing="ij"), axis=-1)
     posture = PAPER.inverse(tips)
-    assert posture.theta.shape == (3, 2, 4) and posture.elbows.shape == (3, 2, 2, 2) and posture.working.shape == (3, 2, 2)
-    assert PAPER.jacobian(posture.theta).shape == (3, 2, 2, 2) and PAPER.velocity_ellipse(posture.theta).angle.shape == (3, 2)
+    assert (
+        posture.theta.shape == (3, 2, 4) and posture.elbows.shape == (3, 2, 2, 2) and posture.working.shape == (3, 2, 2)
+    )
+    assert PAPER.jacobian(posture.theta).shape == (3, 2, 2, 2) and PAPER.velocity_ellipse(
+        posture.theta
+    ).angle.shape == (3, 2)
     assert PAPER.inverse((0.2, 0.3)).theta.shape == (4,)
     assert PAPER.link_rates(posture.theta, (1.0, 0.0)).shape == (3, 2, 4)
     assert PAPER.inverse(np.zeros((0, 2))).theta.shape == (0, 4)
@@ -398,30 +458,75 @@ def test_the_rim_of_the_reach_is_reached() -> None:
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: PAPER.inverse((0.9, 0.1)), ("tip = (0.9, 0.1) m is out of reach of the left leg: it is 0.9055385138 m from the leg's motor, "
-         "link[1].length and link[2].length reach from 0 to 0.42 m, so that it is 0.4855 m too far.")),
-        (lambda: PANTOGRAPH.inverse([(0.0125, 0.1), (0.03, 0.0)]), ("tip[1] = (0.03, 0) m is out of reach of the right leg: it is 0.005 m from "
-         "the leg's motor, link[4].length and link[3].length reach from 0.012 to 0.138 m, so that it is 0.007 m too near (1 of 2 are so).")),
-        (lambda: PAPER.inverse((0.0, 0.0)), ("tip = (0, 0) m lies on the left motor's axis: the links of that leg are folded, and the angle of "
-         "the motor is undetermined.")),
-        (lambda: PAPER.inverse((0.21, 0.3), OUT, "minus"), ("tip = (0.21, 0.3) m lies in the other assembly in working mode minus, plus: it "
-         "needs assembly plus.")),
+        (
+            lambda: PAPER.inverse((0.9, 0.1)),
+            (
+                "tip = (0.9, 0.1) m is out of reach of the left leg: it is 0.9055385138 m from the leg's motor, "
+                "link[1].length and link[2].length reach from 0 to 0.42 m, so that it is 0.4855 m too far."
+            ),
+        ),
+        (
+            lambda: PANTOGRAPH.inverse([(0.0125, 0.1), (0.03, 0.0)]),
+            (
+                "tip[1] = (0.03, 0) m is out of reach of the right leg: it is 0.005 m from "
+                "the leg's motor, link[4].length and link[3].length reach from 0.012 to 0.138 m, so that it is 0.007 m too near (1 of 2 are so)."
+            ),
+        ),
+        (
+            lambda: PAPER.inverse((0.0, 0.0)),
+            (
+                "tip = (0, 0) m lies on the left motor's axis: the links of that leg are folded, and the angle of "
+                "the motor is undetermined."
+            ),
+        ),
+        (
+            lambda: PAPER.inverse((0.21, 0.3), OUT, "minus"),
+            ("tip = (0.21, 0.3) m lies in the other assembly in working mode minus, plus: it needs assembly plus."),
+        ),
         (lambda: PAPER.inverse((0.21, np.nan)), "tip = (0.21, nan) m: it must be finite."),
         (lambda: PAPER.inverse((0.21, np.inf)), "tip = (0.21, inf) m: it must be finite."),
         (lambda: PAPER.inverse((0.21, 0.3, 0.0)), "tip has the shape (3,): the last axis must have 2 elements."),
         (lambda: PAPER.inverse((0.21, 0.3), ("minus", "up")), "working = 'up': it must be 'plus' or 'minus'."),
-        (lambda: PAPER.inverse((0.21, 0.3), "minus"), "working = 'minus': it must name two bends, such as ('minus', 'plus'), the left leg first."),
-        (lambda: PAPER.forward((np.pi, 0.0)), ("theta = (3.141592654, 0) rad cannot be closed: the elbows are 0.84 m apart, link[2].length and "
-         "link[3].length allow 0 to 0.42 m.")),
-        (lambda: PAPER.forward((0.0, np.pi)), ("theta = (0, 3.141592654) rad puts both elbows on the same point: the direction to the tip is "
-         "undetermined.")),
+        (
+            lambda: PAPER.inverse((0.21, 0.3), "minus"),
+            "working = 'minus': it must name two bends, such as ('minus', 'plus'), the left leg first.",
+        ),
+        (
+            lambda: PAPER.forward((np.pi, 0.0)),
+            (
+                "theta = (3.141592654, 0) rad cannot be closed: the elbows are 0.84 m apart, link[2].length and "
+                "link[3].length allow 0 to 0.42 m."
+            ),
+        ),
+        (
+            lambda: PAPER.forward((0.0, np.pi)),
+            (
+                "theta = (0, 3.141592654) rad puts both elbows on the same point: the direction to the tip is "
+                "undetermined."
+            ),
+        ),
         (lambda: PAPER.forward((1.0, 1.0), "left"), "assembly = 'left': it must be 'plus' or 'minus'."),
-        (lambda: PAPER.jacobian((2.0, 0.0, np.pi, 2.0)), ("theta = (2, 0, 3.141592654, 2) rad is a singularity of the direct kind: the motors do "
-         "not determine how the tip moves.")),
-        (lambda: PAPER.motor_rates((1.0, 1.0, 2.0, 1.5), (0.0, 1.0)), ("theta = (1, 1, 2, 1.5) rad is a singularity of the inverse kind: no motor "
-         "rate moves the tip along its leg.")),
-        (lambda: Machine.from_values({"link[1].lenght": 1.0}), ("link[1].lenght is no length of a machine; there are base.distance, "
-         "link[1].length, link[2].length, link[3].length, link[4].length.")),
+        (
+            lambda: PAPER.jacobian((2.0, 0.0, np.pi, 2.0)),
+            (
+                "theta = (2, 0, 3.141592654, 2) rad is a singularity of the direct kind: the motors do "
+                "not determine how the tip moves."
+            ),
+        ),
+        (
+            lambda: PAPER.motor_rates((1.0, 1.0, 2.0, 1.5), (0.0, 1.0)),
+            (
+                "theta = (1, 1, 2, 1.5) rad is a singularity of the inverse kind: no motor "
+                "rate moves the tip along its leg."
+            ),
+        ),
+        (
+            lambda: Machine.from_values({"link[1].lenght": 1.0}),
+            (
+                "link[1].lenght is no length of a machine; there are base.distance, "
+                "link[1].length, link[2].length, link[3].length, link[4].length."
+            ),
+        ),
         (lambda: Machine.from_values({"link[3].length": 0.0}), "link[3].length = 0.0 m: it must be finite and > 0."),
         (lambda: Machine.from_values({"base.distance": -0.1}), "base.distance = -0.1 m: it must be finite and >= 0."),
     ],

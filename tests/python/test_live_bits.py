@@ -45,7 +45,9 @@ def test_the_page_computes_the_bits_of_the_unit(
     names = json.loads((ran / "variables.json").read_text())
     references = {v.name: v.valueReference for v in model.modelVariables}
     real, integer = ([references[name] for name in names[kind]] for kind in ("real", "integer"))
-    assert len(real) + len(integer) == sum(v.causality in ("output", "local") and v.derivative is None for v in model.modelVariables)
+    assert len(real) + len(integer) == sum(
+        v.causality in ("output", "local") and v.derivative is None for v in model.modelVariables
+    )
     steps = min(1000, round(1000 * content["stopTime"]))
     for method, number in methods(model).items():
         log = Log()
@@ -80,7 +82,9 @@ def test_the_page_computes_the_bits_of_the_unit(
                 moment, byte = unequal[0]
                 column = byte // number_type().itemsize
                 place = f"{names[kind][column]} at {moment} ms"
-                raise AssertionError(f"{method}: {place} is {found[moment, column]!r}, natively {wanted[moment, column]!r}")
+                raise AssertionError(
+                    f"{method}: {place} is {found[moment, column]!r}, natively {wanted[moment, column]!r}"
+                )
 
 
 def test_every_scene_has_run(ran: Path, model: ModelDescription) -> None:

@@ -77,7 +77,9 @@ def pause(browser: Any) -> None:
 
 def choose(browser: Any, name: str, value: str) -> None:
     """Chooses an item of a list."""
-    script = "const e = document.getElementById(arguments[0]); e.value = arguments[1]; e.dispatchEvent(new Event('change'))"
+    script = (
+        "const e = document.getElementById(arguments[0]); e.value = arguments[1]; e.dispatchEvent(new Event('change'))"
+    )
     browser.execute_script(script, name, value)
 
 
@@ -222,7 +224,9 @@ def test_keys_and_buttons_rule_time(browser: Any) -> None:
     assert number(browser, "time") < 0.2 * (time.monotonic() - started)
 
 
-def test_a_start_that_cannot_be_closed_is_refused_in_the_units_words(browser: Any, new: Callable[..., Instance]) -> None:
+def test_a_start_that_cannot_be_closed_is_refused_in_the_units_words(
+    browser: Any, new: Callable[..., Instance]
+) -> None:
     unit = new()
     unit.set({"base.distance": 2.0, "init.theta[2]": 2.0943951023931953})
     unit.enter()
@@ -303,7 +307,10 @@ def test_the_link_holds_the_state(browser: Any) -> None:
     go(browser, link)
     time.sleep(0.4)
     assert browser.execute_script("return location.hash.slice(1)") == link
-    assert text(browser, "command") == 'fivebar run haptic_stick --set contact.mu=0.7 --set "init.theta[1]=2.2" --method dop853'
+    assert (
+        text(browser, "command")
+        == 'fivebar run haptic_stick --set contact.mu=0.7 --set "init.theta[1]=2.2" --method dop853'
+    )
 
 
 def saved_scene(browser: Any) -> dict[str, Any]:
@@ -317,7 +324,13 @@ def saved_scene(browser: Any) -> dict[str, Any]:
 
 def motion(folder: Path, fmu: Path, *words: str) -> str:
     """The outputs of `fivebar run`, as CSV."""
-    done = subprocess.run([sys.executable, "-m", *words, "--fmu", fmu, "--out", folder], cwd=folder.parent, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", *words, "--fmu", fmu, "--out", folder],
+        cwd=folder.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     (outputs,) = (file for file in folder.glob("*.csv") if file.name != "singularities.csv")
     return outputs.read_text()
@@ -366,7 +379,9 @@ def test_two_machines_part(browser: Any) -> None:
     assert browser.execute_script("return !document.getElementById('apart').hidden")
     wait(browser, lambda: "chaos=true" in browser.current_url)
     go(browser, "scene=swing&chaos=true")
-    assert browser.execute_script("return !document.getElementById('apart').hidden && document.getElementById('chaos').checked")
+    assert browser.execute_script(
+        "return !document.getElementById('apart').hidden && document.getElementById('chaos').checked"
+    )
     assert problem(browser) == ""
 
 
@@ -377,7 +392,12 @@ def test_accuracy_fills_itself(browser: Any) -> None:
 
 def test_licences_are_there(browser: Any) -> None:
     click(browser, "show-licenses")
-    wait(browser, lambda: "Apache License" in browser.execute_script("return document.querySelector('#licenses pre').textContent"))
+    wait(
+        browser,
+        lambda: (
+            "Apache License" in browser.execute_script("return document.querySelector('#licenses pre').textContent")
+        ),
+    )
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -386,7 +406,9 @@ def test_a_phone(scheme: str, browser: Any) -> None:
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     )
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]})
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    )
     time.sleep(0.4)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     ratio, paper = browser.execute_script(
@@ -396,7 +418,9 @@ def test_a_phone(scheme: str, browser: Any) -> None:
     assert ratio == pytest.approx(2, rel=0.01)
     assert (paper > 128) == (scheme == "light")
     browser.execute_script("window.scrollTo(0, 600)")
-    top, bottom = browser.execute_script("const r = document.getElementById('stage').getBoundingClientRect(); return [r.top, r.bottom]")
+    top, bottom = browser.execute_script(
+        "const r = document.getElementById('stage').getBoundingClientRect(); return [r.top, r.bottom]"
+    )
     assert 0 <= top < bottom < 500, "the machine stays in sight while its switches are worked"
     small = """return [...document.querySelectorAll("#transport button")]
                  .filter((b) => b.getBoundingClientRect().height < 36).map((b) => b.textContent)"""
@@ -404,7 +428,9 @@ def test_a_phone(scheme: str, browser: Any) -> None:
 
 
 def test_reduced_motion_begins_paused(browser: Any) -> None:
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]})
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
+    )
     go(browser, "scene=swing")
     time.sleep(0.2)
     assert (data(browser, "playing"), number(browser, "time")) == ("false", 0)

@@ -58,7 +58,10 @@ def test_cvode_agrees_with_co_simulation(fmu: Path, scenes: Path) -> None:
 def test_cvode_ends_its_steps_at_kinks(fmu: Path, scenes: Path) -> None:
     """A tip that bounces on a floor, found by the indicators; until the first touch nothing but the fall, after it the same again."""
     made = scene.read(scenes / "bounce.json").coarser(0.01)
-    stepped, integrated = (motion(fmu, made, kind, **tight) for kind, tight in ((None, {}), ("ModelExchange", {"relative_tolerance": 1e-9})))
+    stepped, integrated = (
+        motion(fmu, made, kind, **tight)
+        for kind, tight in ((None, {}), ("ModelExchange", {"relative_tolerance": 1e-9}))
+    )
     assert np.min(stepped["tip.y"]) < 0.2 < np.max(stepped["tip.y"][-50:]) + 0.01
     # Each touch magnifies what is off before it.
     assert np.max(np.abs(stepped["tip.y"] - integrated["tip.y"])) < 1e-5
@@ -89,7 +92,13 @@ def test_casadi_takes_equations_and_derivatives(fmu: Path, model: ModelDescripti
     import casadi as ca
 
     dae = ca.DaeBuilder("five_bar", str(fmu))
-    start = {"base.distance": 0.1, "init.theta[1]": 2.7567, "init.theta[2]": 1.345, "init.omega[1]": 0.7, "viscous.enabled": 1}
+    start = {
+        "base.distance": 0.1,
+        "init.theta[1]": 2.7567,
+        "init.theta[2]": 1.345,
+        "init.omega[1]": 0.7,
+        "viscous.enabled": 1,
+    }
     for name, value in start.items():
         dae.set(name, value)
     f = dae.create("f", ["x", "u"], ["ode", "y"])

@@ -20,10 +20,20 @@ LENGTH = 0.2
 def made_up(**parameters: float) -> Run:
     """Both proximal links turn, the left one faster; the distal links are moved as they please."""
     left, right = 0.5 * np.pi + 3 * TIME, 0.5 * np.pi + TIME
-    columns = {"time": TIME, "theta[1]": left, "theta[2]": right, "passive.theta[1]": 0.5 + 0 * TIME, "passive.theta[2]": 2 + 0 * TIME}
+    columns = {
+        "time": TIME,
+        "theta[1]": left,
+        "theta[2]": right,
+        "passive.theta[1]": 0.5 + 0 * TIME,
+        "passive.theta[2]": 2 + 0 * TIME,
+    }
     for leg, foot, angle in ((1, 0.0, left), (2, LENGTH, right)):
         columns |= {f"elbow[{leg}].x": foot + LENGTH * np.cos(angle), f"elbow[{leg}].y": LENGTH * np.sin(angle)}
-    columns |= {"tip.x": 0.1 + 0.1 * TIME, "tip.y": 0.3 - 0.1 * TIME, "singular.detJx": LENGTH**2 * np.cos(np.pi * TIME)}
+    columns |= {
+        "tip.x": 0.1 + 0.1 * TIME,
+        "tip.y": 0.3 - 0.1 * TIME,
+        "singular.detJx": LENGTH**2 * np.cos(np.pi * TIME),
+    }
     values = {"base.distance": LENGTH, "contact.enabled": False, "stop.enabled": False}
     values |= {f"link[{link}].length": LENGTH for link in (1, 2, 3, 4)}
     return Run("made up", 1.0, 0.005, {}, columns, values | parameters)
@@ -72,7 +82,10 @@ def test_links_keep_their_length_and_the_tip_its_time(tmp_path: Path) -> None:
 
 def test_singularities_are_marked_where_they_are(tmp_path: Path) -> None:
     run = made_up()
-    events = [Event(0.5, "direct", ("stretched", "", ""), "crossed"), Event(0.25, "combined", ("folded", "", "folded"), "touched")]
+    events = [
+        Event(0.5, "direct", ("stretched", "", ""), "crossed"),
+        Event(0.25, "combined", ("folded", "", "folded"), "touched"),
+    ]
     rings = [circle for circle in drawn(tmp_path, run, events).iter(f"{SVG}circle") if circle.get("fill") == "none"]
     assert len(rings) == 3
     (place,) = moving_picture.View.of(run).points(np.array([0.15]), np.array([0.25]))
@@ -82,7 +95,10 @@ def test_singularities_are_marked_where_they_are(tmp_path: Path) -> None:
 
 def test_surroundings(tmp_path: Path) -> None:
     limits = {f"stop.{limit}[{leg}]": value for limit, value in (("lower", 0.0), ("upper", 3.0)) for leg in (1, 2)}
-    run = made_up(**limits, **{"stop.enabled": True, "contact.enabled": True, "contact.nx": 0, "contact.ny": 2, "contact.offset": 0.1})
+    run = made_up(
+        **limits,
+        **{"stop.enabled": True, "contact.enabled": True, "contact.nx": 0, "contact.ny": 2, "contact.offset": 0.1},
+    )
     assert len(list(drawn(tmp_path, run, []).iter(f"{SVG}polygon"))) == 3
 
 

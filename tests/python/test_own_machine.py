@@ -30,7 +30,11 @@ def scene() -> dict:
 @pytest.fixture(scope="module")
 def values(scene: dict, model: ModelDescription) -> Values:
     """Values of the file, as calls carry them; the signal with its value at 0 s."""
-    items = {v.name: {i.name: int(i.value) for i in v.declaredType.items} for v in model.modelVariables if v.type == "Enumeration"}
+    items = {
+        v.name: {i.name: int(i.value) for i in v.declaredType.items}
+        for v in model.modelVariables
+        if v.type == "Enumeration"
+    }
     own = {name: items[name][x] if name in items else x for name, x in scene.items() if name not in NOT_VALUES}
     return own | {"tau[1]": scene["signals"]["tau[1]"]["linear"][0][1]}
 
@@ -50,7 +54,9 @@ def test_the_description_is_that_of_the_scene(own: Unit, model: ModelDescription
     mine = own.model
     assert mine.modelName == mine.coSimulation.modelIdentifier == own.fmu.stem == "OwnMachine"
     assert mine.guid != model.guid
-    assert mine.description.startswith(scene["description"]) and mine.description.endswith("for the master to change: tau[1].")
+    assert mine.description.startswith(scene["description"]) and mine.description.endswith(
+        "for the master to change: tau[1]."
+    )
     experiment = mine.defaultExperiment
     assert [float(x) for x in (experiment.startTime, experiment.stopTime, experiment.stepSize)] == [0, 1.5, 0.002]
     for here, plain in zip(mine.modelVariables, model.modelVariables, strict=True):
@@ -59,7 +65,9 @@ def test_the_description_is_that_of_the_scene(own: Unit, model: ModelDescription
         if expected is None:
             assert here.start == plain.start, here.name
         else:
-            assert {"true": True, "false": False}.get(here.start, here.start) == expected or float(here.start) == expected, here.name
+            assert {"true": True, "false": False}.get(here.start, here.start) == expected or float(
+                here.start
+            ) == expected, here.name
 
 
 def test_fmpy_finds_no_problem(own: Unit) -> None:
@@ -125,7 +133,9 @@ def test_a_stored_state_goes_on_and_is_no_state_of_another_unit(new: New, new_ow
     before = plain.bits()
     status, text = plain.refusal(plain.slave.deserializeFMUState, stored)
     assert status == fmi2.fmi2Error and "GUID" in text and plain.bits() == before
-    status, text = first.refusal(first.slave.deserializeFMUState, bytes(plain.slave.serializeFMUState(plain.slave.getFMUState())))
+    status, text = first.refusal(
+        first.slave.deserializeFMUState, bytes(plain.slave.serializeFMUState(plain.slave.getFMUState()))
+    )
     assert status == fmi2.fmi2Error and "another unit or version" in text
 
 

@@ -69,7 +69,10 @@ def started(unit: Unit, directory: Path, location: bytes | None, kind: int = fmi
     """
     log = Log()
     slave = fmi2.FMU2Slave(
-        guid=unit.model.guid, unzipDirectory=str(directory), modelIdentifier=unit.model.coSimulation.modelIdentifier, instanceName="one"
+        guid=unit.model.guid,
+        unzipDirectory=str(directory),
+        modelIdentifier=unit.model.coSimulation.modelIdentifier,
+        instanceName="one",
     )
     callbacks = log.callbacks()
     instantiate = slave.fmi2Instantiate
@@ -100,7 +103,12 @@ def test_the_guid_is_that_of_the_values(fmu: Path, tmp_path: Path) -> None:
     def guid(made: Scene, name: str | None = None) -> str:
         return str(read_model_description(str(write_unit(tmp_path, made, name, plain=fmu).file)).guid)
 
-    guids = [guid(scene(MINE)), guid(scene(MINE | {"tau[1]": 0.011})), guid(scene(MINE), "Other"), guid(scene(MINE, description="Yours"))]
+    guids = [
+        guid(scene(MINE)),
+        guid(scene(MINE | {"tau[1]": 0.011})),
+        guid(scene(MINE), "Other"),
+        guid(scene(MINE, description="Yours")),
+    ]
     guids.append(guid(Scene("my_machine", "Mine", 2.0, 0.01, [Variant("", dict(MINE))])))
     assert len({*guids, read_model_description(str(fmu)).guid}) == 6
     assert guid(scene(MINE)) == guids[0]
@@ -134,7 +142,10 @@ def test_in_model_exchange(mine: Unit, fmu: Path) -> None:
 def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_path: Path) -> None:
     """Five machines by turns, and each in a thread, are what they are alone."""
     angles = [1.7 + 0.1 * i for i in range(5)]
-    units = [write_unit(tmp_path, scene({"init.theta[2]": angle}), f"Unit{i}", plain=fmu).file for i, angle in enumerate(angles)]
+    units = [
+        write_unit(tmp_path, scene({"init.theta[2]": angle}), f"Unit{i}", plain=fmu).file
+        for i, angle in enumerate(angles)
+    ]
     directories = [fmpy.extract(str(file), unzipdir=str(tmp_path / file.stem)) for file in units]
     models = [read_model_description(folder) for folder in directories]
 
@@ -167,7 +178,17 @@ def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_
 
 @pytest.mark.parametrize(
     "form",
-    ["file://{uri}", "file:{uri}", "file://localhost{uri}", "FILE://{uri}/", "file://{path}", "{path}", "{path}/", "{uri}", "file://{lower}"],
+    [
+        "file://{uri}",
+        "file:{uri}",
+        "file://localhost{uri}",
+        "FILE://{uri}/",
+        "file://{path}",
+        "{path}",
+        "{path}/",
+        "{uri}",
+        "file://{lower}",
+    ],
 )
 def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, form: str) -> None:
     """In a folder with a space, an umlaut and a percent sign; the library lies elsewhere, so that nothing else leads to the file."""
@@ -181,9 +202,21 @@ def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, for
 
 
 @pytest.mark.parametrize(
-    "location", [None, b"", b"file:///nowhere", b"http://there/resources", b"file://server/share", b"nowhere", b"file:///%ff%00", b"x" * 5000]
+    "location",
+    [
+        None,
+        b"",
+        b"file:///nowhere",
+        b"http://there/resources",
+        b"file://server/share",
+        b"nowhere",
+        b"file:///%ff%00",
+        b"x" * 5000,
+    ],
 )
-def test_without_a_location_the_archive_of_the_library_is_looked_at(mine: Unit, tmp_path: Path, location: bytes | None) -> None:
+def test_without_a_location_the_archive_of_the_library_is_looked_at(
+    mine: Unit, tmp_path: Path, location: bytes | None
+) -> None:
     """If a master gives none, or one that leads nowhere; in a folder with a space and an umlaut."""
     folder = Path(shutil.copytree(mine.directory, tmp_path / "zwei Wörter"))
     assert started(mine, folder, location) == MINE
@@ -232,15 +265,36 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "not UTF-8": (lambda file: file.write_bytes(b"unit \xff"), "cannot be read: stream did not contain valid UTF-8"),
     "oversized": (text(lambda all: all + " " * 70_000), "at most 65536 bytes"),
     "of many units": (text(lambda all: all.partition("\n")[0].join(["", "\n"]) * 300), FORM),
-    "of another unit": (text(lambda all: all.replace("{", "{0", 1)), "these start values belong to the unit MyMachine with {0"),
+    "of another unit": (
+        text(lambda all: all.replace("{", "{0", 1)),
+        "these start values belong to the unit MyMachine with {0",
+    ),
     "of another library": (text(lambda all: all.replace("} {", "} {0")), "was made for the library {0"),
-    "a value below its bound": (text(lambda all: all.replace(" 0.1\n", " -0.1\n")), "base.distance = -0.1 m is not allowed: it must be at least 0 m"),
-    "a value that is no number": (text(lambda all: all.replace(" 0.1\n", " nan\n")), "base.distance = NaN m is not allowed: it must be finite"),
-    "a value of another type": (text(lambda all: all.replace("true", "yes")), 'payload.enabled = "yes" is not allowed: it must be of type Boolean'),
-    "no item of an enumeration": (text(lambda all: all.replace("method 4", "method 99")), "solver.method = 99 is not allowed: it must be one of 1"),
-    "an unknown variable": (text(lambda all: all.replace("base.distance", "base.width")), "there is no variable base.width"),
+    "a value below its bound": (
+        text(lambda all: all.replace(" 0.1\n", " -0.1\n")),
+        "base.distance = -0.1 m is not allowed: it must be at least 0 m",
+    ),
+    "a value that is no number": (
+        text(lambda all: all.replace(" 0.1\n", " nan\n")),
+        "base.distance = NaN m is not allowed: it must be finite",
+    ),
+    "a value of another type": (
+        text(lambda all: all.replace("true", "yes")),
+        'payload.enabled = "yes" is not allowed: it must be of type Boolean',
+    ),
+    "no item of an enumeration": (
+        text(lambda all: all.replace("method 4", "method 99")),
+        "solver.method = 99 is not allowed: it must be one of 1",
+    ),
+    "an unknown variable": (
+        text(lambda all: all.replace("base.distance", "base.width")),
+        "there is no variable base.width",
+    ),
     "an output": (text(lambda all: all.replace("base.distance", "tip.x")), "tip.x is computed and cannot be set"),
-    "a value twice": (text(lambda all: all.replace("init.theta[2]", "init.theta[1]")), "init.theta[1] has two start values"),
+    "a value twice": (
+        text(lambda all: all.replace("init.theta[2]", "init.theta[1]")),
+        "init.theta[1] has two start values",
+    ),
     "a folder": (folder, "cannot be read: it is no file"),
     "a pipe": (pipe, "cannot be read: it is no file"),
     "a device": (endless, "cannot be read: it is no file"),
@@ -255,7 +309,9 @@ def test_a_file_that_is_broken_is_refused_in_one_sentence(mine: Unit, copy: Path
     with pytest.raises(Refused) as refusal:
         started(mine, copy, (copy / "resources").as_uri().encode())
     sentence = str(refusal.value)
-    assert sentence.startswith(f"fmi2Instantiate: {copy / 'resources' / 'unit.txt'}: ") and expected in sentence, sentence
+    assert sentence.startswith(f"fmi2Instantiate: {copy / 'resources' / 'unit.txt'}: ") and expected in sentence, (
+        sentence
+    )
     assert "\n" not in sentence and sentence.endswith(".") and len(sentence) < 600
 
 
@@ -274,10 +330,55 @@ def test_the_plain_unit_reads_no_file(model: ModelDescription, directory: str, t
     assert values["base.distance"] == 0.42 and values["solver.method"] == 1
 
 
-GOOD_NAMES = ["A", "_", "_1", "my_machine", "MyMachine2", "Console", "COM", "Com10", "Nullify", "Int", "FiveBar2", "x" * 60]
+GOOD_NAMES = [
+    "A",
+    "_",
+    "_1",
+    "my_machine",
+    "MyMachine2",
+    "Console",
+    "COM",
+    "Com10",
+    "Nullify",
+    "Int",
+    "FiveBar2",
+    "x" * 60,
+]
 BAD_NAMES = [
-    *("", " ", "2bars", "my machine", "my.machine", "my-machine", "a/b", "..", r"a\b", "C:", "führung", "ﬁve", "a\nb", "a\0b", "x" * 61),
-    *("con", "NUL", "Aux", "PRN", "com1", "LPT9", "FiveBar", "FIVEBAR", "int", "while", "_Bool", "$", "%s", "<a>", "名"),
+    *(
+        "",
+        " ",
+        "2bars",
+        "my machine",
+        "my.machine",
+        "my-machine",
+        "a/b",
+        "..",
+        r"a\b",
+        "C:",
+        "führung",
+        "ﬁve",
+        "a\nb",
+        "a\0b",
+        "x" * 61,
+    ),
+    *(
+        "con",
+        "NUL",
+        "Aux",
+        "PRN",
+        "com1",
+        "LPT9",
+        "FiveBar",
+        "FIVEBAR",
+        "int",
+        "while",
+        "_Bool",
+        "$",
+        "%s",
+        "<a>",
+        "名",
+    ),
 ]
 
 
@@ -294,14 +395,23 @@ def test_a_good_name_makes_a_unit(fmu: Path, tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", BAD_NAMES, ids=[ascii(name[:9]) for name in BAD_NAMES])
 def test_a_bad_name_is_refused_with_the_rule(fmu: Path, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match="is not allowed: it must be a letter or _ followed by letters, digits or _ of ASCII, 60 at most"):
+    with pytest.raises(
+        ValueError,
+        match="is not allowed: it must be a letter or _ followed by letters, digits or _ of ASCII, 60 at most",
+    ):
         write_unit(tmp_path / "out", scene({}), name, plain=fmu)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
     ("stem", "name"),
-    [("pick_and_place", "PickAndPlace"), ("fall_90_120", "Fall90120"), ("my-robot 2", "MyRobot2"), ("myRobot", "MyRobot"), (".x", "X")],
+    [
+        ("pick_and_place", "PickAndPlace"),
+        ("fall_90_120", "Fall90120"),
+        ("my-robot 2", "MyRobot2"),
+        ("myRobot", "MyRobot"),
+        (".x", "X"),
+    ],
 )
 def test_a_scene_without_a_name_gives_its_own(fmu: Path, tmp_path: Path, stem: str, name: str) -> None:
     assert write_unit(tmp_path, scene({}, stem), plain=fmu).file.name == f"{name}.fmu"
@@ -331,7 +441,9 @@ def test_a_scene_whose_own_name_is_bad_is_refused(fmu: Path, tmp_path: Path, ste
         ({"base.distance": 5.0}, "the start is refused: fmi2ExitInitializationMode: "),
     ],
 )
-def test_a_bad_value_is_one_sentence_and_leaves_nothing(fmu: Path, tmp_path: Path, values: Values, sentence: str) -> None:
+def test_a_bad_value_is_one_sentence_and_leaves_nothing(
+    fmu: Path, tmp_path: Path, values: Values, sentence: str
+) -> None:
     with pytest.raises(ValueError) as refusal:
         write_unit(tmp_path, scene(values), plain=fmu)
     assert sentence in str(refusal.value) and "\n" not in str(refusal.value)
@@ -344,7 +456,7 @@ def test_text_of_every_kind_comes_through(fmu: Path, tmp_path: Path) -> None:
     assert read_model_description(str(file)).description == description
     with zipfile.ZipFile(file) as archive:
         page = archive.read("documentation/index.html").decode()
-    assert "Links of \"10 &amp; 12 cm\" &lt; 1 m" in page
+    assert 'Links of "10 &amp; 12 cm" &lt; 1 m' in page
 
 
 def test_what_a_unit_leaves_to_the_master_is_said(fmu: Path, tmp_path: Path) -> None:
@@ -378,8 +490,12 @@ def test_flat_names_are_the_same_names(fmu: Path, own: Unit, tmp_path: Path, mod
         assert 'variableNamingConvention="flat"' in one.read("modelDescription.xml").decode()
     mine = read_model_description(str(flat))
     assert mine.guid == model.guid
-    assert [(v.name, v.valueReference, v.start) for v in mine.modelVariables] == [(v.name, v.valueReference, v.start) for v in model.modelVariables]
-    both = [write_unit(tmp_path / naming, scene(MINE), naming=naming, plain=fmu).file for naming in ("flat", "structured")]
+    assert [(v.name, v.valueReference, v.start) for v in mine.modelVariables] == [
+        (v.name, v.valueReference, v.start) for v in model.modelVariables
+    ]
+    both = [
+        write_unit(tmp_path / naming, scene(MINE), naming=naming, plain=fmu).file for naming in ("flat", "structured")
+    ]
     assert len({read_model_description(str(file)).guid for file in both}) == 1
 
 
@@ -394,13 +510,19 @@ def test_what_is_no_plain_unit_is_refused(own: Unit, tmp_path: Path) -> None:
     (tmp_path / "no.fmu").write_bytes(b"no archive")
     with zipfile.ZipFile(tmp_path / "other.fmu", "w") as other:
         other.writestr("modelDescription.xml", "<fmiModelDescription/>")
-    for plain, sentence in ((own.fmu, "is not the plain unit"), (tmp_path / "no.fmu", "cannot be read"), (tmp_path / "other.fmu", "is not the plain")):
+    for plain, sentence in (
+        (own.fmu, "is not the plain unit"),
+        (tmp_path / "no.fmu", "cannot be read"),
+        (tmp_path / "other.fmu", "is not the plain"),
+    ):
         with pytest.raises(ValueError, match=sentence):
             write_unit(tmp_path / "out", scene(MINE), plain=plain)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(os.geteuid() == 0 if hasattr(os, "geteuid") else True, reason="for root every folder can be written")
+@pytest.mark.skipif(
+    os.geteuid() == 0 if hasattr(os, "geteuid") else True, reason="for root every folder can be written"
+)
 def test_a_folder_that_cannot_be_written_is_one_sentence(fmu: Path, tmp_path: Path) -> None:
     tmp_path.chmod(0o555)
     with pytest.raises(ValueError, match="cannot be written"):
@@ -413,9 +535,13 @@ def test_a_file_in_the_place_of_the_folder_is_one_sentence(fmu: Path, tmp_path: 
         write_unit(tmp_path / "file", scene(MINE), plain=fmu)
 
 
-def test_without_a_library_for_this_machine_the_start_is_not_tried(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_library_for_this_machine_the_start_is_not_tried(
+    fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
     written = write_unit(tmp_path, scene(MINE), plain=fmu)
     assert written.file.is_file()
     assert len(written.notes) == 1
-    assert written.notes[0].startswith("The start was not tried: MyMachine has no library for this machine, linux riscv64; it has ")
+    assert written.notes[0].startswith(
+        "The start was not tried: MyMachine has no library for this machine, linux riscv64; it has "
+    )

@@ -69,13 +69,24 @@ def test_archive(fmu: Path) -> None:
 
 
 def test_head(root: etree._Element) -> None:
-    for name in ("guid", "version", "author", "copyright", "license", "generationTool", "generationDateAndTime", "description"):
+    for name in (
+        "guid",
+        "version",
+        "author",
+        "copyright",
+        "license",
+        "generationTool",
+        "generationDateAndTime",
+        "description",
+    ):
         assert root.get(name), f"{name} is empty"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", root.get("generationDateAndTime"))
     assert root.get("modelName") == root.find("CoSimulation").get("modelIdentifier") == "FiveBar"
     exchange, simulation = root.find("ModelExchange"), root.find("CoSimulation")
     assert exchange.get("modelIdentifier") == simulation.get("modelIdentifier")
-    assert all(root.find(kind).get("providesDirectionalDerivative") == "true" for kind in ("ModelExchange", "CoSimulation"))
+    assert all(
+        root.find(kind).get("providesDirectionalDerivative") == "true" for kind in ("ModelExchange", "CoSimulation")
+    )
 
 
 def test_names_and_references(variables: list[etree._Element]) -> None:
@@ -94,7 +105,9 @@ def test_names_and_references(variables: list[etree._Element]) -> None:
 
 
 def test_type_names_differ_from_variable_names(root: etree._Element, variables: list[etree._Element]) -> None:
-    assert {t.get("name") for t in root.findall("TypeDefinitions/SimpleType")}.isdisjoint(v.get("name") for v in variables)
+    assert {t.get("name") for t in root.findall("TypeDefinitions/SimpleType")}.isdisjoint(
+        v.get("name") for v in variables
+    )
 
 
 def test_starts_and_bounds(root: etree._Element, variables: list[etree._Element]) -> None:
@@ -124,7 +137,9 @@ def test_causality_and_variability(variables: list[etree._Element]) -> None:
     }
     for variable in variables:
         assert variable.get("causality") != "output" or value_element(variable).tag == "Real", variable.get("name")
-        assert (variable.get("variability"), variable.get("initial")) in allowed[variable.get("causality")], variable.get("name")
+        assert (variable.get("variability"), variable.get("initial")) in allowed[variable.get("causality")], (
+            variable.get("name")
+        )
         if value_element(variable).tag != "Real":
             assert variable.get("variability") != "continuous", variable.get("name")
 
@@ -155,7 +170,9 @@ def test_exponents_of_units(root: etree._Element) -> None:
 
 
 def test_units(root: etree._Element, variables: list[etree._Element]) -> None:
-    units = {u.get("name"): [d.get("name") for d in u.iter("DisplayUnit")] for u in root.findall("UnitDefinitions/Unit")}
+    units = {
+        u.get("name"): [d.get("name") for d in u.iter("DisplayUnit")] for u in root.findall("UnitDefinitions/Unit")
+    }
     for variable in variables:
         if value_element(variable).tag == "Real":
             unit = attribute(root, variable, "unit")
@@ -179,7 +196,9 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
     outputs = [i for i, v in enumerate(variables, start=1) if v.get("causality") == "output"]
     assert [int(u.get("index")) for u in structure.findall("Outputs/Unknown")] == outputs
     derivatives = {
-        i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")
+        i: int(value_element(v).get("derivative"))
+        for i, v in enumerate(variables, 1)
+        if value_element(v).get("derivative")
     }
     assert [int(u.get("index")) for u in structure.findall("Derivatives/Unknown")] == sorted(derivatives)
     # Every calculated output, continuous state and derivative is an initial unknown, once.
@@ -210,7 +229,9 @@ class Loop(Exception):
     """An algebraic loop, with the variables on it."""
 
 
-def order_of_evaluation(root: etree._Element, units: list[str], section: str, wires: list[tuple[str, str]]) -> list[str]:
+def order_of_evaluation(
+    root: etree._Element, units: list[str], section: str, wires: list[tuple[str, str]]
+) -> list[str]:
     """The order in which a master can compute coupled units, or a `Loop`. OMSimulator's rule: every unknown of the section comes after
     its dependencies, or all inputs where none are declared; every input after the output that it is connected to."""
     names = [v.get("name") for v in root.findall("ModelVariables/ScalarVariable")]
@@ -240,7 +261,11 @@ def test_units_coupled_through_their_tips_form_no_loop(root: etree._Element, sec
         return [(f"{a}.{source}", f"{b}.{sink}") for a, b in (("one", "two"), ("two", "one")) for source, sink in pairs]
 
     motion = both_ways(
-        ("tip.x", "tip.fx"), ("tip.vy", "tip.fy"), ("theta[1]", "servo.theta[1]"), ("omega[2]", "servo.omega[2]"), ("contact.fx", "tau[1]")
+        ("tip.x", "tip.fx"),
+        ("tip.vy", "tip.fy"),
+        ("theta[1]", "servo.theta[1]"),
+        ("omega[2]", "servo.omega[2]"),
+        ("contact.fx", "tau[1]"),
     )
     assert order_of_evaluation(root, ["one", "two"], section, motion)
     with pytest.raises(Loop, match="servo.torque"):
@@ -254,4 +279,11 @@ def test_units_coupled_through_their_tips_form_no_loop(root: etree._Element, sec
 
 def test_log_categories(root: etree._Element) -> None:
     declared = {c.get("name") for c in root.findall("LogCategories/Category")}
-    assert declared == {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll"}
+    assert declared == {
+        "logEvents",
+        "logStatusWarning",
+        "logStatusDiscard",
+        "logStatusError",
+        "logStatusFatal",
+        "logAll",
+    }

@@ -142,12 +142,14 @@ def test_small_dark_screen(browser: object) -> None:
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     )
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]})
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    )
     time.sleep(0.3)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
-    assert browser.execute_script('const c = document.getElementById("canvas"); return c.width / c.clientWidth') == pytest.approx(
-        2, rel=0.01
-    )
+    assert browser.execute_script(
+        'const c = document.getElementById("canvas"); return c.width / c.clientWidth'
+    ) == pytest.approx(2, rel=0.01)
     assert picture(browser) not in ("", light)
 
 
@@ -160,7 +162,9 @@ def map_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from fivebar import map_page, scene, workspace
 
     table = scene.read("pick_and_place").changed({"stop.enabled": True, "stop.upper[1]": 2.8}, of_unit())
-    return map_page.write(workspace.compute(table, path=workspace.follow(table)), tmp_path_factory.mktemp("map") / "map.html")
+    return map_page.write(
+        workspace.compute(table, path=workspace.follow(table)), tmp_path_factory.mktemp("map") / "map.html"
+    )
 
 
 @pytest.fixture
@@ -180,9 +184,20 @@ def test_the_machine_follows_the_pointer(map_browser: object) -> None:
         click(map_browser, f"modes-{number}")
         seen.add(picture(map_browser))
         map_browser.execute_script("go([0.05, 0.25])")
-        shown = dict(zip(*(map_browser.execute_script(f'return [...document.querySelectorAll("#values {kind}")].map((e) => e.textContent)') for kind in ("dt", "dd"))))
+        shown = dict(
+            zip(
+                *(
+                    map_browser.execute_script(
+                        f'return [...document.querySelectorAll("#values {kind}")].map((e) => e.textContent)'
+                    )
+                    for kind in ("dt", "dd")
+                )
+            )
+        )
         posture = machine.inverse((0.05, 0.25), working)
-        assert [shown["θ₁, left motor"], shown["θ₄, right motor"]] == [f"{np.degrees(angle):.2f}°" for angle in posture.motors]
+        assert [shown["θ₁, left motor"], shown["θ₄, right motor"]] == [
+            f"{np.degrees(angle):.2f}°" for angle in posture.motors
+        ]
         assert float(shown["condition number"]) == pytest.approx(float(machine.condition(posture.theta)), abs=5e-3)
         assert shown["assembly"] == posture.assembly and shown["force held in every direction"].endswith(" N")
     assert len(seen) == 4 and "" not in seen

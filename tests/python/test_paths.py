@@ -76,7 +76,10 @@ def test_shapes_and_transforms(drawing: Callable[..., strokes.Drawing]) -> None:
     """y points up; each shape, transform and reference gives the curve that it means."""
     cases = {
         '<circle r="3" cx="5" cy="1"/>': [(2, -4), (8, 2)],
-        '<g transform="translate(5 5) rotate(90) scale(2)"><rect width="4" height="2" rx="1"/></g>': [(1, -13), (5, -5)],
+        '<g transform="translate(5 5) rotate(90) scale(2)"><rect width="4" height="2" rx="1"/></g>': [
+            (1, -13),
+            (5, -5),
+        ],
         # An ellipse under a skew is an ellipse of half width sqrt(rx^2 + (ry tan 30)^2).
         '<ellipse rx="2" ry="1" transform="skewX(30)"/>': [(-math.sqrt(4 + 1 / 3), -1), (math.sqrt(4 + 1 / 3), 1)],
         '<polygon points="0,0 1,1 2,0"/>': [(0, -1), (2, 0)],
@@ -85,7 +88,10 @@ def test_shapes_and_transforms(drawing: Callable[..., strokes.Drawing]) -> None:
         '<path d="m1 1 h2 v3 c0 1 -1 1 -1 0 s -1 -1 -1 0 z"/>': [(1, -4.75), (3, -1)],
         '<path d="M0 0 A2 2 0 0 1 4 0"/>': [(0, 0), (4, 2)],
         '<defs><path id="a" d="M0 0h5"/></defs><use href="#a" x="3"/><use xlink:href="#a" y="2"/>': [(0, -2), (8, 0)],
-        '<clipPath id="c"><path d="M0 0 H99"/></clipPath><path d="M0 0h1"/><path d="M0 0h7" display="none"/>': [(0, 0), (1, 0)],
+        '<clipPath id="c"><path d="M0 0 H99"/></clipPath><path d="M0 0h1"/><path d="M0 0h7" display="none"/>': [
+            (0, 0),
+            (1, 0),
+        ],
     }
     for body, box in cases.items():
         # Points of the box are at 16 parameters of a curve, arcs are cubics to 1e-8.
@@ -95,7 +101,9 @@ def test_shapes_and_transforms(drawing: Callable[..., strokes.Drawing]) -> None:
 
 
 def test_what_is_no_line_is_said(drawing: Callable[..., strokes.Drawing]) -> None:
-    made = drawing(body=f'{CORNER}<text>hello</text><symbol id="s"><path d="M0 0h9"/></symbol><use href="#s"/><image width="2" height="2" href="x.png"/>')
+    made = drawing(
+        body=f'{CORNER}<text>hello</text><symbol id="s"><path d="M0 0h9"/></symbol><use href="#s"/><image width="2" height="2" href="x.png"/>'
+    )
     assert len(made.strokes) == 1 and len(made.left_out) == 3
     assert "'hello'" in " ".join(made.left_out) and "symbol #s" in " ".join(made.left_out)
 
@@ -160,12 +168,21 @@ def test_a_piece_goes_by_arc_length(drawing: Callable[..., strokes.Drawing]) -> 
     place, tangent, curvature = cubic.at(way := np.linspace(0, cubic.length, 4001))
     step = way[1]
     assert np.abs((place[2:] - place[:-2]) / (2 * step) - tangent[1:-1]).max() < 1e-4
-    assert np.abs((place[2:] - 2 * place[1:-1] + place[:-2]) / step**2 - curvature[1:-1]).max() < 1e-2 * np.abs(curvature).max()
+    assert (
+        np.abs((place[2:] - 2 * place[1:-1] + place[:-2]) / step**2 - curvature[1:-1]).max()
+        < 1e-2 * np.abs(curvature).max()
+    )
 
 
 def test_corners_are_rests_and_pens_are_lifted() -> None:
     made = pieces.of([line((0, 0), (1, 0), (2, 0.05), (2, 1)), line((2, 1), (3, 1)), line((3, 2), (4, 2))])
-    assert [(piece.stroke, piece.pen, len(piece.curves)) for piece in made] == [(1, True, 2), (1, True, 1), (2, True, 1), (3, False, 1), (3, True, 1)]
+    assert [(piece.stroke, piece.pen, len(piece.curves)) for piece in made] == [
+        (1, True, 2),
+        (1, True, 1),
+        (2, True, 1),
+        (3, False, 1),
+        (3, True, 1),
+    ]
 
 
 @pytest.mark.parametrize("profile", ["constant", "minimumJerk"])
@@ -182,7 +199,9 @@ def test_profiles(profile: pieces.Profile, length: float) -> None:
     speed, acceleration = rate.max() / duration / 0.1, np.abs(change).max() / duration**2 / 2.0
     assert max(speed, acceleration) == pytest.approx(1, abs=1e-6) and min(speed, acceleration) < 1 + 1e-9
     # By hand: 0.9601 rad in 0.5 s.
-    assert 1.875 * 0.9601 / 0.5 == pytest.approx(3.600375) and 10 / np.sqrt(3) * 0.9601 / 0.25 == pytest.approx(22.172560, rel=1e-7)
+    assert 1.875 * 0.9601 / 0.5 == pytest.approx(3.600375) and 10 / np.sqrt(3) * 0.9601 / 0.25 == pytest.approx(
+        22.172560, rel=1e-7
+    )
 
 
 # Places at which a path is blocked
@@ -193,7 +212,15 @@ STOPS = {"stop.enabled": True, "stop.lower[1]": 0.9, "stop.upper[1]": 2.9, "stop
 
 def table(values: dict[str, float | bool] | None = None) -> Scene:
     """A robot on a table."""
-    base = {"base.distance": 0.1, "gravity.enabled": False, "servo.enabled": True, "servo.kp[1]": 20, "servo.kp[2]": 20, "servo.kd[1]": 0.5, "servo.kd[2]": 0.5}
+    base = {
+        "base.distance": 0.1,
+        "gravity.enabled": False,
+        "servo.enabled": True,
+        "servo.kp[1]": 20,
+        "servo.kp[2]": 20,
+        "servo.kd[1]": 0.5,
+        "servo.kd[2]": 0.5,
+    }
     content = {"description": "trial", "tip.x": 0.05, "tip.y": 0.25} | base | (values or {})
     return scene.parse("table", json.dumps(content))
 
@@ -201,7 +228,15 @@ def table(values: dict[str, float | bool] | None = None) -> Scene:
 ALMOST_ALIKE = [{"link[2].length": 0.3, "link[3].length": 0.3 + more} for more in (5e-17, 1e-12, 1e-9, 1e-7, 1e-5)]
 
 
-@pytest.mark.parametrize("values", [{}, STOPS, {"base.distance": 0.25, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17}, *ALMOST_ALIKE])
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        STOPS,
+        {"base.distance": 0.25, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17},
+        *ALMOST_ALIKE,
+    ],
+)
 @pytest.mark.parametrize("working", WORKING_MODES[:3])
 def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bool], working: Working) -> None:
     """Random lines against dense sampling: free ones cross nothing, blocked ones are free up to the place, and no longer behind it."""
@@ -240,16 +275,38 @@ def test_lines_are_blocked_where_they_meet_a_border(values: dict[str, float | bo
     ("values", "stroke", "place", "sentence"),
     [
         # The end of the right leg's reach: 0.42 m from (0.1, 0).
-        ({}, line((0.05, 0.3), (-0.2, 0.3)), (0.1 - math.sqrt(0.42**2 - 0.3**2), 0.3), "comes to the end of the right leg's reach, where that leg is stretched"),
+        (
+            {},
+            line((0.05, 0.3), (-0.2, 0.3)),
+            (0.1 - math.sqrt(0.42**2 - 0.3**2), 0.3),
+            "comes to the end of the right leg's reach, where that leg is stretched",
+        ),
         # Watt's curve on the axis: y = sqrt(l^2 - (l - a)^2).
-        ({}, line((0.05, 0.3), (0.05, 0.1)), (0.05, math.sqrt(0.21**2 - 0.16**2)), "meets a direct singularity of working mode minusPlus: the distal links are stretched"),
+        (
+            {},
+            line((0.05, 0.3), (0.05, 0.1)),
+            (0.05, math.sqrt(0.21**2 - 0.16**2)),
+            "meets a direct singularity of working mode minusPlus: the distal links are stretched",
+        ),
         ({}, line((0.5, 0.3), (0.05, 0.3)), (0.5, 0.3), "is 0.1631 m too far for the left leg"),
-        ({"stop.enabled": True, "stop.upper[1]": 2.5}, line((0.05, 0.3), (-0.2, 0.2)), None, "meets stop.upper[1] = 2.5 rad"),
-        ({"stop.enabled": True, "stop.upper[1]": 2.5}, line((-0.2, 0.2), (0.05, 0.3)), (-0.2, 0.2), "has a motor beyond its stops"),
+        (
+            {"stop.enabled": True, "stop.upper[1]": 2.5},
+            line((0.05, 0.3), (-0.2, 0.2)),
+            None,
+            "meets stop.upper[1] = 2.5 rad",
+        ),
+        (
+            {"stop.enabled": True, "stop.upper[1]": 2.5},
+            line((-0.2, 0.2), (0.05, 0.3)),
+            (-0.2, 0.2),
+            "has a motor beyond its stops",
+        ),
         ({"base.distance": 0.1, "link[1].length": 0.1}, line((0.02, 0.25), (0.02, 0.0)), None, "leg"),
     ],
 )
-def test_reasons_and_places(values: dict[str, float | bool], stroke: np.ndarray, place: tuple[float, float] | None, sentence: str) -> None:
+def test_reasons_and_places(
+    values: dict[str, float | bool], stroke: np.ndarray, place: tuple[float, float] | None, sentence: str
+) -> None:
     made = table(values | ({"tip.x": 0.0, "tip.y": 0.25} if "stop.enabled" in values else {}))
     with pytest.raises(Blocked, match=re.escape(sentence)) as blocked:
         paths.plan(made, strokes.Drawing([stroke]), SLOW)
@@ -302,7 +359,14 @@ def test_rates_are_derivatives(logo: strokes.Drawing) -> None:
     assert not made.pen[0] and np.all(made.theta[0] == made.theta[1])
 
 
-LOADED = {"gravity.enabled": True, "payload.enabled": True, "payload.mass": 0.1, "friction.enabled": True, "viscous.enabled": True, "spring.enabled": True}
+LOADED = {
+    "gravity.enabled": True,
+    "payload.enabled": True,
+    "payload.mass": 0.1,
+    "friction.enabled": True,
+    "viscous.enabled": True,
+    "spring.enabled": True,
+}
 
 
 def test_torques_are_those_that_move_the_unit(new: Callable[..., Instance], logo: strokes.Drawing) -> None:
@@ -316,7 +380,11 @@ def test_torques_are_those_that_move_the_unit(new: Callable[..., Instance], logo
     with Demand(loaded, theta[0]) as demand:
         torques = demand.torques(theta, omega, alpha)
     for posture, rates, wanted, torque in zip(theta, omega, alpha, torques):
-        values = dict(loaded.values) | {"servo.enabled": False, "init.theta[1]": posture[0], "init.theta[2]": posture[3]}
+        values = dict(loaded.values) | {
+            "servo.enabled": False,
+            "init.theta[1]": posture[0],
+            "init.theta[2]": posture[3],
+        }
         values |= {f"init.omega[{i + 1}]": rates[i] for i in (0, 1)} | {f"tau[{i + 1}]": torque[i] for i in (0, 1)}
         unit = new().initialise(values)
         # Differences of accelerations of some 1e4 rad/s2 by 1 N.m, rounded.
@@ -325,11 +393,23 @@ def test_torques_are_those_that_move_the_unit(new: Callable[..., Instance], logo
 
 def test_accelerations_are_second_derivatives() -> None:
     """By central differences along a circle, in each working mode of a machine without symmetry."""
-    machine = Machine.from_values({"base.distance": 0.25, "link[1].length": 0.2, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17})
+    machine = Machine.from_values(
+        {
+            "base.distance": 0.25,
+            "link[1].length": 0.2,
+            "link[2].length": 0.3,
+            "link[3].length": 0.22,
+            "link[4].length": 0.17,
+        }
+    )
     time = np.linspace(0, 1, 20001)
     angle, step = 2 * np.pi * time, time[1]
     way = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    tip, velocity, acceleration = (0.1, 0.24) + 0.03 * way, 0.06 * np.pi * way[:, ::-1] * (-1, 1), -0.12 * np.pi**2 * way
+    tip, velocity, acceleration = (
+        (0.1, 0.24) + 0.03 * way,
+        0.06 * np.pi * way[:, ::-1] * (-1, 1),
+        -0.12 * np.pi**2 * way,
+    )
     for working in WORKING_MODES:
         theta = machine.inverse(tip, working).theta
         alpha = machine.motor_accelerations(theta, velocity, acceleration)
@@ -349,7 +429,10 @@ def test_limits_are_kept_by_taking_longer(logo: strokes.Drawing) -> None:
         # Counts of steps are whole: a piece of some 20 steps may take one too many.
         assert 0.85 < max(shares) <= 1 + 1e-12
         assert made.time[-1] > free.time[-1] and 0 < made.slowed < len(pieces.of(logo.strokes))
-    with pytest.raises(Blocked, match=r"Stroke 1, at \(.*\) m, needs .* N·m of the left motor however slow it is: the limit is 0.01 N·m"):
+    with pytest.raises(
+        Blocked,
+        match=r"Stroke 1, at \(.*\) m, needs .* N·m of the left motor however slow it is: the limit is 0.01 N·m",
+    ):
         paths.plan(table(LOADED), logo, fast, limits=Limits(torques=(0.01, 0.01)))
 
 
@@ -366,18 +449,35 @@ def test_refusals_of_plans(logo: strokes.Drawing) -> None:
 def fivebar(folder: Path, fmu: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     """Runs `fivebar path`."""
     command = [sys.executable, "-m", "fivebar", "path", *map(str, words)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ | {"FIVEBAR_FMU": str(fmu)})
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ | {"FIVEBAR_FMU": str(fmu)}
+    )
 
 
 def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
     """A scene that any run can have, the table, and a picture; the machine is where the table says, and near its drawing."""
-    done = fivebar(tmp_path, fmu, "pick_and_place", LOGO, "--at", "0.05,0.26", "--size", "0.18", "--speed", "0.2", "--profile", "minimumJerk")
+    done = fivebar(
+        tmp_path,
+        fmu,
+        "pick_and_place",
+        LOGO,
+        "--at",
+        "0.05,0.26",
+        "--size",
+        "0.18",
+        "--speed",
+        "0.2",
+        "--profile",
+        "minimumJerk",
+    )
     assert done.returncode == 0, done.stderr
     off = re.search(r"Off the drawing by up to ([0-9.]+) mm, ([0-9.]+) mm rms", done.stdout)
     assert off and 0 < float(off[2]) < float(off[1]) < 2.0
     folder = tmp_path / "pick_and_place"
     made = scene.read(folder / "fivebar.json")
-    assert made.values["payload.enabled"] and set(made.signals) == {f"servo.{what}[{i}]" for what in ("theta", "omega") for i in (1, 2)}
+    assert made.values["payload.enabled"] and set(made.signals) == {
+        f"servo.{what}[{i}]" for what in ("theta", "omega") for i in (1, 2)
+    }
     with (folder / "fivebar.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     column = lambda name: np.array([float(row[name]) for row in rows])
@@ -385,7 +485,9 @@ def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
     result = simulate.run(made)
     assert np.abs(result["tip.x"] - column("done.x [m]")).max() < 1e-12 and {0.0, 1.0} == set(column("pen"))
     late = np.hypot(column("done.x [m]") - column("tip.x [m]"), column("done.y [m]") - column("tip.y [m]"))
-    assert np.abs(late - column("late [m]")).max() < 1e-15 and np.all(column("off [m]")[column("pen") == 1] <= late[column("pen") == 1] + 1e-12)
+    assert np.abs(late - column("late [m]")).max() < 1e-15 and np.all(
+        column("off [m]")[column("pen") == 1] <= late[column("pen") == 1] + 1e-12
+    )
     with Image.open(folder / "drawn.png") as picture:
         assert min(picture.size) > 900 and len(picture.convert("RGB").getcolors(1_000_000) or []) > 20
 
@@ -394,7 +496,12 @@ def test_one_short_line_shows_its_window(tmp_path: Path, monkeypatch: pytest.Mon
     """The window about the worst place lay beyond the frame of the sheet, whose legend had a pen that is never lifted."""
     (tmp_path / "line.csv").write_text("x,y\n0,0\n10,0\n", encoding="utf-8")
     limits = Limits(torques=(1.0, 1.0))
-    made = paths.plan(scene.read("pick_and_place"), strokes.read(tmp_path / "line.csv").placed((0.05, 0.26), None), Timing("constant", 0.1, 2.0), limits=limits)
+    made = paths.plan(
+        scene.read("pick_and_place"),
+        strokes.read(tmp_path / "line.csv").placed((0.05, 0.26), None),
+        Timing("constant", 0.1, 2.0),
+        limits=limits,
+    )
     paths.write_scene(made, tmp_path / "line.json", "line.csv")
     drawn: list[Figure] = []
     monkeypatch.setattr(path_pictures, "_save", lambda figure, *_: drawn.append(figure))
@@ -408,7 +515,10 @@ def test_one_short_line_shows_its_window(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_command_refuses(tmp_path: Path, fmu: Path) -> None:
     """One sentence, exit code 2; a drawing that is blocked is drawn with the place."""
     cases = [
-        (("pick_and_place", LOGO, "--at", "0.05,0.12", "--size", "0.25"), "meets a direct singularity of working mode minusPlus"),
+        (
+            ("pick_and_place", LOGO, "--at", "0.05,0.12", "--size", "0.25"),
+            "meets a direct singularity of working mode minusPlus",
+        ),
         (("fall_90_120", LOGO, "--at", "0.2,0.2"), "servo.enabled = false"),
         (("pick_and_place", LOGO, "--at", "here"), "is no place X,Y in m"),
         (("pick_and_place", LOGO), "Missing option '--at'"),

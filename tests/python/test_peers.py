@@ -18,7 +18,17 @@ from report import docs, sections, tables
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="peers are driven on Unix")
 
-HEAD = ("scene", "peer", "version", "settings", "error_1s_m", "error_2s_m", "ms_per_simulated_second", "energy_error_mgL", "note")
+HEAD = (
+    "scene",
+    "peer",
+    "version",
+    "settings",
+    "error_1s_m",
+    "error_2s_m",
+    "ms_per_simulated_second",
+    "energy_error_mgL",
+    "note",
+)
 FALL = ahead.SCENES[0]
 
 
@@ -50,11 +60,16 @@ ROWS = [
 def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
     answers = {f"{a.wanted:.0e}": a for a in ahead.table(ROWS, FALL, 1)}
     assert list(answers) == [f"1e-{n:02}" for n in range(2, 11)]
-    assert (answers["1e-02"].method, answers["1e-02"].ratios) == ("dop853, 1e-4", {"Fast & rough": 0.05 / 0.1, "Never": None})
+    assert (answers["1e-02"].method, answers["1e-02"].ratios) == (
+        "dop853, 1e-4",
+        {"Fast & rough": 0.05 / 0.1, "Never": None},
+    )
     assert answers["1e-03"].method == answers["1e-04"].method == "dop853, 1e-5"
     # Not 1e-5, whose dearer neighbour is 2e-5 m off; nor rk4, which costs more than dop853 at 1e-12.
     assert answers["1e-05"].method == answers["1e-06"].method == "dop853, 1e-12"
-    assert answers["1e-06"].ratios["Fast & rough"] == pytest.approx(1.2 / 0.4)  # a quotient of these numbers to a round-off
+    assert answers["1e-06"].ratios["Fast & rough"] == pytest.approx(
+        1.2 / 0.4
+    )  # a quotient of these numbers to a round-off
     assert answers["1e-08"].ratios["Fast & rough"] is None
     assert answers["1e-10"].method == ""
     assert ahead.table(ROWS, FALL, 2)[-2].method == "" and ahead.table(ROWS, FALL, 2)[5].method == "dop853, 1e-12"
@@ -75,7 +90,12 @@ def test_energies_are_compared_at_fixed_steps_of_a_millisecond() -> None:
     rows = [
         of_fall("Fast & rough", "RK4, h = 0.001 s, C++ by g++ -O3", 0.9),
         of_fall("Fast & rough", "RK4, h = 0.0001 s", 0.1),
-        of_fall("FiveBar i3alp, fixed step", "solver.adaptive = False, solver.stepSize = 0.001", 3, "ended after 12 s: gave up"),
+        of_fall(
+            "FiveBar i3alp, fixed step",
+            "solver.adaptive = False, solver.stepSize = 0.001",
+            3,
+            "ended after 12 s: gave up",
+        ),
         of_fall("FiveBar i3alpConserving", "solver.stepSize = 0.001", 3e-11),
         of_fall("FiveBar dop853", "solver.errorTolerance = 0.001", 1e-3),
         of_fall("Never", "h = 0.001 s", "", "ended after 0 s: NaN"),
@@ -130,7 +150,9 @@ def test_a_program_that_sticks_is_ended(monkeypatch: pytest.MonkeyPatch) -> None
         advance(1.0)
 
 
-@pytest.mark.parametrize(("seconds", "runs"), [(1e-3, timing.MOST), (0.03, 7), (0.1, timing.LEAST), (0.4, timing.LEAST), (0.6, 1)])
+@pytest.mark.parametrize(
+    ("seconds", "runs"), [(1e-3, timing.MOST), (0.03, 7), (0.1, timing.LEAST), (0.4, timing.LEAST), (0.6, 1)]
+)
 def test_short_runs_are_repeated(seconds: float, runs: int) -> None:
     times = [seconds]
     while not timing.enough(times):

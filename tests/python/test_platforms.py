@@ -87,7 +87,14 @@ class Bench:
         place = self.place(machine)
         for name, script in scripts.items():
             (place / name).write_text("".join(f"{line}\n" for line in script))
-        command = [*machine.runner, str(place / "driver.exe"), str(self.libraries(machine)), self.guid, str(rounds), *scripts]
+        command = [
+            *machine.runner,
+            str(place / "driver.exe"),
+            str(self.libraries(machine)),
+            self.guid,
+            str(rounds),
+            *scripts,
+        ]
         done = subprocess.run(command, cwd=place, env=self.environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{machine.name}: exit code {done.returncode}: {done.stderr[-2000:]}"
         printed: Printed = {name: [] for name in scripts}
@@ -142,7 +149,11 @@ def setting(variable: ScalarVariable, value: float | bool) -> str:
 
 
 def motion(
-    model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, inputs: dict[str, np.ndarray] | None = None
+    model: ModelDescription,
+    values: Values,
+    stop_time: float,
+    size: float = SIZE,
+    inputs: dict[str, np.ndarray] | None = None,
 ) -> Script:
     """A run from 0 to `stop_time`, with all that is computed read at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
@@ -167,7 +178,13 @@ def read_all(model: ModelDescription) -> Script:
 def every_effect(model: ModelDescription) -> Values:
     """All effects at once, the contact where the tip touches it, and inputs that do work."""
     switches: Values = {v.name: True for v in model.modelVariables if v.name.endswith(".enabled")}
-    return switches | {"init.theta[2]": 2.0944, "contact.offset": 0.1, "servo.theta[1]": 2.0, "servo.theta[2]": 0.7, "tip.fx": 0.2}
+    return switches | {
+        "init.theta[2]": 2.0944,
+        "contact.offset": 0.1,
+        "servo.theta[1]": 2.0,
+        "servo.theta[2]": 0.7,
+        "tip.fx": 0.2,
+    }
 
 
 def methods(model: ModelDescription) -> dict[str, int]:
@@ -181,9 +198,20 @@ def followed(bench: Bench, model: ModelDescription, fall: Values) -> dict[str, S
     1 s no samples come, and sigma points foresee the rest."""
     references = {v.name: v.valueReference for v in model.modelVariables}
     motors, count = [references[f"theta[{i}]"] for i in (1, 2)], 2 * np.pi / 2**16
-    reading = [line if not line.startswith("reals") else f"reals {motors[0]} {motors[1]}" for line in motion(model, fall, FOLLOWED)]
-    (lines,) = bench.run(HERE, {"machine": [line for line in reading if line.startswith(("real", "boolean", "integer ", "st"))]})["machine"]
-    angles = np.array([[struct.unpack(">d", bytes.fromhex(bits))[0] for bits in line.split()[1:]] for line in lines if "reals" in line])
+    reading = [
+        line if not line.startswith("reals") else f"reals {motors[0]} {motors[1]}"
+        for line in motion(model, fall, FOLLOWED)
+    ]
+    (lines,) = bench.run(
+        HERE, {"machine": [line for line in reading if line.startswith(("real", "boolean", "integer ", "st"))]}
+    )["machine"]
+    angles = np.array(
+        [
+            [struct.unpack(">d", bytes.fromhex(bits))[0] for bits in line.split()[1:]]
+            for line in lines
+            if "reals" in line
+        ]
+    )
     points = communication_points(FOLLOWED, SIZE)
     heard = np.minimum(np.arange(len(points)), round(1.0 / SIZE))
     inputs = {f"measured.theta[{i + 1}]": np.round(angles[heard, i] / count) * count for i in (0, 1)}
@@ -223,16 +251,22 @@ def expected(bench: Bench, motions: dict[str, Script]) -> Printed:
     for name, (lines,) in printed.items():
         # Directional derivatives are refused while friction holds the tip, or all.
         refused = "fmi2GetDirectionalDerivative: status 3" if "stick" in name else None
-        assert not [line for line in lines if ": status " in line and line != refused], f"{name} does not run to its end"
+        assert not [line for line in lines if ": status " in line and line != refused], (
+            f"{name} does not run to its end"
+        )
     return printed
 
 
 @on_every_machine
-def test_same_bits_on_every_machine(bench: Bench, motions: dict[str, Script], expected: Printed, machine: Machine) -> None:
+def test_same_bits_on_every_machine(
+    bench: Bench, motions: dict[str, Script], expected: Printed, machine: Machine
+) -> None:
     """The bound is zero: arithmetic, elementary functions and their order are the same everywhere."""
     for name, (there,) in bench.run(machine, motions).items():
         (here,) = expected[name]
-        assert there == here, f"{name}: {sum(a != b for a, b in zip(here, there, strict=False))} of {len(here)} lines differ"
+        assert there == here, (
+            f"{name}: {sum(a != b for a, b in zip(here, there, strict=False))} of {len(here)} lines differ"
+        )
 
 
 def test_machines_are_followed(model: ModelDescription, expected: Printed) -> None:

@@ -13,13 +13,19 @@ def test_prices(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(prices, "REPEATS", 2)
     folder = tmp_path / "scenes"
     folder.mkdir()
-    for name, effects in (("bare", {}), ("damped", {"viscous.enabled": True, "gravity.enabled": False, "tau[1]": 0.01})):
+    for name, effects in (
+        ("bare", {}),
+        ("damped", {"viscous.enabled": True, "gravity.enabled": False, "tau[1]": 0.01}),
+    ):
         write(folder / f"{name}.json", made_scene({"init.theta[2]": 2.0944} | effects, 0.2))
     out = tmp_path / "run" / "prices.csv"
     assert prices.main(["--fmu", str(fmu), "--scenes", str(folder), "--out", str(out)]) == 0
     with out.open(encoding="utf-8") as file:
         bare, damped = csv.DictReader(file)
-    assert (bare["scene"], bare["effects"]) == ("bare", "gravity") and (damped["scene"], damped["effects"]) == ("damped", "viscous")
+    assert (bare["scene"], bare["effects"]) == ("bare", "gravity") and (damped["scene"], damped["effects"]) == (
+        "damped",
+        "viscous",
+    )
     # Bare in itself: measured once.
     assert bare["us_per_substep"] == bare["bare_us_per_substep"]
     assert float(damped["substeps_per_step"]) >= 1.0 and float(damped["bare_us_per_step"]) > 0.0

@@ -46,7 +46,9 @@ def test_default_settings(new: New) -> None:
     assert max(deviations(new().initialise(FALL_90_120), reference("fall-90-120.csv"))) < 1e-4
 
 
-@pytest.mark.parametrize("path", [p for p in sorted(REFERENCE.glob("*.csv")) if p.stem not in ELDER], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [p for p in sorted(REFERENCE.glob("*.csv")) if p.stem not in ELDER], ids=lambda path: path.stem
+)
 def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription) -> None:
     """The values in a reference's head are the scene's: one that was changed needs a new reference."""
     head = [line[2:].split(" = ") for line in path.read_text().splitlines() if line.startswith("# ") and " = " in line]
@@ -55,7 +57,9 @@ def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription)
     assert {name: json.loads(value) for name, value in head} == {k: v for k, v in content.items() if k in moving}
 
 
-@pytest.mark.parametrize("name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"])
+@pytest.mark.parametrize(
+    "name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"]
+)
 def test_scenes_keep_their_energy(new: New, scenes: Path, name: str) -> None:
     """Every scene to its end at its own settings: finite, |energy.error| <= 1e-2 mgL, constraints kept."""
     instance = new()

@@ -34,7 +34,19 @@ LINES = {
 }
 # The main one, two for each kind of motion, and seven.
 FIGURES = 1 + 2 * len({kind for _, kind, _ in SCENES}) + 7
-SECTIONS = ["run", "need", "precision", "order", "horizon", "steps", "effects", "hard-cases", "paper", "peers", "failures"]
+SECTIONS = [
+    "run",
+    "need",
+    "precision",
+    "order",
+    "horizon",
+    "steps",
+    "effects",
+    "hard-cases",
+    "paper",
+    "peers",
+    "failures",
+]
 
 
 def precision() -> list[list[object]]:
@@ -69,16 +81,30 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     us = [f"{prefix}us per simulated ms" for prefix in ("", "best ", "worst ")]
     counts = ["sub-steps", "rejected", "iterations", "stiff", "ending"]
     write(data, "precision", ["scene", "kind", "end [s]", *choice, "error [m]", *us, *counts], precision())
-    write(data, "references", ["scene", "kind", "own error [m]", "source"], [[*scene, "by other means"] for scene in SCENES])
+    write(
+        data,
+        "references",
+        ["scene", "kind", "own error [m]", "source"],
+        [[*scene, "by other means"] for scene in SCENES],
+    )
     fall = [row for row in precision() if row[0] == SCENES[1][0]]
     energy = [[*row[3:7], row[7] if row[7] < 1 else 5, row[8], 50, row[-1]] for row in fall]
     write(data, "energy", [*choice, "worst |dE| [mgL]", us[0], "reached [s]", "ending"], energy)
     best = ["double precision", "tolerance", 2e-14, "rad", 5.5, "parted"]
-    write(data, "horizon", [*choice, "within 1 mm until [s]", "ending"], [best] + [[*row[3:7], 1.5, "parted"] for row in fall])
+    write(
+        data,
+        "horizon",
+        [*choice, "within 1 mm until [s]", "ending"],
+        [best] + [[*row[3:7], 1.5, "parted"] for row in fall],
+    )
     pairs = [["90/120 deg", 0.01 * i, 1e-12 * math.exp(0.1 * i)] for i in range(300)]
     write(data, "growth", ["pair", "time [s]", "difference [rad]"], pairs)
     names = ["i3alp, default tolerance", "dop853, 1e-8 rad"]
-    steps = [[name, 1e-3 * i, 1 + i % 7, 2 + i % 9, 1 + i % 5, 1 + i % 6, 0.1, 0.2, 0.01] for name in names for i in range(50)]
+    steps = [
+        [name, 1e-3 * i, 1 + i % 7, 2 + i % 9, 1 + i % 5, 1 + i % 6, 0.1, 0.2, 0.01]
+        for name in names
+        for i in range(50)
+    ]
     sigmas = ["sigmaPhi", "sigmaJx [m]", "sigmaJq [m2]"]
     write(data, "steps", ["setting", "time [s]", "best [us]", "first [us]", "sub-steps", "iterations", *sigmas], steps)
     (folder / "bench").mkdir()
@@ -86,9 +112,24 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder / "bench", "effects", ["case", "instructions", "ns", "ratio"], rows)
     times = [[step, 1000, up, count] for step in (0.001, 0.004) for up, count in ((501.2, 900), (1000.0, 90), (1e5, 1))]
     write(folder / "bench", "step-times", ["step [s]", "solver.maxWork", "up to [ns]", "steps"], times)
-    work = ["step [s]", "solver.maxWork", "steps", "median", "99.99 %", "most iterations", "rescued", "by the fallback", "ended"]
+    work = [
+        "step [s]",
+        "solver.maxWork",
+        "steps",
+        "median",
+        "99.99 %",
+        "most iterations",
+        "rescued",
+        "by the fallback",
+        "ended",
+    ]
     steps = step_times_in_docs.STEPS
-    write(folder / "bench", "step-work", work, [[0.001, 400_000, steps, 2, 8, 618, 166, 0, 0], [0.001, 0, 500_000, 2, 8, 12, 0, 0, 104]])
+    write(
+        folder / "bench",
+        "step-work",
+        work,
+        [[0.001, 400_000, steps, 2, 8, 618, 166, 0, 0], [0.001, 0, 500_000, 2, 8, 12, 0, 0, 104]],
+    )
     return folder
 
 
@@ -138,7 +179,9 @@ def test_what_a_choice_of_its_own_costs() -> None:
     # Nothing of its own gets there; no fixed method does; the reference cannot tell.
     assert picks.by_itself(found, reference, 1e-8) is picks.by_itself(found[:1], reference, 1e-6) is None
     assert picks.by_itself(found, reference, 2e-9) is None
-    head, [row] = picks.ratio_table([*found, marker("automatic", 1e-3, 2.1)], [reference, Reference("other", "whipping", 1e-9, "")])
+    head, [row] = picks.ratio_table(
+        [*found, marker("automatic", 1e-3, 2.1)], [reference, Reference("other", "whipping", 1e-9, "")]
+    )
     assert len(head) == len(row) and row[:4] == ["fall", "1.05", "1.05", "**1.67**"]
 
 
@@ -159,7 +202,8 @@ def test_real_time_factor(us: float, text: str) -> None:
 
 def test_slope_is_the_order() -> None:
     line = [
-        Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, False, "complete") for h in (1e-2, 1e-3, 5e-4, 1e-4)
+        Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, False, "complete")
+        for h in (1e-2, 1e-3, 5e-4, 1e-4)
     ]
     # Round-off in the last is 1e-13 of 2e-11, which changes the slope by less than 1e-2 over two decades of steps.
     assert figures.fitted_slope(line, 1e-15) == pytest.approx(4, abs=0.01)
@@ -204,10 +248,17 @@ def test_every_figure_has_its_data_beside_it(page: Path) -> None:
 def test_what_failed_and_what_is_left_out_is_said(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for scene, kind, _ in SCENES:
-        failed = f"<tr><td>{scene}</td><td>rk4</td><td>4 ms</td><td>ended early: &lt;never&gt; converged</td></tr>" in text
+        failed = (
+            f"<tr><td>{scene}</td><td>rk4</td><td>4 ms</td><td>ended early: &lt;never&gt; converged</td></tr>" in text
+        )
         assert failed == (kind != "driven")
     assert text.count(f"<li>haptic, 2 s: i3alp, fixed step at 4 ms; rk4 at 4 ms: {HELD}</li>") == text.count(HELD) == 1
-    for command in ("cargo xtask hard-cases", "cargo xtask peers", "cargo xtask bench", "cargo xtask run --scene paper_torque"):
+    for command in (
+        "cargo xtask hard-cases",
+        "cargo xtask peers",
+        "cargo xtask bench",
+        "cargo xtask run --scene paper_torque",
+    ):
         assert f"<code>{command}</code> measures it" in text
     assert "below the reference's own error" in text
     assert text.count("The loads of this scene are too stiff for dop853") == 1
@@ -273,7 +324,20 @@ def test_notes_cover_nothing_and_stand_once_where_they_are_drawn() -> None:
     """Lines that run upon each other, in three panels."""
     scenes = [Reference(f"scene {i}", "smooth", 1e-16, "made up") for i in range(3)]
     markers = [
-        Marker(s.scene, s.kind, method, "tolerance", 10.0**-k, "rad", 10.0**-k, 0.1 * (1 + 0.004 * j) * 1.25**k, 1.0, 1, False, "complete")
+        Marker(
+            s.scene,
+            s.kind,
+            method,
+            "tolerance",
+            10.0**-k,
+            "rad",
+            10.0**-k,
+            0.1 * (1 + 0.004 * j) * 1.25**k,
+            1.0,
+            1,
+            False,
+            "complete",
+        )
         for s in scenes
         for j, method in enumerate(figures.COLOURS)
         for k in range(1, 14)
@@ -294,22 +358,65 @@ def test_hard_cases_stand_in_the_column_of_their_setting_or_take_the_line() -> N
     """Runs with settings of their own, and those of no single method, belong to no column."""
     columns = [("i3alp", "default tolerance"), ("dop853", "tolerance 1e-10 rad")]
     made_up = [(1, "falls", *column) for column in columns]
-    made_up += [(10, "followed", *columns[1]), (6, "tolerances", "i3alp", "own settings"), (8, "same bits", "all", "a sample")]
+    made_up += [
+        (10, "followed", *columns[1]),
+        (6, "tolerances", "i3alp", "own settings"),
+        (8, "same bits", "all", "a sample"),
+    ]
     names = ("item", "case", "method", "setting", "runs", "not met", "ended early", "worst |dE| [mgL]", "verdict")
-    figure = hard_cases.matrix([dict(zip(names, (str(item), *row, "2", "0", "0", "1e-9", "pass"))) for item, *row in made_up])
+    figure = hard_cases.matrix(
+        [dict(zip(names, (str(item), *row, "2", "0", "0", "1e-9", "pass"))) for item, *row in made_up]
+    )
     [axes] = figure.axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["falls   1", "tolerances   6", "same bits   8", "followed   10"]
-    assert [(*cell.get_xy(), cell.get_width()) for cell in axes.patches] == [(0, 0, 1), (1, 0, 1), (1, 3, 1), (0, 1, 2), (0, 2, 2)]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "falls   1",
+        "tolerances   6",
+        "same bits   8",
+        "followed   10",
+    ]
+    assert [(*cell.get_xy(), cell.get_width()) for cell in axes.patches] == [
+        (0, 0, 1),
+        (1, 0, 1),
+        (1, 3, 1),
+        (0, 1, 2),
+        (0, 2, 2),
+    ]
     assert "2 runs, i3alp, own settings" in {text.get_text() for text in axes.texts}
 
 
-HARD_CASES = ("item", "case", "method", "setting", "runs", "not met", "ended early", "status", "worst |dE| [mgL]", "worst Phi [m]", "worst Phidot [m/s]")
+HARD_CASES = (
+    "item",
+    "case",
+    "method",
+    "setting",
+    "runs",
+    "not met",
+    "ended early",
+    "status",
+    "worst |dE| [mgL]",
+    "worst Phi [m]",
+    "worst Phidot [m/s]",
+)
 HARD_CASES += ("mean sub-steps", "criterion", "verdict")
 
 
 def hard_row(item: int, case: str, column: tuple[str, ...], energy: str = "1.00e-9", **others: str) -> dict[str, str]:
     """A row of hard-cases.csv."""
-    values = (item, case, *column[:2], 1000, 0, 0, "", energy, "2.0e-16", "3.0e-15", "0.50", "complete, |dE| <= 1e-2 mgL", "pass")
+    values = (
+        item,
+        case,
+        *column[:2],
+        1000,
+        0,
+        0,
+        "",
+        energy,
+        "2.0e-16",
+        "3.0e-15",
+        "0.50",
+        "complete, |dE| <= 1e-2 mgL",
+        "pass",
+    )
     return dict(zip(HARD_CASES, map(str, values))) | others
 
 
@@ -318,7 +425,11 @@ def battery() -> list[dict[str, str]]:
     d = hard_cases_in_docs
     columns = (d.DEFAULT, d.TIGHT, d.EXPLICIT, d.AUTOMATIC, *d.CONSERVING)
     names = [(1 + i % 7, case) for i, case in enumerate(case for cases in d.BARE.values() for case in cases)]
-    rows = [hard_row(item, case, column) for item, case in [*names, (8, "same bits"), (9, "stops"), (10, "followed")] for column in columns]
+    rows = [
+        hard_row(item, case, column)
+        for item, case in [*names, (8, "same bits"), (9, "stops"), (10, "followed")]
+        for column in columns
+    ]
     compared = hard_row(1, "exact crossings", ("rk4", "1 ms"), "2.67e9", verdict="for comparison")
     fallen = hard_row(6, "steps of load", d.CONSERVING[1], "0.00e0", status="3 x of 5000 steps by the fallback")
     worse = hard_row(4, "coaxial motors, rest in line", d.DEFAULT, "2.00e-9")
@@ -341,7 +452,13 @@ def written(folder: Path, rows: list[dict[str, str]]) -> Path:
 @pytest.fixture
 def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the pages that commands write into, for which they take the repository's."""
-    for name in (docs.FILE, "docs/notes/automatic.md", step_times_in_docs.NOTES, hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES):
+    for name in (
+        docs.FILE,
+        "docs/notes/automatic.md",
+        step_times_in_docs.NOTES,
+        hard_cases_in_docs.PAGE,
+        hard_cases_in_docs.NOTES,
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text((REPOSITORY / name).read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "docs/images").mkdir()
@@ -353,31 +470,54 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_hard_cases_are_written_into_their_pages(copied: Path) -> None:
     folder = written(copied / "battery", battery())
     assert hard_cases_in_docs.main([f"--folder={folder}"]) == hard_cases_in_docs.main([f"--folder={folder}"]) == 0
-    page, notes = ((copied / name).read_text(encoding="utf-8") for name in (hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES))
+    page, notes = (
+        (copied / name).read_text(encoding="utf-8") for name in (hard_cases_in_docs.PAGE, hard_cases_in_docs.NOTES)
+    )
     # The worst of cases that share a line.
-    assert "| coaxial motors | 2000 | 2.00e-9 | 1.00e-9 | 1.00e-9 |" in page and "leaves at most 2.0e-16 m and 3.0e-15 m/s" in page
-    assert "| steps of load | 1000 | 1.00e-9 | 0 | 1.00e-9 | 1e-2 | 2.0e-16 | 3.0e-15 | 0 / 0 / 0 | 0 / 3 / 0 |" in notes
-    assert "| exact crossings | rk4 | 1 ms | 0 | 0 | 1000 | 2.67e9 |" in notes and "| stops | 1.00e-9 | 1.00e-9 | 1.00e-9 | 1.00e-9 |" in notes
+    assert (
+        "| coaxial motors | 2000 | 2.00e-9 | 1.00e-9 | 1.00e-9 |" in page
+        and "leaves at most 2.0e-16 m and 3.0e-15 m/s" in page
+    )
+    assert (
+        "| steps of load | 1000 | 1.00e-9 | 0 | 1.00e-9 | 1e-2 | 2.0e-16 | 3.0e-15 | 0 / 0 / 0 | 0 / 3 / 0 |" in notes
+    )
+    assert (
+        "| exact crossings | rk4 | 1 ms | 0 | 0 | 1000 | 2.67e9 |" in notes
+        and "| stops | 1.00e-9 | 1.00e-9 | 1.00e-9 | 1.00e-9 |" in notes
+    )
     assert sorted(file.stem for file in (copied / "docs/images").iterdir()) == sorted(hard_cases_in_docs.PICTURES)
 
 
-def test_times_and_work_of_steps_are_written_into_their_notes(measured: Path, copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_times_and_work_of_steps_are_written_into_their_notes(
+    measured: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert step_times_in_docs.main([f"--folder={measured / 'bench'}"]) == 0
     notes = (copied / step_times_in_docs.NOTES).read_text(encoding="utf-8")
     lines = ["| 1 ms | 400,000 | 2 | 8 | 618 | 16.6 | 0 | 0 |", "| 1 ms | 0 | 2 | 8 | 12 | 0 | 0 | 208 |"]
     assert docs.table_of(notes, step_times_in_docs.NOTES, step_times_in_docs.MARKS)[2:] == lines
     assert (copied / "docs/images/step-times.svg").is_file()
-    work = (measured / "bench/step-work.csv").read_text(encoding="utf-8").replace(str(step_times_in_docs.STEPS), "100000")
+    work = (
+        (measured / "bench/step-work.csv").read_text(encoding="utf-8").replace(str(step_times_in_docs.STEPS), "100000")
+    )
     (copied / "step-work.csv").write_text(work, encoding="utf-8")
-    (copied / "step-times.csv").write_text((measured / "bench/step-times.csv").read_text(encoding="utf-8"), encoding="utf-8")
+    (copied / "step-times.csv").write_text(
+        (measured / "bench/step-times.csv").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     assert step_times_in_docs.main([f"--folder={copied}"]) == 1 and "of a sample" in capsys.readouterr().err
     assert (copied / step_times_in_docs.NOTES).read_text(encoding="utf-8") == notes
 
 
 def test_the_report_writes_all_that_it_measures_into_the_docs(measured: Path, copied: Path) -> None:
-    given = [f"--hard-cases={written(copied / 'battery', battery())}" if "hard-cases" in option else option for option in options(measured)]
+    given = [
+        f"--hard-cases={written(copied / 'battery', battery())}" if "hard-cases" in option else option
+        for option in options(measured)
+    ]
     assert write_report.main([*given, "--update-docs"]) == 0
-    assert {file.stem for file in (copied / "docs/images").iterdir()} == {"accuracy", "step-times", *hard_cases_in_docs.PICTURES}
+    assert {file.stem for file in (copied / "docs/images").iterdir()} == {
+        "accuracy",
+        "step-times",
+        *hard_cases_in_docs.PICTURES,
+    }
     for name in (docs.FILE, "docs/notes/automatic.md"):
         assert f"Measured on: {ABOUT}" in (copied / name).read_text(encoding="utf-8")
     assert "2000 | 2.00e-9" in (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8")
@@ -389,7 +529,10 @@ def test_the_report_writes_all_that_it_measures_into_the_docs(measured: Path, co
     [
         ([row | {"runs": "20"} for row in battery()], "the table is of a sample"),
         ([row for row in battery() if row["item"] != "10"], "items are missing"),
-        ([*battery(), hard_row(9, "touches", ("dop853", "tight"), verdict="FAIL")], "cases are not met: touches by dop853"),
+        (
+            [*battery(), hard_row(9, "touches", ("dop853", "tight"), verdict="FAIL")],
+            "cases are not met: touches by dop853",
+        ),
     ],
 )
 def test_docs_are_not_written_from_some_hard_cases(
@@ -398,7 +541,9 @@ def test_docs_are_not_written_from_some_hard_cases(
     before = (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8")
     assert hard_cases_in_docs.main([f"--folder={written(copied / 'battery', rows)}"]) == 1
     assert why in capsys.readouterr().err
-    assert (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8") == before and not any((copied / "docs/images").iterdir())
+    assert (copied / hard_cases_in_docs.PAGE).read_text(encoding="utf-8") == before and not any(
+        (copied / "docs/images").iterdir()
+    )
 
 
 def test_docs_show_the_hard_cases_of_one_run() -> None:
@@ -406,10 +551,18 @@ def test_docs_show_the_hard_cases_of_one_run() -> None:
     d = hard_cases_in_docs
     page, notes = ((REPOSITORY / name).read_text(encoding="utf-8") for name in (d.PAGE, d.NOTES))
     rows = []
-    for name, columns in (("default method", [d.DEFAULT, d.TIGHT]), ("explicit method", [d.EXPLICIT]), ("conserving step", d.CONSERVING)):
+    for name, columns in (
+        ("default method", [d.DEFAULT, d.TIGHT]),
+        ("explicit method", [d.EXPLICIT]),
+        ("conserving step", d.CONSERVING),
+    ):
         for line in docs.table_of(notes, d.NOTES, d.marks(name))[2:]:
             item, case, runs, *cells = (cell.strip() for cell in line.strip("|").split(" | "))
             violations = dict(zip((d.POSITION, d.VELOCITY), cells[2:4])) if name == "default method" else {}
-            rows += [hard_row(int(item), case, column, energy, runs=runs, **violations) for column, energy in zip(columns, cells) if energy]
+            rows += [
+                hard_row(int(item), case, column, energy, runs=runs, **violations)
+                for column, energy in zip(columns, cells)
+                if energy
+            ]
     shown = docs.block(page, d.PAGE, d.marks("bare machine")).strip("\n").splitlines()
     assert shown == d.bare_machine(rows) and len(shown) > len(d.BARE) and rows[0]["runs"] == str(d.FALLS)

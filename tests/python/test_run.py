@@ -34,7 +34,18 @@ UNREACHABLE: Values = {"init.theta[1]": math.pi, "init.theta[2]": 0.0}
 def run(fmu: Path, folder: Path, scene: Scene, *options: str) -> subprocess.CompletedProcess[str]:
     """Runs a scene; everything is written to `folder`/out."""
     file = write(folder / "short.json", scene)
-    command = [sys.executable, "-m", "fivebar", "run", str(file), "--fmu", str(fmu), "--out", str(folder / "out"), *options]
+    command = [
+        sys.executable,
+        "-m",
+        "fivebar",
+        "run",
+        str(file),
+        "--fmu",
+        str(fmu),
+        "--out",
+        str(folder / "out"),
+        *options,
+    ]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -62,7 +73,14 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
 def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     out, process = done
     pictures = {"tip", "path", "energy", "constraints", "singularity", "substeps", "difference"}
-    expected = {f"{p}.png" for p in pictures} | {"path.svg", "animation.svg", "short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
+    expected = {f"{p}.png" for p in pictures} | {
+        "path.svg",
+        "animation.svg",
+        "short.csv",
+        "short.rk4-fine.csv",
+        "singularities.csv",
+        "short.html",
+    }
     assert {file.name for file in out.iterdir()} == expected
     assert all(str(Path("out") / name) in process.stdout for name in expected)
 
@@ -74,7 +92,9 @@ def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
     signals = {"tip.fx": np.linspace(0, 0.2, 101), "servo.theta[1]": theta, "servo.omega[1]": omega}
     process = run(fmu, tmp_path, replace(made_scene(effects | {"servo.theta[2]": 2.0}, 0.1), signals=signals))
     assert process.returncode == 0, process.stderr
-    assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {file.name for file in (tmp_path / "out").iterdir()}
+    assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {
+        file.name for file in (tmp_path / "out").iterdir()
+    }
     header = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[0]
     assert all(column in header for column in ("tip.fx [N]", "servo.theta[1] [rad]", "servo.omega[1] [rad/s]"))
     page = (tmp_path / "out" / "short.html").read_text(encoding="utf-8")
@@ -120,7 +140,12 @@ def test_csv(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     with (out / "short.csv").open(encoding="utf-8") as file:
         rows = list(csv.reader(file))
     header = rows[0]
-    assert header[0] == "time [s]" and {"tip.x [m]", "energy.error [J]", "singular.detJq [m4]", "solver.steps [1]"} <= set(header)
+    assert header[0] == "time [s]" and {
+        "tip.x [m]",
+        "energy.error [J]",
+        "singular.detJq [m4]",
+        "solver.steps [1]",
+    } <= set(header)
     table = np.array(rows[1:], dtype=float)
     assert table.shape == (101, len(header)) and np.isfinite(table).all()
     assert table[-1, 0] == 0.2 and table[-1, header.index("solver.steps [1]")] == 200
@@ -131,7 +156,9 @@ def test_pictures(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     for path in out.glob("*.png"):
         assert path.stat().st_size < 400_000
         with Image.open(path) as picture:
-            assert min(picture.size) > 300 and sum(n > 0 for n in picture.convert("L").histogram()) > 20, f"{path.name} is blank"
+            assert min(picture.size) > 300 and sum(n > 0 for n in picture.convert("L").histogram()) > 20, (
+                f"{path.name} is blank"
+            )
 
 
 def test_page(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
@@ -182,14 +209,25 @@ def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
 def test_what_python_gets_is_a_mapping_of_columns(fmu: Path) -> None:
     """Iteration asked for column 0, and `in` for ever more."""
     result = fivebar.run("swing")
-    assert list(result) == result.names and len(result) == len(result.names) and "tip.x" in result and "tip.z" not in result
+    assert (
+        list(result) == result.names
+        and len(result) == len(result.names)
+        and "tip.x" in result
+        and "tip.z" not in result
+    )
 
 
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: fivebar.run("swing", stop_time=1), "'stop_time' is no variable: stopTime and stepSize, s, stand in the key 'experiment'"),
-        (lambda: fivebar.run({"tau[1]": 0.1}), "a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {"),
+        (
+            lambda: fivebar.run("swing", stop_time=1),
+            "'stop_time' is no variable: stopTime and stepSize, s, stand in the key 'experiment'",
+        ),
+        (
+            lambda: fivebar.run({"tau[1]": 0.1}),
+            "a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {",
+        ),
         (lambda: Machine.from_scene("swing").inverse("abc"), "tip = 'abc': 2 numbers in m are expected"),
     ],
 )
@@ -201,7 +239,10 @@ def test_what_python_is_given_wrongly_is_named(call: Callable[[], object], sente
 
 @pytest.mark.parametrize(
     ("name", "sentence"),
-    [("gravity.g", "'gravity.g' is a tunable parameter: if it is Real, it takes 'steps'"), ("link[1].mass", "'link[1].mass' is a fixed parameter")],
+    [
+        ("gravity.g", "'gravity.g' is a tunable parameter: if it is Real, it takes 'steps'"),
+        ("link[1].mass", "'link[1].mass' is a fixed parameter"),
+    ],
 )
 def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: str) -> None:
     with pytest.raises(FiveBarError, match=re.escape(sentence)):
@@ -212,8 +253,12 @@ def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: st
 def test_references_that_cannot_be_closed_are_noted(end: float, note: bool) -> None:
     """The scene in docs/effects.md turned the left motor until the elbows would have been 0.49 m apart."""
     page = (REPOSITORY / "docs" / "effects.md").read_text(encoding="utf-8")
-    (block,) = (text for text in re.findall(r"^```json\n(.*?)^```$", page, re.DOTALL | re.MULTILINE) if "servo.theta[1]" in text)
+    (block,) = (
+        text for text in re.findall(r"^```json\n(.*?)^```$", page, re.DOTALL | re.MULTILINE) if "servo.theta[1]" in text
+    )
     content = json.loads(block)
     content["signals"]["servo.theta[1]"]["minimumJerk"][1][1] = end
     printed = fivebar.run(parse("turn", json.dumps(content))).summary()
-    assert ("rad at t = 0.39 s cannot be reached: the elbows would be 0.4202 m apart" in printed) == note and ("  note" in printed) == note
+    assert ("rad at t = 0.39 s cannot be reached: the elbows would be 0.4202 m apart" in printed) == note and (
+        "  note" in printed
+    ) == note

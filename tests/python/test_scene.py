@@ -28,7 +28,9 @@ def test_every_shipped_scene_is_read(scenes: Path, model: ModelDescription) -> N
 
 
 def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
-    fine = scene.Variant("fine", {"tau[1]": 1.0, "gravity.enabled": False, "solver.method": METHODS["rk4"], "solver.stepSize": 1e-5})
+    fine = scene.Variant(
+        "fine", {"tau[1]": 1.0, "gravity.enabled": False, "solver.method": METHODS["rk4"], "solver.stepSize": 1e-5}
+    )
     made = made_scene({"tau[1]": 1.0, "gravity.enabled": False}, 0.1, 0.05, fine)
     made = replace(made, signals={"tip.fx": np.array([0.0, 0.1, 0.25])})
     ready = scene.read(write(tmp_path / "trial.json", made))
@@ -41,7 +43,10 @@ def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> No
     made = made_scene({"tau[1]": 1.0, "gravity.g": 9.0}, 0.1, 0.05, fine)
     changed = made.changed({"gravity.g": 5.0, "tau[2]": 1, "solver.method": "automatic"}, of_unit())
     own, overlay = changed.variants
-    assert (own.label, own.values) == ("automatic", {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 5.0, "solver.method": METHODS["automatic"]})
+    assert (own.label, own.values) == (
+        "automatic",
+        {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 5.0, "solver.method": METHODS["automatic"]},
+    )
     assert overlay.values == {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]}
     with pytest.raises(FiveBarError, match="'tip.fx' is given a signal and a value"):
         replace(made, signals={"tip.fx": np.zeros(3)}).changed({"tip.fx": 1.0}, of_unit())

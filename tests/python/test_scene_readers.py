@@ -62,15 +62,25 @@ def accident(text: str, seed: int) -> str:
     chance = random.Random(seed)
     if seed % 4 == 0:
         at = chance.randrange(len(text))
-        return text[:at] + chance.choice(["", "", '"', "}", "[", ",", "0", "e", "\\", "\u00e9", text[at] * 2]) + text[at + 1 :]
+        return (
+            text[:at]
+            + chance.choice(["", "", '"', "}", "[", ",", "0", "e", "\\", "\u00e9", text[at] * 2])
+            + text[at + 1 :]
+        )
     content = json.loads(text)
     holders: list[Any] = [content]
     for holder in holders:
-        holders += [value for value in (holder.values() if isinstance(holder, dict) else holder) if isinstance(value, (dict, list)) and value]
+        holders += [
+            value
+            for value in (holder.values() if isinstance(holder, dict) else holder)
+            if isinstance(value, (dict, list)) and value
+        ]
     holder = chance.choice(holders)
     key = chance.choice(list(holder)) if isinstance(holder, dict) else chance.randrange(len(holder))
     if seed % 4 == 1 and isinstance(holder, dict):
-        holder[chance.choice([key + "x", key.upper(), "signals", "overlay", "experiment", "label", "servo.theta[2]"])] = holder.pop(key)
+        holder[
+            chance.choice([key + "x", key.upper(), "signals", "overlay", "experiment", "label", "servo.theta[2]"])
+        ] = holder.pop(key)
     elif seed % 4 == 2:
         del holder[key]
     else:

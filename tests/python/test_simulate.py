@@ -53,7 +53,12 @@ def test_input_from_a_table(fmu: Path) -> None:
     """FMPy's own input table drives the motor."""
     torque = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.02), (0.2, 0.02)], dtype=[("time", float), ("tau[1]", float)])
     result = simulate_fmu(
-        str(fmu), stop_time=0.2, output_interval=1e-3, start_values={"gravity.enabled": False}, input=torque, output=["theta[1]"]
+        str(fmu),
+        stop_time=0.2,
+        output_interval=1e-3,
+        start_values={"gravity.enabled": False},
+        input=torque,
+        output=["theta[1]"],
     )
     still = result["time"] <= 0.1
     assert np.all(result["theta[1]"][still] == result["theta[1]"][0])
@@ -64,7 +69,9 @@ def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
     """The Python in the README and the script it names, as they stand, run and agree."""
     (tmp_path / "target" / "fmu").mkdir(parents=True)
     shutil.copy(fmu, tmp_path / "target" / "fmu" / "FiveBar.fmu")
-    blocks = re.findall(r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    blocks = re.findall(
+        r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
     package, plain = blocks
     done = subprocess.run([sys.executable, "-c", package], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr

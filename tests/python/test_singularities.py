@@ -163,7 +163,10 @@ def test_kinds_are_those_of_the_fmu(model: ModelDescription, directory: str) -> 
     items = run.items["singular.type"]
     assert tuple(items.values()) == ("none", *singularities.KINDS)
     events = singularities.find(run)
-    assert str(events[0]) == "constraint singularity at the start: distal links stretched, left leg stretched, right leg folded"
+    assert (
+        str(events[0])
+        == "constraint singularity at the start: distal links stretched, left leg stretched, right leg folded"
+    )
     grave = run.time[[items[int(value)] in singularities.GRAVE for value in run["singular.type"]]]
     assert len(grave) > 1
     for event in events:

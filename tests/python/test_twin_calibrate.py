@@ -34,7 +34,9 @@ SINKING = BASE | {"servo.enabled": False, "viscous.enabled": False, "gravity.g":
 """Weight alone, and little of it: a motion without whips, in which masses appear by their proportions only."""
 
 
-def made(library: Library, names: list[str], truth: list[float], seconds: float, noise: float = 1e-4, servo: bool = True) -> dict[str, np.ndarray]:
+def made(
+    library: Library, names: list[str], truth: list[float], seconds: float, noise: float = 1e-4, servo: bool = True
+) -> dict[str, np.ndarray]:
     """Columns of a record of a machine with those unknowns."""
     base = BASE if servo else SINKING
     machine = motion.Machine(library, base, parameters.parameters(names, library, base))
@@ -45,14 +47,23 @@ def made(library: Library, names: list[str], truth: list[float], seconds: float,
     path = motion.Path(samples, "rate", library, trials.PERIOD)
     begin = (*trials.BEGIN, 0.0, 0.0) if servo else (2.2, 0.94, 0.0, 0.0)
     moved, _ = machine.run(path, np.array(truth), motion.Start(np.array(begin), 1))
-    angles = machine.seen(path, moved, np.array(truth)) + noise * np.random.default_rng(1).standard_normal((len(time), 2))
+    angles = machine.seen(path, moved, np.array(truth)) + noise * np.random.default_rng(1).standard_normal(
+        (len(time), 2)
+    )
     machine.close()
-    return {"time": time, "measured.theta[1]": angles[:, 0], "measured.theta[2]": angles[:, 1], **dict(zip(told, commands.T, strict=False))}
+    return {
+        "time": time,
+        "measured.theta[1]": angles[:, 0],
+        "measured.theta[2]": angles[:, 1],
+        **dict(zip(told, commands.T, strict=False)),
+    }
 
 
 def write(file: Path, columns: dict[str, np.ndarray]) -> Path:
     """As CSV; NaN are empty."""
-    rows = [",".join(columns)] + [",".join("" if math.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
+    rows = [",".join(columns)] + [
+        ",".join("" if math.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)
+    ]
     file.write_text("\n".join(rows) + "\n", encoding="utf-8")
     return file
 
@@ -62,11 +73,26 @@ def sought(names: list[str]) -> list[str]:
     return [word for name in names for word in ("--parameters", name)]
 
 
-def calibrated(fmu: Path, file: Path, tmp_path: Path, names: list[str], *more: str, base: dict[str, float | bool] | None = None) -> tuple[int, dict]:
+def calibrated(
+    fmu: Path, file: Path, tmp_path: Path, names: list[str], *more: str, base: dict[str, float | bool] | None = None
+) -> tuple[int, dict]:
     """Exit code and figures of the command."""
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps({"description": "before"} | (base or BASE)), encoding="utf-8")
-    code = main(["calibrate", str(file), "--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path / "out"), *sought(names), *more])
+    code = main(
+        [
+            "calibrate",
+            str(file),
+            "--fmu",
+            str(fmu),
+            "--scene",
+            str(scene),
+            "--out",
+            str(tmp_path / "out"),
+            *sought(names),
+            *more,
+        ]
+    )
     return code, json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
 
 
@@ -115,7 +141,11 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     columns = made(library, names, [1.0, 1.0, 0.01], 1.2, servo=False)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names, base=SINKING)
     unknowns = figures["unknowns"]
-    assert not unknowns["payload.mass"]["identified"] and unknowns["payload.mass"]["value"] is None and not unknowns["link.mass"]["identified"]
+    assert (
+        not unknowns["payload.mass"]["identified"]
+        and unknowns["payload.mass"]["value"] is None
+        and not unknowns["link.mass"]["identified"]
+    )
     (sentence,) = figures["not_identified"]
     assert re.fullmatch("a common factor of (payload.mass, link.mass|link.mass, payload.mass): .*", sentence), sentence
     assert code == (0 if unknowns["encoder.offset[1]"]["identified"] else 1)
@@ -123,7 +153,15 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     assert (tmp_path / "out" / "proposal.json").is_file()
 
 
-def played(folder: Path, fmu: Path, library: Library, name: str, samples: int, offsets: tuple[float, float] | None = None, origin: str = "0") -> Path:
+def played(
+    folder: Path,
+    fmu: Path,
+    library: Library,
+    name: str,
+    samples: int,
+    offsets: tuple[float, float] | None = None,
+    origin: str = "0",
+) -> Path:
     """A table of the samples that the stand-in of a scene sends; times are decimals from `origin` s on."""
     config = configured(folder, fmu, library, name, exact=True)
     if offsets is not None:
@@ -155,11 +193,17 @@ def test_a_chaotic_motion_is_followed_from_short_pieces_on(fmu: Path, library: L
 
 
 @pytest.mark.parametrize("offsets", [(0.01, -0.02), (-0.015, 0.005)])
-def test_offsets_are_those_of_encoders_that_servos_close_on(fmu: Path, library: Library, tmp_path: Path, offsets: tuple[float, float]) -> None:
+def test_offsets_are_those_of_encoders_that_servos_close_on(
+    fmu: Path, library: Library, tmp_path: Path, offsets: tuple[float, float]
+) -> None:
     """The bars hold the true offsets, whatever these are; they held others while servos were taken to close on true angles."""
-    soft = {"servo.enabled": True} | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)}
+    soft = {"servo.enabled": True} | {
+        f"servo.{gain}[{i}]": value for gain, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)
+    }
     scene = tmp_path / "soft.json"
-    shipped = json.loads((Path(__file__).resolve().parents[2] / "scenes" / "pick_and_place.json").read_text(encoding="utf-8"))
+    shipped = json.loads(
+        (Path(__file__).resolve().parents[2] / "scenes" / "pick_and_place.json").read_text(encoding="utf-8")
+    )
     scene.write_text(json.dumps(shipped | soft), encoding="utf-8")
     file = played(tmp_path, fmu, library, str(scene), 320, offsets)
     names = ["payload.mass", "link.mass", *parameters.OFFSETS]
@@ -173,21 +217,31 @@ def test_offsets_are_those_of_encoders_that_servos_close_on(fmu: Path, library: 
 
 def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_path: Path) -> None:
     """A verdict changed with 1e9 s added, where floats have steps of 0.1 us."""
-    tables = [data.read(played(tmp_path, fmu, library, "pick_and_place", 40, origin=origin), 0.0, 10.0).series[0] for origin in ("0", "1000000000")]
+    tables = [
+        data.read(played(tmp_path, fmu, library, "pick_and_place", 40, origin=origin), 0.0, 10.0).series[0]
+        for origin in ("0", "1000000000")
+    ]
     assert np.array_equal(tables[0].time, tables[1].time) and np.array_equal(tables[0].angles, tables[1].angles)
 
 
 def test_a_fit_that_fails_is_not_called_another_machine() -> None:
     """A scene whose own values follow short pieces is of this machine."""
     found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
-    assert command.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith("refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit")
+    assert command.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
+        "refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit"
+    )
     found.rms_before = 0.2
     assert "the scene is not this machine" in command.suspicion(found, np.array([1e-6, 1e-6]))[0]
 
 
 def test_records_of_the_pipeline(tmp_path: Path) -> None:
     """Samples come in the order of their count; doubled and malformed ones are counted and left out."""
-    messages = [Message("meas", "bench", 1_000_000_000 + 5_000_000 * k, k, {"measured.theta[1]": 0.1 * k, "servo.theta[1]": 1.0}) for k in range(30)]
+    messages = [
+        Message(
+            "meas", "bench", 1_000_000_000 + 5_000_000 * k, k, {"measured.theta[1]": 0.1 * k, "servo.theta[1]": 1.0}
+        )
+        for k in range(30)
+    ]
     rows = [record.Row(topic("bench", "meas"), m.time, m.seq, encode(m)) for m in messages]
     rows[3], rows[4] = rows[4], rows[3]
     rows += [rows[7], record.Row(topic("bench", "meas"), 0, 0, b"{")]
@@ -256,11 +310,17 @@ def test_an_effect_that_is_not_sought_is_warned_of_in_the_first_line(
     """Encoders that are late by 20 ms, and a fit that does not know of it."""
     columns = made(library, ["payload.mass", "encoder.delay"], [1.1, 1.0], 1.5)
     code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, ["payload.mass"])
-    assert capsys.readouterr().out.startswith("warning: residuals of encoder ") and figures["warning"] and not figures["refused"]
+    assert (
+        capsys.readouterr().out.startswith("warning: residuals of encoder ")
+        and figures["warning"]
+        and not figures["refused"]
+    )
     assert code in (0, 1)
 
 
-def test_a_fit_that_comes_to_no_end_is_given_up(fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_that_comes_to_no_end_is_given_up(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     names = ["payload.mass", "link[2,3].mass"]
     (tmp_path / "scene.json").write_text(json.dumps({"description": "before"} | BASE), encoding="utf-8")
     file = write(tmp_path / "a.csv", made(library, names, [1.1, 0.9], 1.5))
@@ -323,7 +383,9 @@ def test_trials_go_on_where_they_were(tmp_path: Path) -> None:
     """Those of this unit are not made again; a file that is none of theirs is refused."""
     file = tmp_path / "trials.jsonl"
     assert trials.done(file, "a") == {}
-    file.write_text('{"key": 100, "unit": "a", "off": [1.0]}\n{"key": 101, "unit": "b", "off": [1.0]}\n', encoding="utf-8")
+    file.write_text(
+        '{"key": 100, "unit": "a", "off": [1.0]}\n{"key": 101, "unit": "b", "off": [1.0]}\n', encoding="utf-8"
+    )
     assert list(trials.done(file, "a")) == [100]
     assert trials.inside([{"off": [1.9, -2.0], "sigma": [1.0, 1.0]}]).tolist() == [[1.0, 0.0]]
     unknown = trials.inside([{"off": [1.9, -2.0], "sigma": [1.0, 1.0], "identified": [True, False]}])

@@ -67,7 +67,13 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
 
 @pytest.fixture
 def config(tmp_path: Path, fmu: Path) -> Config:
-    return Config(str(tmp_path), str(fmu), str(scene.resolve("pick_and_place", of_unit(fmu), tmp_path)), broker=Broker(port=free_port()), dashboard_port=free_port())
+    return Config(
+        str(tmp_path),
+        str(fmu),
+        str(scene.resolve("pick_and_place", of_unit(fmu), tmp_path)),
+        broker=Broker(port=free_port()),
+        dashboard_port=free_port(),
+    )
 
 
 def test_a_slow_page_over_its_sockets(config: Config) -> None:
@@ -108,7 +114,9 @@ async def asked(port: int, *lines: str) -> bytes:
     return content
 
 
-def test_what_is_refused_is_one_line_in_the_log(config: Config, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_refused_is_one_line_in_the_log(
+    config: Config, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
     """A page of another site, and two Host headers: both were tracebacks."""
     caplog.set_level(logging.INFO, logger="fivebar")
     dashboard.quiet()
@@ -119,8 +127,13 @@ def test_what_is_refused_is_one_line_in_the_log(config: Config, caplog: pytest.L
         async with server.listening():
             with pytest.raises(InvalidStatus, match="403"):
                 await connect(f"ws://{host}/mqtt", origin="http://evil.example", subprotocols=["mqtt"])
-            assert b"403" in (await asked(config.dashboard_port, "GET / HTTP/1.1", f"Host: {host}", "Host: evil.example"))[:20]
-            assert b"403" in (await asked(config.dashboard_port, "GET / HTTP/1.1", f"Host: {host}", f"Host: {host}"))[:20]
+            assert (
+                b"403"
+                in (await asked(config.dashboard_port, "GET / HTTP/1.1", f"Host: {host}", "Host: evil.example"))[:20]
+            )
+            assert (
+                b"403" in (await asked(config.dashboard_port, "GET / HTTP/1.1", f"Host: {host}", f"Host: {host}"))[:20]
+            )
             assert b"200" in (await asked(config.dashboard_port, "GET / HTTP/1.1", f"Host: {host}"))[:20]
             await asked(config.dashboard_port, "nonsense")
 
@@ -147,9 +160,15 @@ def test_the_page_has_all_that_it_loads() -> None:
 
 SEEN = {
     "all cones": np.eye(3),
-    "protanopia": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]),
-    "deuteranopia": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]),
-    "tritanopia": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
 }
 """How linear RGB looks to those who lack a kind of cones: Machado, Oliveira and Fernandes 2009, severity 1."""
 
@@ -158,7 +177,9 @@ def lab(colour: str, cones: np.ndarray) -> np.ndarray:
     """CIE L*a*b* of a colour as it is seen."""
     rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     linear = cones @ np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    to_xyz = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
+    to_xyz = np.array(
+        [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    )
     xyz = to_xyz @ np.clip(linear, 0, 1) / np.array([0.95047, 1.0, 1.08883])
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
@@ -168,7 +189,9 @@ def lab(colour: str, cones: np.ndarray) -> np.ndarray:
 def test_colours_of_the_page_are_told_apart(cones: str) -> None:
     """Right leg, direct singularity and "live" were one olive to those without green cones: 15 apart, where 2 is just seen beside each other."""
     text = (Path(dashboard.__file__).with_name("page") / "dashboard.html").read_text(encoding="utf-8")
-    light, dark = (dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", text, re.DOTALL))
+    light, dark = (
+        dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", text, re.DOTALL)
+    )
     for colours in (light, dark):
         seen = {name: lab(colours[name], SEEN[cones]) for name in ("left", "right", "tip", "direct", "inverse", "ink")}
         for (a, one), (b, other) in itertools.combinations(seen.items(), 2):

@@ -32,16 +32,23 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
     first, second = Runner(library, PLAN), Runner(library, PLAN)
     first.run(4)
     a, b = first.run(7), second.run(7)
-    assert a["drawn"] == b["drawn"] and a["singular.time"] == b["singular.time"] and np.array_equal(a["shown"], b["shown"])
+    assert (
+        a["drawn"] == b["drawn"] and a["singular.time"] == b["singular.time"] and np.array_equal(a["shown"], b["shown"])
+    )
     unit = Unit(library)
     values = {"init.theta[1]": a["drawn"]["theta[1]"], "solver.method": 4, **FALL}
     for leg in (1, 4):
-        values |= {f"link[{leg}].mass": 0.017 * a["drawn"]["link[1,4].mass"], f"link[{leg}].inertia": 6.23e-5 * a["drawn"]["link[1,4].mass"]}
+        values |= {
+            f"link[{leg}].mass": 0.017 * a["drawn"]["link[1,4].mass"],
+            f"link[{leg}].inertia": 6.23e-5 * a["drawn"]["link[1,4].mass"],
+        }
     unit.start(values)
     # Within half a thousandth of a step of 50 ms.
     for time, passed in ((a["singular.time"] - 5e-5, 0), (a["singular.time"] + 5e-5, 1)):
         unit.step_to(time)
-        assert unit.get(["singular.passes.inverse[2]"])["singular.passes.inverse[2]"] == passed and a["singular.kind"] == 3
+        assert (
+            unit.get(["singular.passes.inverse[2]"])["singular.passes.inverse[2]"] == passed and a["singular.kind"] == 3
+        )
     unit.close()
     first.close()
     second.close()
@@ -54,7 +61,9 @@ def test_draws_below_the_least_value_are_counted(fmu: Path, tmp_path: Path, caps
     assert command.run(options) == 0
     drawn = pq.read_table(tmp_path / "members.parquet")["drawn.link.mass"].to_numpy()
     count = int((drawn == 0.02).sum())
-    assert 3 <= count <= 25 and f"link.mass: {count} of 200 draws were below 0.02 of the value" in capsys.readouterr().out
+    assert (
+        3 <= count <= 25 and f"link.mass: {count} of 200 draws were below 0.02 of the value" in capsys.readouterr().out
+    )
 
 
 def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
@@ -70,7 +79,9 @@ def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
             os.kill(killed[0], signal.SIGKILL)
 
     try:
-        results.write(tmp_path / "workers.parquet", PLAN, cluster.tables(client, content, PLAN, members, "killed"), kill)
+        results.write(
+            tmp_path / "workers.parquet", PLAN, cluster.tables(client, content, PLAN, members, "killed"), kill
+        )
     finally:
         client.close()
         own.close()
@@ -99,11 +110,32 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
     """Scheduler and worker as processes of their own, started by Dask's commands, give the bytes of one process."""
     address = f"tcp://127.0.0.1:{free_port()}"
     dask = [sys.executable, "-m", "dask"]
-    scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], cwd=tmp_path)
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"],
+        cwd=tmp_path,
+    )
     worker = subprocess.Popen([*dask, "worker", address, "--no-dashboard", "--nthreads", "1"], cwd=tmp_path)
     try:
-        command = [sys.executable, "-m", "fivebar", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
-        run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=PATIENCE)
+        command = [
+            sys.executable,
+            "-m",
+            "fivebar",
+            "ensemble",
+            "--members",
+            "60",
+            "--seconds",
+            "0.5",
+            "--fmu",
+            str(fmu),
+            "--measure",
+        ]
+        run = subprocess.run(
+            [*command, "--scheduler", address, "--out", str(tmp_path / "out")],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        )
     finally:
         for process in (worker, scheduler):
             process.terminate()
@@ -116,7 +148,13 @@ def test_what_if(fmu: Path) -> None:
     library = Library(fmu)
     unit = Unit(library)
     told = {"servo.theta[1]": 2.2, "servo.theta[2]": 0.94, "servo.omega[1]": 0.0, "servo.omega[2]": 0.0}
-    values = {"base.distance": 0.1, "gravity.enabled": False, "servo.enabled": True, "init.theta[1]": 2.2, "init.theta[2]": 0.94}
+    values = {
+        "base.distance": 0.1,
+        "gravity.enabled": False,
+        "servo.enabled": True,
+        "init.theta[1]": 2.2,
+        "init.theta[2]": 0.94,
+    }
     unit.start(values | {f"servo.{k}[{i}]": v for i in (1, 2) for k, v in (("kp", 20.0), ("kd", 0.5))} | told)
     unit.step_to(0.1)
     stored = unit.store()

@@ -94,10 +94,14 @@ def test_the_twin_follows_within_its_bands(config: Config, library: Library, sam
     share = sum(off(each, samples) < half_width(covariance(each.fields)) for each in said[:-1]) / 399
     assert share > 0.85
     # The dashboard takes an estimate back to its sample: 0.43 µm in the mean by rates of 16 bits, 0.63 µm without accelerations.
-    assert sum(abs(off_at_sample(e, s) - off(e, samples)) for e, s in zip(said[:-1], samples, strict=False)) / 399 < 5e-7
+    assert (
+        sum(abs(off_at_sample(e, s) - off(e, samples)) for e, s in zip(said[:-1], samples, strict=False)) / 399 < 5e-7
+    )
 
 
-def test_late_and_doubled_samples_change_nothing_in_the_end(config: Config, library: Library, samples: list[Message]) -> None:
+def test_late_and_doubled_samples_change_nothing_in_the_end(
+    config: Config, library: Library, samples: list[Message]
+) -> None:
     chance = random.Random(3)
     shuffled = sorted(samples, key=lambda m: m.seq + (chance.randint(2, 8) if m.seq % 7 == 3 and m.seq < 380 else 0))
     assert sum(a.seq > b.seq for a, b in pairwise(shuffled)) > 30
@@ -121,14 +125,22 @@ def test_lost_samples_widen_the_bands_and_no_more(config: Config, library: Libra
 
 def test_one_encoder_may_be_silent_for_a_while(config: Config, library: Library, samples: list[Message]) -> None:
     blind = [
-        replace(m, fields={name: x for name, x in m.fields.items() if not (100 <= m.seq < 120 and name == "measured.theta[2]")}) for m in samples
+        replace(
+            m,
+            fields={
+                name: x for name, x in m.fields.items() if not (100 <= m.seq < 120 and name == "measured.theta[2]")
+            },
+        )
+        for m in samples
     ]
     twin = follower(config, library)
     assert max(off(each, samples) for each in estimates(twin, blind)[:-1]) < 1e-3
     twin.close()
 
 
-def test_a_jump_of_the_machines_clock_changes_times_only(config: Config, library: Library, samples: list[Message]) -> None:
+def test_a_jump_of_the_machines_clock_changes_times_only(
+    config: Config, library: Library, samples: list[Message]
+) -> None:
     one, other = follower(config, library), follower(config, library)
     jumped = [replace(m, time=m.time + (3_600_000_000_000 if m.seq >= 200 else 0)) for m in samples]
     plain, moved = estimates(one, samples), estimates(other, jumped)
@@ -155,7 +167,9 @@ def test_a_gap_is_coasted_through_and_a_long_one_starts_anew(config: Config, lib
 
 def standing(gaps: list[float], **orders: float) -> list[Message]:
     """A machine that stands where pick_and_place begins, sampled after those gaps, s."""
-    fields = {"measured.theta[1]": 2.7567, "measured.theta[2]": 1.345} | {name.replace("_", ".") + f"[{i}]": to for name, to in orders.items() for i in (1, 2)}
+    fields = {"measured.theta[1]": 2.7567, "measured.theta[2]": 1.345} | {
+        name.replace("_", ".") + f"[{i}]": to for name, to in orders.items() for i in (1, 2)
+    }
     times = [BEGIN + round(1e9 * sum(gaps[: seq + 1])) for seq in range(len(gaps))]
     return [Message("meas", "", time, seq, fields) for seq, time in enumerate(times)]
 
@@ -183,11 +197,15 @@ def test_a_machine_that_was_lost_is_found_again(config: Config, library: Library
     assert len(lost) > 10, "or this test shows nothing"
     assert twin.failure == "", "the unit itself has found it"
     assert lost[-1].time - said[0].time < 0.6e9
-    assert all(each.fields["estimated.status"] == 2 and abs(each.fields["theta[1]"] - 2.7567) < 1e-3 for each in said[-100:])
+    assert all(
+        each.fields["estimated.status"] == 2 and abs(each.fields["theta[1]"] - 2.7567) < 1e-3 for each in said[-100:]
+    )
     twin.close()
 
 
-def test_a_stored_state_goes_on_to_the_same_bytes_elsewhere(config: Config, library: Library, samples: list[Message]) -> None:
+def test_a_stored_state_goes_on_to_the_same_bytes_elsewhere(
+    config: Config, library: Library, samples: list[Message]
+) -> None:
     one, other = follower(config, library), follower(config, library)
     estimates(one, samples[:250])
     other.go_on_from(one.state())
@@ -231,7 +249,9 @@ def test_parameters_are_taken_within_their_bounds(config: Config, library: Libra
 # --- forecasts ------------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, library: Library, samples: list[Message]) -> None:
+def test_a_forecast_disturbs_nothing_and_holds_what_comes(
+    config: Config, library: Library, samples: list[Message]
+) -> None:
     twin, plain = follower(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
     made: list[tuple[float, Message]] = []
@@ -256,7 +276,9 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, librar
         each.close()
 
 
-def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
+def test_forecasts_name_singularities_and_stops_before_they_come(
+    tmp_path: Path, fmu: Path, library: Library, scenes: Path
+) -> None:
     """The scenes meet what the forecasts say, at the time that they say, as seen by the machine itself."""
     config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json", exact=True)
     source, twin = machine(config, library), follower(config, library)
@@ -274,7 +296,11 @@ def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path,
             met += [source.seq * 0.005 for name, value in seen.items() if crossing(before[name], value) is not None]
         before = seen
     assert met, "the fall goes through singularities"
-    named = [(1e-9 * (f.time - BEGIN), 1e-9 * (f.extra["singular"]["time"] - BEGIN)) for f in said if f and f.extra["singular"]["time"]]
+    named = [
+        (1e-9 * (f.time - BEGIN), 1e-9 * (f.extra["singular"]["time"] - BEGIN))
+        for f in said
+        if f and f.extra["singular"]["time"]
+    ]
     near = [when for now, when in named if now < met[0] < now + 0.15]
     assert near and all(abs(when - met[0]) < 0.01 for when in near)
     for each in (source, twin, ahead):
@@ -335,9 +361,23 @@ def test_what_differs_or_is_missing_is_told(config: Config, library: Library, fm
 def test_a_bad_row_of_a_record_costs_that_row(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
     """A forecast without a path ended the summary of a whole run in a KeyError; a row without a payload ended every reader."""
     run = recorded(config, library, 300)
-    bad = json.dumps({"measurement": "forecast", "time": BEGIN, "seq": 5, "tags": {"unit": "bench"}, "fields": {}, "path": {"ahead": [0.1]}}).encode()
+    bad = json.dumps(
+        {
+            "measurement": "forecast",
+            "time": BEGIN,
+            "seq": 5,
+            "tags": {"unit": "bench"},
+            "fields": {},
+            "path": {"ahead": [0.1]},
+        }
+    ).encode()
     table = [record.Row(**row) for row in pq.read_table(run.folder).to_pylist()]
-    rows = [*table[:40], record.Row("fivebar/bench/forecast", BEGIN, 5, bad), record.Row("fivebar/bench/meas", BEGIN, 5, b""), *table[40:]]
+    rows = [
+        *table[:40],
+        record.Row("fivebar/bench/forecast", BEGIN, 5, bad),
+        record.Row("fivebar/bench/meas", BEGIN, 5, b""),
+        *table[40:],
+    ]
     folder = tmp_path / "bad"
     folder.mkdir()
     path = record.write_part(folder, 0, 0, rows)
@@ -349,7 +389,9 @@ def test_a_bad_row_of_a_record_costs_that_row(config: Config, library: Library, 
     assert (result.compared, result.differing, len(result.bad)) == (300, [], 1)
 
 
-def test_a_twin_that_was_killed_is_replayed_too(config: Config, library: Library, fmu: Path, samples: list[Message]) -> None:
+def test_a_twin_that_was_killed_is_replayed_too(
+    config: Config, library: Library, fmu: Path, samples: list[Message]
+) -> None:
     first = recorded(config, library, 300)
     state = Path(config.folder) / "state" / "twin.json"
     assert state.is_file()
@@ -402,7 +444,10 @@ def test_what_is_learned_is_published_and_summed_up(config: Config, library: Lib
     last, truth = said[-1], config.machine.hidden["payload.mass"]
     assert abs(last.fields["estimated.payload"] - truth) < 4 * last.fields["estimated.payload.sigma"]
     values = last.extra["values"]
-    assert values["payload.mass"] == last.fields["estimated.payload"] and values["link[2].mass"] == last.fields["estimated.mass[2]"]
+    assert (
+        values["payload.mass"] == last.fields["estimated.payload"]
+        and values["link[2].mass"] == last.fields["estimated.mass[2]"]
+    )
     assert "friction.coulomb[1]" not in values, "friction is not enabled"
     assert figures.read(run.folder).learned == {"estimated": last.fields, "values": values}
     nothing = recorded(replace(config, folder=str(config.path / "other")), library, 10)

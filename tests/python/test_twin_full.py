@@ -46,7 +46,9 @@ class Run:
     def __init__(self, out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None):
         self.out = out
         given = ["twin", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
-        self.process = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+        self.process = subprocess.Popen(
+            [*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        )
         started(self.process)
         (self.folder,) = (out / "runs").iterdir()
         self.config = json.loads((self.folder / "twin.json").read_text())
@@ -73,7 +75,12 @@ class Run:
 
     def replayed(self, fmu: Path) -> str:
         """Output of its replay, which has to agree."""
-        replay = subprocess.run([*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)], capture_output=True, text=True, check=False)
+        replay = subprocess.run(
+            [*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert replay.returncode == 0, replay.stdout + replay.stderr
         return replay.stdout
 
@@ -93,7 +100,14 @@ def running(out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[st
 class Ear:
     """Hears what is published, with the time at which it came."""
 
-    def __init__(self, port: int, *kinds: str, host: str = "127.0.0.1", login: tuple[str, str, Path] | None = None, unit: str = "bench"):
+    def __init__(
+        self,
+        port: int,
+        *kinds: str,
+        host: str = "127.0.0.1",
+        login: tuple[str, str, Path] | None = None,
+        unit: str = "bench",
+    ):
         self.unit = unit
         self.heard: list[tuple[float, str, dict[str, Any]]] = []
         self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
@@ -101,7 +115,9 @@ class Ear:
         self.failures: list[str] = []
         self.client.on_connect = self._connected
         self.client.on_disconnect = lambda _c, _d, _f, reason, _p: self.failures.append(str(reason))
-        self.client.on_message = lambda _c, _d, m: self.heard.append((time.monotonic(), m.topic.rpartition("/")[2], json.loads(m.payload)))
+        self.client.on_message = lambda _c, _d, m: self.heard.append(
+            (time.monotonic(), m.topic.rpartition("/")[2], json.loads(m.payload))
+        )
         self.kinds = kinds
         if login is not None:
             user, password, authority = login
@@ -132,7 +148,9 @@ class Ear:
 # --- killing --------------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("names", [("follow", "record"), pytest.param(ENDING, marks=pytest.mark.nightly)], ids=["two", "all"])
+@pytest.mark.parametrize(
+    "names", [("follow", "record"), pytest.param(ENDING, marks=pytest.mark.nightly)], ids=["two", "all"]
+)
 def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu: Path, scenes: Path) -> None:
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf") as run:
         ear = Ear(run.config["broker"]["port"], "est", "forecast")
@@ -144,7 +162,9 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
             subprocess.run(["kill", "-9", str(pid)], check=True)
             killed = time.monotonic()
             work = "forecast" if name == "forecast" else "est"
-            wait_until(lambda name=name, work=work, killed=killed: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05)
+            wait_until(
+                lambda name=name, work=work, killed=killed: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05
+            )
         time.sleep(1.5)
         run.stop()
         summary = run.finish()
@@ -160,7 +180,9 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
     # All of it has ended.
     for name in ENDING:
         for pid in run.pids(name):
-            assert subprocess.run(["kill", "-0", str(pid)], capture_output=True, check=False).returncode != 0, f"{name} {pid} lives"
+            assert subprocess.run(["kill", "-0", str(pid)], capture_output=True, check=False).returncode != 0, (
+                f"{name} {pid} lives"
+            )
 
 
 # --- mosquitto ------------------------------------------------------------------------------------------------------------------------
@@ -215,7 +237,23 @@ def certificates(folder: Path) -> None:
     new = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-noenc"]
     openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.crt", "-subj", "/CN=test authority", "-days", "2")
     openssl("req", *new, "-keyout", "server.key", "-out", "server.csr", "-subj", "/CN=localhost")
-    openssl("x509", "-req", "-in", "server.csr", "-CA", "ca.crt", "-CAkey", "ca.key", "-CAcreateserial", "-out", "server.crt", "-extfile", "names", "-days", "2")
+    openssl(
+        "x509",
+        "-req",
+        "-in",
+        "server.csr",
+        "-CA",
+        "ca.crt",
+        "-CAkey",
+        "ca.key",
+        "-CAcreateserial",
+        "-out",
+        "server.crt",
+        "-extfile",
+        "names",
+        "-days",
+        "2",
+    )
 
 
 @pytest.fixture
@@ -227,7 +265,9 @@ def secured(tmp_path: Path) -> Iterator[tuple[Path, int]]:
     passwords = folder / "passwords"
     passwords.touch()
     for user in ("pipeline", "machine", "operator", "viewer"):
-        subprocess.run(["mosquitto_passwd", "-b", str(passwords), user, f"{user}-secret"], check=True, capture_output=True)
+        subprocess.run(
+            ["mosquitto_passwd", "-b", str(passwords), user, f"{user}-secret"], check=True, capture_output=True
+        )
     port = free_port()
     text = (folder / "mosquitto.conf").read_text()
     assert "listener 8883\n" in text
@@ -246,7 +286,10 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
     environment = os.environ | {"FIVEBAR_PASSWORD": "pipeline-secret"}
     broker = ["--broker", f"127.0.0.1:{port}", "--user", "pipeline", "--ca-file", str(authority)]
     with running(tmp_path / "out", fmu, scenes, "--seconds", "inf", *broker, environment=environment) as run:
-        ears = {user: Ear(port, "est", "cmd", login=(user, f"{user}-secret", authority)) for user in ("pipeline", "machine", "operator", "viewer")}
+        ears = {
+            user: Ear(port, "est", "cmd", login=(user, f"{user}-secret", authority))
+            for user in ("pipeline", "machine", "operator", "viewer")
+        }
         wait_until(lambda: ears["viewer"].last("est"))
         now = time.time_ns()
         for i, user in enumerate(("viewer", "machine", "pipeline", "operator")):
@@ -282,7 +325,14 @@ def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None
     environment["FIVEBAR_SCENE"] = str(scenes / "pick_and_place.json")
 
     def stage(name: str, code: int = 0) -> str:
-        run = subprocess.run([REPOSITORY / "python" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE)
+        run = subprocess.run(
+            [REPOSITORY / "python" / "lifecycle" / name],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        )
         assert run.returncode == code, run.stdout + run.stderr
         return run.stdout + run.stderr
 
@@ -321,7 +371,10 @@ def order(browser: Any, script: str, answered: Callable[[], bool]) -> None:
 
 def drawn(browser: Any, canvas: Any) -> bool:
     """Whether anything is drawn on a canvas."""
-    return browser.execute_script("const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", canvas)
+    return browser.execute_script(
+        "const c = arguments[0]; return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)",
+        canvas,
+    )
 
 
 @pytest.mark.nightly
@@ -338,14 +391,19 @@ def test_the_dashboard_shows_what_is_learned(tmp_path: Path, fmu: Path, scenes: 
             wait_until(lambda: "±" in value.text)
             # The stand-in's is 60 g.
             # Both at once, for they change every second.
-            text, said = browser.execute_script("return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas)
+            text, said = browser.execute_script(
+                "return [arguments[0].textContent, arguments[1].getAttribute('aria-label')]", value, canvas
+            )
             found, half = map(float, text.removesuffix(" g").split(" ± "))
             assert abs(found - 60) < 2 * half < 5, text
             assert said.startswith(f"Mass of the payload: {text}, a band ") and float(said.split()[-9]) < 20, said
             wait_until(lambda: drawn(browser, canvas))
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         run.stop()
-        assert run.finish()["learned"]["values"]["payload.mass"] == json.loads((run.out / "learned.json").read_text())["payload.mass"]
+        assert (
+            run.finish()["learned"]["values"]["payload.mass"]
+            == json.loads((run.out / "learned.json").read_text())["payload.mass"]
+        )
 
 
 def frozen(folder: Path, fmu: Path, scenes: Path) -> Path:
@@ -397,7 +455,9 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         wait_until(lambda: browser.find_element("id", "value-error").text.endswith("mm"))
         assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.8
         assert browser.find_element("id", "status").text == "Samples of both encoders are used"
-        shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
+        shot = np.asarray(
+            Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")
+        ).astype(int)
         for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x12, 0xB8, 0x86), 800), ((0xE8, 0x59, 0x0C), 60)):
             seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
             assert seen > least, f"{seen} points of {colour}: left leg, right leg, tip"
@@ -433,12 +493,19 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
     with open_browser(live.page, tmp_path) as browser:
         wait_until(lambda: browser.find_element("id", "connection").text == "live")
         path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
-        wrong = [("forecast", {"path": path}), ("forecast", {"singular": 5}), ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}), ("est", {"inputs": 5})]
+        wrong = [
+            ("forecast", {"path": path}),
+            ("forecast", {"singular": 5}),
+            ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}),
+            ("est", {"inputs": 5}),
+        ]
         for kind, changes in wrong:
             # A page that draws slowly is sent the newest message of a kind only: one that was skipped is sent again.
             def refused(kind: str = kind, changes: dict[str, Any] = changes) -> bool:
                 before = browser.find_element("id", "refused").text
-                ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(PATIENCE)
+                ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(
+                    PATIENCE
+                )
                 time.sleep(0.3)
                 told = browser.find_element("id", "refused").text
                 return told != before and f"refused, the last: {kind}: " in told
@@ -470,7 +537,10 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
     """Pill and status stayed green for 4.6 s, on a telephone too. Estimates that still come, and are old, make nothing green."""
     ear = Ear(live.config["broker"]["port"], "est")
     with open_browser(live.page, tmp_path) as browser:
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400})
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride",
+            {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400},
+        )
         pill = browser.find_element("id", "connection")
         wait_until(lambda: pill.text == "live")
         pid = live.pids("follow")[-1]
@@ -493,7 +563,9 @@ def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path
             wait_until(behind)
             assert float(shown[0].split()[0]) >= 1.5 and "bad" in shown[1]
             assert shown[2].startswith("What you see is ") and shown[3] == "bad"
-            assert browser.execute_script("const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill)
+            assert browser.execute_script(
+                "const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill
+            )
             assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
         finally:
             os.kill(pid, signal.SIGCONT)
@@ -525,7 +597,9 @@ def test_a_slow_page_is_not_late(live: Run, tmp_path: Path) -> None:
     times, drawn = np.array(reports).T
     longest = np.diff([*times, now]).max()
     handled, came = drawn[-1] - drawn[0], 0.4 * (times[-1] - times[0])
-    print(f"a page on a processor a twentieth as fast: {late:.0f} ms from sample to page, {usual:.0f} ms before; pictures up to {longest:.0f} ms apart")
+    print(
+        f"a page on a processor a twentieth as fast: {late:.0f} ms from sample to page, {usual:.0f} ms before; pictures up to {longest:.0f} ms apart"
+    )
     print(f"of {came:.0f} samples and estimates it got {handled:.0f}, at most {np.diff(drawn).max():.0f} for a picture")
     # No more waits for a picture, however long that takes, and of 400 messages a second the others are left out.
     assert np.diff(drawn).max() <= KEPT * len(SKIPPED) and handled < came

@@ -46,7 +46,9 @@ def library(fmu: Path) -> Iterator[Library]:
     made.close()
 
 
-def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: Path, fmu: Path, library: Library) -> None:
+def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
+    tmp_path: Path, fmu: Path, library: Library
+) -> None:
     """Springs throw the machine about: three seconds tell its masses, which are 3 to 5 % off, to 0.5 %, and its payload, a fifth off, to 1 %."""
     config = configured(tmp_path / "first", fmu, library, "spring_payload", learn=True, exact=True)
     run, truth = recorded(config, library, 600), config.machine.hidden
@@ -72,10 +74,23 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(tmp_path: 
     own = write_unit(tmp_path, after, plain=fmu).file
     assert own.name == "Learned.fmu" and of_unit(own)["link[1].mass"].start == learned["values"]["link[1].mass"]
 
-    common = ["--fmu", str(fmu), "--scene", str(file), "--parameters", "payload.mass", "--seconds", "1", "--out", str(tmp_path / "calibrate")]
+    common = [
+        "--fmu",
+        str(fmu),
+        "--scene",
+        str(file),
+        "--parameters",
+        "payload.mass",
+        "--seconds",
+        "1",
+        "--out",
+        str(tmp_path / "calibrate"),
+    ]
     assert main(["calibrate", str(run.folder), *common]) == 0
     found = json.loads((tmp_path / "calibrate" / "calibration.json").read_text())
-    assert found["begins_from"] == f"scene {file}" and found["unknowns"]["payload.mass"]["scene"] == {"payload.mass": after["payload.mass"]}
+    assert found["begins_from"] == f"scene {file}" and found["unknowns"]["payload.mass"]["scene"] == {
+        "payload.mass": after["payload.mass"]
+    }
 
     # Half a second of its own motion: the learned machine is nineteen times nearer to the machine, and has to be ten times.
     tips = []
@@ -98,10 +113,21 @@ def followed(config: Config, library: Library, samples: int) -> tuple[float, flo
         told = twin.estimate().fields
         if k >= samples // 2:
             # An estimate is one macro step ahead of its sample.
-            off = np.array([told[name] - twin.setup.step * told[name.replace("tip.", "tip.v")] - sample.fields[name] for name in TRACKED])
+            off = np.array(
+                [
+                    told[name] - twin.setup.step * told[name.replace("tip.", "tip.v")] - sample.fields[name]
+                    for name in TRACKED
+                ]
+            )
             xx, xy, yy = (told[f"estimated.tip.cov[{i}]"] for i in (1, 2, 3))
             covariance = np.array([[xx, xy], [xy, yy]])
-            errors.append((np.linalg.norm(off), np.sqrt(QUANTILE * np.linalg.eigvalsh(covariance)[1]), off @ np.linalg.solve(covariance, off) < QUANTILE))
+            errors.append(
+                (
+                    np.linalg.norm(off),
+                    np.sqrt(QUANTILE * np.linalg.eigvalsh(covariance)[1]),
+                    off @ np.linalg.solve(covariance, off) < QUANTILE,
+                )
+            )
     twin.close()
     source.close()
     error, width, inside = np.array(errors).T
@@ -121,7 +147,9 @@ def learned_in(config: Config, library: Library, samples: int) -> Message:
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_a_fall_does_not_tell_a_common_factor_of_masses(tmp_path: Path, fmu: Path, library: Library, exact: bool) -> None:
+def test_a_fall_does_not_tell_a_common_factor_of_masses(
+    tmp_path: Path, fmu: Path, library: Library, exact: bool
+) -> None:
     """The factor stays as uncertain as it was, 5 % by the root of four masses, and as good, while friction that is unknown is learned beside it.
 
     A filter whose errors of friction do not go along with the factor takes it for known to 0.5 to 1.4 %, and is 14 % off here by inexact geometry.
@@ -180,18 +208,32 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
     assert all(abs(more[name] - truth[name]) < 2e-5 for name in OFFSETS)
 
     made = write_unit(tmp_path, scenes_of.read(tmp_path / "all.json", library.known), plain=fmu)
-    assert made.notes[-1].startswith("The machine's encoders show more than true angles, which the master takes off samples and orders: ")
+    assert made.notes[-1].startswith(
+        "The machine's encoders show more than true angles, which the master takes off samples and orders: "
+    )
     assert all(f"{values[name]:.6g} rad for measured.theta{name[-3:]}" in made.notes[-1] for name in OFFSETS)
 
 
-def test_a_calibration_begins_from_mounting_angles_and_hands_them_on(tmp_path: Path, fmu: Path, library: Library) -> None:
+def test_a_calibration_begins_from_mounting_angles_and_hands_them_on(
+    tmp_path: Path, fmu: Path, library: Library
+) -> None:
     """Sought or not, and its own scene has them: residuals are those of the encoder's steps, 0.03 mrad, instead of 1 mrad."""
     offsets = dict(zip(OFFSETS, (1e-3, -1.5e-3), strict=True))
     config = configured(tmp_path, fmu, library, "fall_90_120", exact=True)
     run = recorded(replace(config, machine=replace(config.machine, hidden=offsets)), library, 240)
     told = json.loads((config.path / scene.SOURCE).read_text()) | offsets
     (tmp_path / "told.json").write_text(json.dumps(told))
-    common = ["calibrate", str(run.folder), "--fmu", str(fmu), "--scene", str(tmp_path / "told.json"), "--out", str(tmp_path), "--no-proposal"]
+    common = [
+        "calibrate",
+        str(run.folder),
+        "--fmu",
+        str(fmu),
+        "--scene",
+        str(tmp_path / "told.json"),
+        "--out",
+        str(tmp_path),
+        "--no-proposal",
+    ]
     for sought in ("link[1].mass", OFFSETS[0]):
         assert main([*common, "--parameters", sought]) == 0
         found = json.loads((tmp_path / "calibration.json").read_text())
@@ -215,7 +257,10 @@ def test_drives_get_the_same_orders(tmp_path: Path, fmu: Path, library: Library)
         assert twin.book is not None and twin.book.on_plan
     told = twin.estimate().fields
     # Estimates are of true angles.
-    assert told["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3) and told["estimated.tau.sigma[1]"] > 0
+    assert (
+        told["theta[1]"] == pytest.approx(sample.fields["measured.theta[1]"] - 1e-3, abs=2e-3)
+        and told["estimated.tau.sigma[1]"] > 0
+    )
     for each in (before, after, twin):
         each.close()
 
@@ -227,7 +272,13 @@ def test_a_value_at_its_bound_is_told_to_whoever_listens(tmp_path: Path, fmu: Pa
     run = recorded(replace(config, machine=replace(config.machine, hidden=hidden)), library, 600)
     alarms = record.messages(run.folder, "alarm", refused=lambda _: None)
     sentences = [message.extra["sentence"] for message in alarms if message.extra["state"] == "trouble"]
-    assert sum("estimated.offset[1] = 0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed" in each for each in sentences) == 1, sentences
+    assert (
+        sum(
+            "estimated.offset[1] = 0.008 rad has been moved to its bound, -0.008 to 0.008 rad being allowed" in each
+            for each in sentences
+        )
+        == 1
+    ), sentences
     assert len(sentences) == len(set(sentences)) and all("has been moved to its bound" in each for each in sentences)
 
 
@@ -236,7 +287,10 @@ def test_mounting_angles_of_a_scene_are_checked(tmp_path: Path, library: Library
     for entry, sentence in (
         ({OFFSETS[0]: 4}, "'encoder.offset[1]' must be an angle of -pi to pi in rad, not 4"),
         ({OFFSETS[1]: "1 mrad"}, "'encoder.offset[2]' must be an angle of -pi to pi in rad"),
-        ({"encoder.offset[3]": 0.1}, "there is no variable 'encoder.offset[3]'; did you mean 'encoder.offset[2]' or 'encoder.offset[1]'?"),
+        (
+            {"encoder.offset[3]": 0.1},
+            "there is no variable 'encoder.offset[3]'; did you mean 'encoder.offset[2]' or 'encoder.offset[1]'?",
+        ),
     ):
         (tmp_path / "a.json").write_text(json.dumps({"description": "a"} | entry))
         with pytest.raises(FiveBarError, match=re.escape(sentence)):
@@ -261,14 +315,23 @@ def test_learning_is_off_unless_it_is_asked_for(tmp_path: Path, fmu: Path, libra
     config = configured(tmp_path / "off", fmu, library, "pick_and_place")
     assert dashboard.about(config)["learned"] == []
     own = json.loads((scenes / "pick_and_place.json").read_text())
-    (tmp_path / "own.json").write_text(json.dumps(own | {"estimator.learn.enabled": True, "estimator.learn.payload": 0.003}))
+    (tmp_path / "own.json").write_text(
+        json.dumps(own | {"estimator.learn.enabled": True, "estimator.learn.payload": 0.003})
+    )
     shown = dashboard.about(configured(tmp_path / "scene", fmu, library, tmp_path / "own.json"))["learned"]
-    assert {each["name"]: each["width"] for each in shown}["estimated.payload"] == 0.003 and not any("viscous" in each["name"] for each in shown)
+    assert {each["name"]: each["width"] for each in shown}["estimated.payload"] == 0.003 and not any(
+        "viscous" in each["name"] for each in shown
+    )
     (tmp_path / "own.json").write_text(json.dumps(own | {"estimator.learn.viscous": 2e-5}))
     shown = dashboard.about(configured(tmp_path / "switch", fmu, library, tmp_path / "own.json", learn=True))["learned"]
     assert [each["name"] for each in shown] == [name for name in LEARNED if name != "estimated.friction"]
     for each in shown:
-        assert each["unit"] in ("kg", "N.m.s/rad", "m", "rad") and each["label"] and each["width"] > 0 and each["sigma"] in library.variables
+        assert (
+            each["unit"] in ("kg", "N.m.s/rad", "m", "rad")
+            and each["label"]
+            and each["width"] > 0
+            and each["sigma"] in library.variables
+        )
     last = next(each for each in shown if each["name"] == "estimated.viscous[5]")
     assert last["start"] == 0.0 and last["width"] == 2e-5
 
@@ -280,7 +343,10 @@ def test_page_and_watch_have_the_same_words_for_causes(tmp_path: Path, fmu: Path
     assert "causeOf(f, about.causes)" in script and "force at the tip" not in script
     # Numbers are those of the unit: a torque at each motor, a force, each encoder, parameters, timing.
     told = library.variable("estimated.cause").description
-    assert "1 and 2 a torque" in told and "3 a force at the tip, 4 and 5 the left and the right encoder, 6 parameters, 7 timing" in told
+    assert (
+        "1 and 2 a torque" in told
+        and "3 a force at the tip, 4 and 5 the left and the right encoder, 6 parameters, 7 timing" in told
+    )
 
 
 def test_the_page_counts_what_the_server_counts() -> None:
@@ -295,7 +361,19 @@ def test_the_command_learns_and_hands_over(tmp_path: Path, fmu: Path) -> None:
     """Processes, broker and summary; a run that does not learn leaves no scene of an earlier one that did."""
 
     def text(*more: str) -> str:
-        command = [sys.executable, "-m", "fivebar", "twin", "--seconds", "3", "--fmu", str(fmu), "--out", str(tmp_path), *more]
+        command = [
+            sys.executable,
+            "-m",
+            "fivebar",
+            "twin",
+            "--seconds",
+            "3",
+            "--fmu",
+            str(fmu),
+            "--out",
+            str(tmp_path),
+            *more,
+        ]
         run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
         assert run.returncode == 0, run.stdout + run.stderr
         return run.stdout

@@ -14,7 +14,13 @@ from fivebar.twin.intake import CONSISTENT, Intake
 from fivebar.twin.messages import Message, decode, encode, topic
 from fivebar.twin.process import Worker
 
-MEAS = Message("meas", "bench", 1_795_331_400_000_000_000, 17, {"measured.theta[1]": 1.57, "measured.theta[2]": 0.1, "servo.theta[1]": 1.5})
+MEAS = Message(
+    "meas",
+    "bench",
+    1_795_331_400_000_000_000,
+    17,
+    {"measured.theta[1]": 1.57, "measured.theta[2]": 0.1, "servo.theta[1]": 1.5},
+)
 TOPIC = topic("bench", "meas")
 PERIOD_NS = 5_000_000
 
@@ -72,7 +78,17 @@ def test_what_is_wrong_is_refused(payload: bytes, sentence: str) -> None:
     assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("wrong", ["fivebar/bench", "fivebar/bench/meas/more", "other/bench/meas", "fivebar//meas", "fivebar/a b/meas", "fivebar/bench/x"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "fivebar/bench",
+        "fivebar/bench/meas/more",
+        "other/bench/meas",
+        "fivebar//meas",
+        "fivebar/a b/meas",
+        "fivebar/bench/x",
+    ],
+)
 def test_other_topics_are_refused(wrong: str) -> None:
     with pytest.raises(Refused):
         decode(wrong, encode(MEAS))
@@ -84,7 +100,12 @@ def test_an_order_has_its_bounds() -> None:
 
     assert order("cmd", {}, command="restart").extra == {"command": "restart"}
     assert order("param", {"payload.mass": 0.1}).fields == {"payload.mass": 0.1}
-    for kind, fields, extra in (("cmd", {}, {"command": "rm -rf /"}), ("cmd", {"a": 1.0}, {"command": "restart"}), ("cmd", {}, {}), ("param", {}, {})):
+    for kind, fields, extra in (
+        ("cmd", {}, {"command": "rm -rf /"}),
+        ("cmd", {"a": 1.0}, {"command": "restart"}),
+        ("cmd", {}, {}),
+        ("param", {}, {}),
+    ):
         with pytest.raises(Refused):
             order(kind, fields, **extra)
 
@@ -115,7 +136,12 @@ def test_a_cause_that_has_no_name_is_refused(cause: float) -> None:
     fields = GOOD["est"]["fields"] | {"estimated.cause": cause}
     with pytest.raises(Refused):
         decode("fivebar/bench/est", json.dumps(of_kind("est", fields=fields)).encode())
-    assert decode("fivebar/bench/est", json.dumps(of_kind("est", fields=fields | {"estimated.cause": 7.0})).encode()).fields["estimated.cause"] == 7
+    assert (
+        decode(
+            "fivebar/bench/est", json.dumps(of_kind("est", fields=fields | {"estimated.cause": 7.0})).encode()
+        ).fields["estimated.cause"]
+        == 7
+    )
 
 
 def of_kind(kind: str, **changes: Any) -> dict[str, Any]:
@@ -146,7 +172,9 @@ def wrong_ones(kind: str) -> list[Any]:
                 found.append(place(path, other))
         if isinstance(value, dict):
             found.append(place([*path, "surplus"], nested))
-        for step, each in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        for step, each in (
+            value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        ):
             walk([*path, step], each)
 
     walk([], content)
@@ -169,10 +197,18 @@ def test_every_kind_has_its_schema(kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "changes", "sentence"),
     [
-        ("forecast", {"path": {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}}, "path has no tip.y"),
+        (
+            "forecast",
+            {"path": {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}},
+            "path has no tip.y",
+        ),
         ("forecast", {"path": GOOD["forecast"]["path"] | {"tip.y": [0.1] * 9}}, "path.tip.y"),
         ("forecast", {"singular": 5}, "singular is 5, not an object"),
-        ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}, "figures.a is {'valueOf': 1, 'toString': 1}, not a number"),
+        (
+            "alarm",
+            {"figures": {"a": {"valueOf": 1, "toString": 1}}},
+            "figures.a is {'valueOf': 1, 'toString': 1}, not a number",
+        ),
         ("est", {"inputs": [["meas", 1]]}, "inputs"),
         ("state", {"book": {}}, "book has no offset"),
         ("whatif", {"candidates": []}, "candidates"),
@@ -209,21 +245,31 @@ def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
     if kind == 2:
         return TOPIC, good + b" " * 16_000
     if kind == 3:
-        return TOPIC, good.replace(b"1.57", chance.choice([b"NaN", b"Infinity", b"1e400", b"null", b'"1.57"', b"[1.57]", b"true", b"{}"]))
+        return TOPIC, good.replace(
+            b"1.57", chance.choice([b"NaN", b"Infinity", b"1e400", b"null", b'"1.57"', b"[1.57]", b"true", b"{}"])
+        )
     if kind == 4:
         return topic(chance.choice(["other", "bench2", "x" * 80]), "meas"), good
     if kind == 5:
         return TOPIC, good.replace(b'"bench"', chance.choice([b'"other"', b"1", b"null", b'["bench"]']))
     if kind == 6:
-        return TOPIC, good.replace(b'"time":', chance.choice([b'"time":-', b'"time":1.', b'"time":"', b'"time":99', b'"tim":']))
+        return TOPIC, good.replace(
+            b'"time":', chance.choice([b'"time":-', b'"time":1.', b'"time":"', b'"time":99', b'"tim":'])
+        )
     # An old message, sent again.
-    return TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * (old := chance.randrange(100)), old, MEAS.fields))
+    return TOPIC, encode(
+        Message("meas", "bench", MEAS.time + PERIOD_NS * (old := chance.randrange(100)), old, MEAS.fields)
+    )
 
 
-def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     listener = Listener(Config(str(tmp_path), "", ""))
     for seq in range(200):
-        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), MEAS.time)
+        listener.received(
+            TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), MEAS.time
+        )
     assert (listener.taken, listener.refused) == (200, 0)
     chance = random.Random(20)
     caplog.set_level(logging.WARNING, logger="fivebar")
@@ -231,7 +277,9 @@ def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(tmp_path: P
         listener.received(*fuzzed(chance, encode(MEAS)), MEAS.time)
     assert listener.refused == len(caplog.records) == 10_000
     assert listener.taken == 200 and listener.intake.series is not None and listener.intake.series.seq == 199
-    assert all(record.getMessage().startswith("refused: ") and "\n" not in record.getMessage() for record in caplog.records)
+    assert all(
+        record.getMessage().startswith("refused: ") and "\n" not in record.getMessage() for record in caplog.records
+    )
 
 
 # --- which samples are taken ----------------------------------------------------------------------------------------------------------

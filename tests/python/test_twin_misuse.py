@@ -79,7 +79,9 @@ class Ear:
 
 def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str]":
     """The console command, which must not end in a traceback."""
-    run = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=PATIENCE, **more)
+    run = subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=PATIENCE, **more
+    )
     assert "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr
     return run
 
@@ -89,7 +91,9 @@ def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str
 
 def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """A run without this refusal published 1,616 samples, estimated none, and said nothing."""
-    run = command("twin", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30)
+    run = command(
+        "twin", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30
+    )
     assert run.returncode == 2 and "friction.law = stick is not allowed with estimator.enabled = true" in run.stderr
     assert not (tmp_path / "out").exists()
 
@@ -103,11 +107,17 @@ def test_a_start_that_is_refused_is_told(
     taken = samples(config, library, 40)
     if what == "lengths":
         config = replace(config, twin={"link[2].length": 0.01, "link[3].length": 0.01})
-    angle: Callable[[float], float] = {"open": lambda x: math.pi if x > 1.7 else 0.0, "degrees": math.degrees, "lengths": lambda x: x}[what]
+    angle: Callable[[float], float] = {
+        "open": lambda x: math.pi if x > 1.7 else 0.0,
+        "degrees": math.degrees,
+        "lengths": lambda x: x,
+    }[what]
     twin = Twin(config, library)
     ear = Ear(twin)
     for message in taken:
-        fields = {name: angle(value) if name.startswith("measured") else value for name, value in message.fields.items()}
+        fields = {
+            name: angle(value) if name.startswith("measured") else value for name, value in message.fields.items()
+        }
         if what == "open":
             fields |= {"measured.theta[1]": math.pi, "measured.theta[2]": 0.0}
         twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
@@ -138,14 +148,20 @@ def test_silence_counts_where_no_estimate_has_ever_come(tmp_path: Path) -> None:
         ear = Ear(watch)
         watch.tick(BEGIN)
         for seq in range(400 if send_samples else 0):
-            sample = Message("meas", "bench", BEGIN + 3_600_000_000_000 + PERIOD_NS * seq, seq, {"measured.theta[1]": 1.0})
+            sample = Message(
+                "meas", "bench", BEGIN + 3_600_000_000_000 + PERIOD_NS * seq, seq, {"measured.theta[1]": 1.0}
+            )
             watch.received("fivebar/bench/meas", encode(sample), BEGIN + PERIOD_NS * seq)
         watch.tick(BEGIN + int(before))
         assert not ear.alarms()
         for later in (0, 1, 2):
             watch.tick(BEGIN + int(after) + later * 10**9)
         (alarm,) = ear.alarms()
-        assert (alarm["state"], alarm["cause"], alarm["figures"]["samples"]) == ("anomaly", "silence", 400.0 if send_samples else 0.0)
+        assert (alarm["state"], alarm["cause"], alarm["figures"]["samples"]) == (
+            "anomaly",
+            "silence",
+            400.0 if send_samples else 0.0,
+        )
 
 
 @pytest.mark.parametrize("off", [0, 3600, -3600])
@@ -163,7 +179,9 @@ def test_estimates_that_fall_behind_are_told(off: int, tmp_path: Path, capsys: p
     troubles = [alarm for alarm in ear.alarms() if alarm["state"] == "trouble"]
     # From 1 s on, every 5 s of 24.
     assert [float(alarm["sentence"].split()[2]) for alarm in troubles] == [1.0, 1.8, 2.7, 3.5]
-    assert {(alarm["cause"], alarm["from"]) for alarm in troubles} == {("behind", "watch")} and "estimates are 1.0 s behind" in capsys.readouterr().out
+    assert {(alarm["cause"], alarm["from"]) for alarm in troubles} == {
+        ("behind", "watch")
+    } and "estimates are 1.0 s behind" in capsys.readouterr().out
     # In time again, and by a clock that was set back.
     for seq in range(4000, 8000):
         estimated(seq, BEGIN + 1_000_000_000 * (off - 40) + PERIOD_NS * seq, 0.0)
@@ -189,7 +207,12 @@ def fill(monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
 
 @pytest.mark.parametrize("waiting", [MOST_WAITING, 100])
 def test_a_full_disk_ends_nothing(
-    waiting: int, config: Config, library: Library, fmu: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    waiting: int,
+    config: Config,
+    library: Library,
+    fmu: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The recorder died of it twenty times, and the run with it. A short while costs nothing; a long one a gap that is named."""
     monkeypatch.setattr("fivebar.twin.recorder.MOST_WAITING", waiting)
@@ -207,7 +230,11 @@ def test_a_full_disk_ends_nothing(
     source.close()
     assert twin.counts["estimated"] == 1600, "estimates go on"
     told = capsys.readouterr().out.splitlines()
-    assert len(told) == 2 and told[0].startswith("nothing is recorded, No space left on device") and told[1].startswith("recording again")
+    assert (
+        len(told) == 2
+        and told[0].startswith("nothing is recorded, No space left on device")
+        and told[1].startswith("recording again")
+    )
     assert not list(recorder.folder.glob("*.writing"))
     story = figures.read(recorder.folder)
     content = figures.summarise(config, story, figures.judge(story), {}, {}, told)
@@ -228,7 +255,12 @@ def test_a_small_disk(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """A whole run on a real disk that is full: no traceback, estimates to the end, and what is not recorded is said."""
     small = tmp_path / "small"
     small.mkdir()
-    if shutil.which("mount") is None or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", small], capture_output=True, check=False).returncode:
+    if (
+        shutil.which("mount") is None
+        or subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", small], capture_output=True, check=False
+        ).returncode
+    ):
         pytest.skip("this test mounts a small disk, which this user may not")
     try:
         (small / "other").write_bytes(bytes(1_500_000))
@@ -281,7 +313,9 @@ def test_a_clock_that_was_set_ahead_and_right_again_locks_nobody_out() -> None:
         jump = HOUR if 100 <= seq < 200 else 0
         assert admit(intake, 1000 + seq, now + jump, now) in ("new", "series")
     anew = [admit(intake, seq, now + PERIOD_NS * (seq + 1), now + PERIOD_NS * (seq + 1)) for seq in range(100)]
-    assert anew[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(anew[CONSISTENT:]) == {"new"}
+    assert anew[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(anew[CONSISTENT:]) == {
+        "new"
+    }
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -343,7 +377,9 @@ def test_what_the_pipeline_sends_is_taken_again_after_a_jump_back() -> None:
 def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, library: Library) -> None:
     """An order of 2255 kept out every later one. It is refused now, in words, and the alarm names the order, for whoever gave it."""
     orders = Orders()
-    with pytest.raises(Refused, match=r"cmd is from a time that is 90.000 s ahead of the pipeline's own; up to 10 s are allowed"):
+    with pytest.raises(
+        Refused, match=r"cmd is from a time that is 90.000 s ahead of the pipeline's own; up to 10 s are allowed"
+    ):
         orders.check(Message("cmd", "bench", BEGIN + 90_000_000_000, 1, {}), BEGIN)
     with pytest.raises(Refused, match="behind the pipeline's own"):
         orders.check(Message("cmd", "bench", BEGIN - 2 * NEAR, 1, {}), BEGIN)
@@ -353,7 +389,11 @@ def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, li
         order = Message("cmd", "bench", BEGIN + ahead, 1, {}, {"command": "restart"})
         twin.received("fivebar/bench/cmd", encode(order), BEGIN)
     told = ear.alarms()
-    assert told[0]["cause"] == "order" and told[0]["order"] == BEGIN + 90_000_000_000 and "ahead of the pipeline's own" in told[0]["sentence"]
+    assert (
+        told[0]["cause"] == "order"
+        and told[0]["order"] == BEGIN + 90_000_000_000
+        and "ahead of the pipeline's own" in told[0]["sentence"]
+    )
     assert [(alarm["state"], alarm["order"] - BEGIN) for alarm in told][-1] == ("taken", 5)
     assert twin.refused == 2 and twin.follower.inputs == [["cmd", 1, BEGIN + 5]]
     twin.follower.close()
@@ -380,7 +420,9 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(
         assert len(sentence.strip().splitlines()) == 1 and str(out.parent) in sentence, sentence
 
 
-def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_system_is_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/some/where")
 
@@ -389,9 +431,15 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, c
     assert capsys.readouterr().err == "fivebar replay: /some/where: No space left on device\n"
 
 
-def test_replay_of_little_has_an_exit_code_of_its_own(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+def test_replay_of_little_has_an_exit_code_of_its_own(
+    config: Config, library: Library, fmu: Path, tmp_path: Path
+) -> None:
     run_folder = recorded(config, library, 400).folder
-    rows = [row for row in record.rows(run_folder) if not (row.topic.endswith("meas") and row.seq in range(100, 400)) and not row.topic.endswith("state")]
+    rows = [
+        row
+        for row in record.rows(run_folder)
+        if not (row.topic.endswith("meas") and row.seq in range(100, 400)) and not row.topic.endswith("state")
+    ]
     (tmp_path / "part").mkdir()
     path = record.write_part(tmp_path / "part", 0, 0, rows)
     run = command("replay", path, "--fmu", fmu)
@@ -426,7 +474,10 @@ def test_troubles_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.Captu
     assert child.process is not None and child.process.wait(PATIENCE) == 0
     while not run.troubles:
         time.sleep(0.01)
-    assert list(run.troubles) == ["record: nothing is recorded"] and capsys.readouterr().out == "record: nothing is recorded\n"
+    assert (
+        list(run.troubles) == ["record: nothing is recorded"]
+        and capsys.readouterr().out == "record: nothing is recorded\n"
+    )
 
 
 def test_forecasts_have_ten_points(tmp_path: Path) -> None:
@@ -477,7 +528,10 @@ def test_legends_list_what_is_there() -> None:
     made.measured = figures.Table(("time", *TRACKED))
     unseen = figures.Judged(*(np.full_like(each, np.nan) for each in (judged.error, judged.ahead_error, judged.inside)))
     drawn = summary._tip(made), summary._error(made, unseen), summary._forecast(made, unseen)
-    labels = [[text.get_text() for axes in figure.axes if (legend := axes.get_legend()) for text in legend.get_texts()] for figure in drawn]
+    labels = [
+        [text.get_text() for axes in figure.axes if (legend := axes.get_legend()) for text in legend.get_texts()]
+        for figure in drawn
+    ]
     assert labels == [["twin", "x", "y"], ["95 % band"], ["half-width, 95 %", "half-width, median"]]
     for figure in drawn:
         summary.plt.close(figure)

@@ -42,9 +42,16 @@ def assert_private(folder: Path) -> None:
     found = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
     kept = {path.relative_to(folder).parts[0] for path in found if path != folder}
     assert {"record", "state", "log", "status", "twin.json"} <= kept
-    shown = {"summary.json", "index.html", "finished", *(f"{name}.png" for name in ("tip", "error", "forecast", "latency"))}
+    shown = {
+        "summary.json",
+        "index.html",
+        "finished",
+        *(f"{name}.png" for name in ("tip", "error", "forecast", "latency")),
+    }
     assert not [(path, oct(mode)) for path, mode in found.items() if path.is_dir() and mode != 0o700]
-    assert not [(path, oct(mode)) for path, mode in found.items() if path.is_file() and path.name not in shown and mode != 0o600]
+    assert not [
+        (path, oct(mode)) for path, mode in found.items() if path.is_file() and path.name not in shown and mode != 0o600
+    ]
 
 
 def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu: Path, scenes: Path) -> None:
@@ -64,17 +71,28 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         assert summary["tip_error_mm"]["rms"] < 0.8
         assert forecasts["due"] == samples["estimated"] // 10 and 0 <= forecasts["count"] <= forecasts["due"] + 1
         assert summary["refused"] == 0 and not any(summary["restarts"].values()), text
-        assert not [sentence for sentence in summary["troubles"]["last"] if "disk" not in sentence and " s behind" not in sentence], text
+        assert not [
+            sentence
+            for sentence in summary["troubles"]["last"]
+            if "disk" not in sentence and " s behind" not in sentence
+        ], text
         page = (out / "index.html").read_text()
         assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page) and page.count("<svg") == 4
         for picture in ("tip", "error", "forecast", "latency"):
             assert (out / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
-        replay = subprocess.run([*COMMAND, "replay", summary["record"], "--fmu", str(fmu)], capture_output=True, text=True, check=False)
-        assert replay.returncode == 0 and f"{samples['estimated']} estimates" in replay.stdout, replay.stdout + replay.stderr
+        replay = subprocess.run(
+            [*COMMAND, "replay", summary["record"], "--fmu", str(fmu)], capture_output=True, text=True, check=False
+        )
+        assert replay.returncode == 0 and f"{samples['estimated']} estimates" in replay.stdout, (
+            replay.stdout + replay.stderr
+        )
         assert_private(Path(summary["record"]).parent)
         for log in Path(summary["record"]).parent.glob("log/*.log"):
             lines = log.read_text().splitlines()
-            assert all("INFO connected" in line or "no connection" in line or " s behind" in line for line in lines), (log.name, lines)
+            assert all("INFO connected" in line or "no connection" in line or " s behind" in line for line in lines), (
+                log.name,
+                lines,
+            )
 
 
 def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp_path: Path) -> None:
@@ -116,14 +134,21 @@ def test_clients_that_leave_while_messages_come_are_no_trouble_of_the_broker(tmp
 
 
 @pytest.mark.parametrize(("exact", "widest", "error"), [(False, 2.1, 1), (True, 0.6, 0.1)])
-def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(exact: bool, widest: float, error: float, tmp_path: Path, fmu: Path, scenes: Path) -> None:
+def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(
+    exact: bool, widest: float, error: float, tmp_path: Path, fmu: Path, scenes: Path
+) -> None:
     """Machine, twin, forecasts, watch and recorder, one after the other: what the pipeline computes, whatever else the cores do.
 
     Lengths that are 0.1 % off and encoders that are 1 mrad off leave the tip 0.5 mm off, which the twin knows of, and of eccentric encoders beside: it believes a median half-width of 2.04 mm (1.98 mm without eccentricity).
     """
     library = Library(fmu)
     config = configured(tmp_path, fmu, library, scenes / "pick_and_place.json", exact=exact)
-    twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
+    twin, ahead, watch, recorder = (
+        Twin(config, library),
+        Ahead(config, library, at_once=True),
+        Watch(config),
+        Recorder(config),
+    )
     recorder.about = twin.setup.to_message(config.unit, BEGIN)
     wire, source = Wire(config, twin, ahead, watch, recorder), machine(config, library)
     for _ in range(800):
@@ -136,7 +161,9 @@ def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(exact: bool, wide
     summary = figures.summarise(config, story, figures.judge(story), {}, {})
     forecasts = summary["forecasts"]
     assert forecasts["count"] == forecasts["due"] == ahead.counts["forecasts"] == 80 and forecasts["judged"] == 70
-    assert forecasts["coverage95"] > 0.95 and 0 < forecasts["halfwidth_mm"]["median"] <= widest and summary["missed"] == []
+    assert (
+        forecasts["coverage95"] > 0.95 and 0 < forecasts["halfwidth_mm"]["median"] <= widest and summary["missed"] == []
+    )
     assert summary["alarms"] == 0 and summary["tip_error_mm"]["max"] < error and summary["samples"]["estimated"] == 800
 
 
@@ -147,7 +174,10 @@ def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 3 and "90 % are promised" in run.stdout, run.stdout + run.stderr
-    content = {"scene": "pick_and_place", "forecasts": {"judged": 40, "coverage95": 0.89, "ahead_s": 0.5, "halfwidth_mm": {"median": 21.0}}}
+    content = {
+        "scene": "pick_and_place",
+        "forecasts": {"judged": 40, "coverage95": 0.89, "ahead_s": 0.5, "halfwidth_mm": {"median": 21.0}},
+    }
     assert len(figures.missed(content)) == 2
     assert figures.missed(content | {"scene": "swing"}) == figures.missed(content)[:1]
     assert figures.missed({"scene": "pick_and_place", "forecasts": content["forecasts"] | {"judged": 19}}) == []
@@ -163,7 +193,9 @@ def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu
         (["--unit", "a/b"], "letters, digits, - and _ are allowed"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_starts(tmp_path: Path, fmu: Path, scenes: Path, more: list[str], sentence: str) -> None:
+def test_what_cannot_be_is_refused_before_anything_starts(
+    tmp_path: Path, fmu: Path, scenes: Path, more: list[str], sentence: str
+) -> None:
     run = started(tmp_path / "out", fmu, scenes, *more)
     text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 2 and sentence in text and "Traceback" not in text, text
@@ -187,7 +219,11 @@ def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: P
     try:
         found = re.match(r"broker at ([\d.]+):(\d+)", addresses(run))
         assert found
-        subprocess.run([sys.executable, str(REPOSITORY / "examples" / "publish_machine.py"), *found.groups()], check=True, timeout=PATIENCE)
+        subprocess.run(
+            [sys.executable, str(REPOSITORY / "examples" / "publish_machine.py"), *found.groups()],
+            check=True,
+            timeout=PATIENCE,
+        )
     finally:
         run.send_signal(signal.SIGINT)
         text = run.communicate(timeout=PATIENCE)[0]

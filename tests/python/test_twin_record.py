@@ -44,7 +44,10 @@ def seqs(path: Path) -> list[int]:
 def test_a_record_has_the_promised_columns(tmp_path: Path) -> None:
     path = record.write_part(tmp_path, 0, 0, rows(1, 2))
     assert pq.read_schema(path).names == ["topic", "time", "seq", "payload"]
-    assert [m.fields for m in record.messages(path, "meas", refused=pytest.fail)] == [sample(1).fields, sample(2).fields]
+    assert [m.fields for m in record.messages(path, "meas", refused=pytest.fail)] == [
+        sample(1).fields,
+        sample(2).fields,
+    ]
 
 
 def test_a_joined_part_takes_the_place_of_others_whether_or_not_they_are_gone(tmp_path: Path) -> None:
@@ -85,7 +88,10 @@ def test_a_recorder_says_what_is_missing(tmp_path: Path) -> None:
     recorder.tick(10**9)
     recorder.tick(3 * 10**9)
     recorder.end()
-    gaps = [(m.extra["of"], m.fields["first"], m.fields["last"]) for m in record.messages(recorder.folder, "gap", refused=pytest.fail)]
+    gaps = [
+        (m.extra["of"], m.fields["first"], m.fields["last"])
+        for m in record.messages(recorder.folder, "gap", refused=pytest.fail)
+    ]
     assert gaps == [("meas", 2, 2), ("meas", 4, 4)]
 
 
@@ -101,7 +107,12 @@ def test_what_is_no_record_is_refused_with_a_sentence(tmp_path: Path) -> None:
     text.write_text("PAR1")
     other = tmp_path / "y.parquet"
     pq.write_table(pa.table({"topic": ["a"], "time": [1]}), other)
-    for path, sentence in ((tmp_path / "none", "no record"), (text, "not a file of Parquet"), (other, "no column seq, payload"), (tmp_path, "no part-")):
+    for path, sentence in (
+        (tmp_path / "none", "no record"),
+        (text, "not a file of Parquet"),
+        (other, "no column seq, payload"),
+        (tmp_path, "no part-"),
+    ):
         with pytest.raises(TwinError, match=sentence):
             list(record.rows(path))
 
@@ -134,10 +145,23 @@ def test_the_watch_tells_the_cause_that_the_twin_names() -> None:
         now = 0.005 * i
         number, probability = (3.0, 0.6) if now < 5.5 else (1.0, 0.9)
         on = 5 <= now < 6 or 20 <= now < 21
-        fields = {"estimated.alarm": float(on), "estimated.cause": number if 5 <= now < 7 else 0.0, "estimated.cause.probability": probability}
+        fields = {
+            "estimated.alarm": float(on),
+            "estimated.cause": number if 5 <= now < 7 else 0.0,
+            "estimated.cause.probability": probability,
+        }
         said += [(each["state"], each.get("named"), each.get("probability")) for each in anomalies.see(fields, now)]
-    assert said[:3] == [("anomaly", "force at the tip", 0.6), ("calibrating", "torque at motor 1", 0.9), ("cooling down", None, None)]
-    assert said[4:] == [("anomaly", None, None), ("calibrating", None, None), ("cooling down", None, None), ("listening", None, None)]
+    assert said[:3] == [
+        ("anomaly", "force at the tip", 0.6),
+        ("calibrating", "torque at motor 1", 0.9),
+        ("cooling down", None, None),
+    ]
+    assert said[4:] == [
+        ("anomaly", None, None),
+        ("calibrating", None, None),
+        ("cooling down", None, None),
+        ("listening", None, None),
+    ]
 
 
 def test_the_watch_has_hysteresis_and_keeps_quiet_at_the_start() -> None:
@@ -148,13 +172,22 @@ def test_the_watch_has_hysteresis_and_keeps_quiet_at_the_start() -> None:
 
 
 def faults(
-    anomalies: Anomalies, begin: float, until: float, cause: Callable[[float], float], alarm: Callable[[float], bool] = lambda _: False
+    anomalies: Anomalies,
+    begin: float,
+    until: float,
+    cause: Callable[[float], float],
+    alarm: Callable[[float], bool] = lambda _: False,
 ) -> list[tuple[Any, ...]]:
     """Messages of a watch at 200 Hz while the unit names that cause, with the alarm of forces off unless it is on."""
     said = []
     for i in range(round((until - begin) / 0.005)):
         now = begin + 0.005 * i
-        fields = {"estimated.alarm": float(alarm(now)), "estimated.status": 12.0, "estimated.cause": cause(now), "estimated.cause.probability": 1.0}
+        fields = {
+            "estimated.alarm": float(alarm(now)),
+            "estimated.status": 12.0,
+            "estimated.cause": cause(now),
+            "estimated.cause.probability": 1.0,
+        }
         said += [(now, each["state"], each["cause"], each.get("named")) for each in anomalies.see(fields, now)]
     return said
 
@@ -164,7 +197,9 @@ def test_the_watch_raises_an_alarm_for_encoders_and_clocks(number: int) -> None:
     """A frozen encoder raised none: no force acts. One that stays dead is told once; gone and back, again."""
     anomalies = Anomalies()
     said = faults(anomalies, 0.0, 60.0, lambda now: number if now >= 5 else 0)
-    assert [each[1:] for each in said] == [("anomaly", "fault", CAUSES[number])] and said[0][0] == pytest.approx(5.04, abs=0.011)
+    assert [each[1:] for each in said] == [("anomaly", "fault", CAUSES[number])] and said[0][0] == pytest.approx(
+        5.04, abs=0.011
+    )
     said = faults(anomalies, 60.0, 100.0, lambda now: number if now >= 80 else 0)
     assert [state for _, state, _, _ in said] == ["calibrating", "cooling down", "listening", "anomaly"]
     assert [time for time, *_ in said] == pytest.approx([60.5, 62.5, 67.5, 80.04], abs=0.011)
@@ -182,8 +217,18 @@ def test_a_dead_encoder_that_is_acknowledged_is_not_told_again() -> None:
 
 def test_an_anomaly_has_the_cause_of_its_end_or_of_its_begin_where_it_is_cut_off() -> None:
     """A trouble between is no end; an operator, another anomaly, or the end of the run cuts it off."""
-    ended = [(1.0, "anomaly", "force"), (1.1, "trouble", "trouble"), (1.5, "calibrating", "torque at motor 1"), (3.5, "cooling down", "force")]
-    cut_off = [(9.0, "anomaly", "encoder 1"), (9.5, "cooling down", "fault"), (20.0, "anomaly", "force"), (20.2, "anomaly", "timing")]
+    ended = [
+        (1.0, "anomaly", "force"),
+        (1.1, "trouble", "trouble"),
+        (1.5, "calibrating", "torque at motor 1"),
+        (3.5, "cooling down", "force"),
+    ]
+    cut_off = [
+        (9.0, "anomaly", "encoder 1"),
+        (9.5, "cooling down", "fault"),
+        (20.0, "anomaly", "force"),
+        (20.2, "anomaly", "timing"),
+    ]
     assert figures.causes([]) == []
     assert figures.causes(ended + cut_off) == ["torque at motor 1", "encoder 1", "force", "timing"]
 
@@ -191,10 +236,14 @@ def test_an_anomaly_has_the_cause_of_its_end_or_of_its_begin_where_it_is_cut_off
 def test_another_fault_is_told_whatever_else_is_wrong() -> None:
     """An encoder that fails while a hand pushes, while the watch cools down, or while the other one is dead; and silence then."""
     anomalies = Anomalies()
-    said = faults(anomalies, 0.0, 20.0, lambda now: 4 if 7 <= now < 12 else 5 if now >= 12 else 3, alarm=lambda now: 5 <= now < 6)
+    said = faults(
+        anomalies, 0.0, 20.0, lambda now: 4 if 7 <= now < 12 else 5 if now >= 12 else 3, alarm=lambda now: 5 <= now < 6
+    )
     raised = [(cause, named) for _, state, cause, named in said if state == "anomaly"]
     assert raised == [("force", "force at the tip"), ("fault", "encoder 1"), ("fault", "encoder 2")]
-    assert [(each["cause"], each.get("named")) for now in (20.6, 21.0) for each in anomalies.quiet(now)] == [("silence", None)]
+    assert [(each["cause"], each.get("named")) for now in (20.6, 21.0) for each in anomalies.quiet(now)] == [
+        ("silence", None)
+    ]
 
 
 def test_faults_at_the_start_count_once_the_state_is_found() -> None:
@@ -204,7 +253,9 @@ def test_faults_at_the_start_count_once_the_state_is_found() -> None:
     anomalies = Anomalies()
     faults(anomalies, 0.0, 5.0, lambda _: 0)
     assert [each["cause"] for each in anomalies.quiet(5.6)] == ["silence"]
-    assert "anomaly" not in [state for _, state, _, _ in faults(anomalies, 6.0, 20.0, lambda now: 4 if now < 7.9 else 0)]
+    assert "anomaly" not in [
+        state for _, state, _, _ in faults(anomalies, 6.0, 20.0, lambda now: 4 if now < 7.9 else 0)
+    ]
 
 
 def test_the_watch_notices_silence_once_and_can_be_calmed() -> None:
@@ -249,22 +300,38 @@ def test_a_csv_is_played(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda rows: rows[:50] + [[at - 0.1, *rest] for at, *rest in rows[50:]], "time of row 51 is 0.15 s after 0.245 s; times must rise"),
+        (
+            lambda rows: rows[:50] + [[at - 0.1, *rest] for at, *rest in rows[50:]],
+            "time of row 51 is 0.15 s after 0.245 s; times must rise",
+        ),
         (lambda rows: [[1000 * at, *rest] for at, *rest in rows], "are these milliseconds?"),
         (lambda rows: [[at, *(57.3 * x for x in rest)] for at, *rest in rows], "are these degrees?"),
         (lambda rows: [[at, b, a, *rest] for at, a, b, *rest in rows], "are the encoders swapped?"),
         (lambda rows: rows[:3], "no series of 20 samples or more"),
     ],
 )
-def test_a_recording_that_no_twin_can_follow_is_refused(tmp_path: Path, change: Callable[[list[list[float]]], list[list[float]]], sentence: str) -> None:
+def test_a_recording_that_no_twin_can_follow_is_refused(
+    tmp_path: Path, change: Callable[[list[list[float]]], list[list[float]]], sentence: str
+) -> None:
     """Each of these was played to its end with the exit code 0."""
-    rows = [[0.005 * k, 2.7 + 0.1 * math.sin(0.03 * k), 1.3 + 0.1 * math.cos(0.02 * k), 2.7 + 0.1 * math.sin(0.03 * k), 1.3 + 0.1 * math.cos(0.02 * k)] for k in range(321)]
+    rows = [
+        [
+            0.005 * k,
+            2.7 + 0.1 * math.sin(0.03 * k),
+            1.3 + 0.1 * math.cos(0.02 * k),
+            2.7 + 0.1 * math.sin(0.03 * k),
+            1.3 + 0.1 * math.cos(0.02 * k),
+        ]
+        for k in range(321)
+    ]
     file = tmp_path / "recording.csv"
     config = Config(str(tmp_path), "", "", machine=Machine(csv=str(file)))
 
     def check(rows: list[list[float]]) -> None:
         head = "time,measured.theta[1],measured.theta[2],servo.theta[1],servo.theta[2]"
-        file.write_text("\n".join([head, *(",".join(repr(round(x, 9)) for x in row) for row in rows)]) + "\n", encoding="utf-8")
+        file.write_text(
+            "\n".join([head, *(",".join(repr(round(x, 9)) for x in row) for row in rows)]) + "\n", encoding="utf-8"
+        )
         Recording(config).check()
 
     check(rows)
@@ -275,7 +342,9 @@ def test_a_recording_that_no_twin_can_follow_is_refused(tmp_path: Path, change: 
 def test_a_run_that_hardly_followed_says_so() -> None:
     """An estimate a radian off its sample was counted as any other."""
     assert figures.unfollowed({"samples": {"recorded": 321, "followed": 300, "estimated": 321}}) == ""
-    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 9, "estimated": 321}}).startswith("not followed: 9 of 321 samples")
+    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 9, "estimated": 321}}).startswith(
+        "not followed: 9 of 321 samples"
+    )
 
 
 def test_a_broker_that_is_not_there_is_named_at_once() -> None:
@@ -306,12 +375,25 @@ def test_faults_come_as_often_as_asked_and_none_by_default() -> None:
 
 
 def test_a_configuration_comes_back_and_is_private(tmp_path: Path) -> None:
-    config = Config(str(tmp_path), "a.fmu", "b.json", broker=Broker(password="secret"), machine=Machine(hidden={"payload.mass": 0.1}))
+    config = Config(
+        str(tmp_path),
+        "a.fmu",
+        "b.json",
+        broker=Broker(password="secret"),
+        machine=Machine(hidden={"payload.mass": 0.1}),
+    )
     file = tmp_path / "twin.json"
     configuration.write(config, file)
     assert configuration.read(file) == config
     assert os.name == "nt" or stat.S_IMODE(file.stat().st_mode) == 0o600
-    for wrong in ({"period": 0.0}, {"unit": "a/b"}, {"typo": 1}, {"broker": [1]}, {"horizon": True}, {"period": "fast"}):
+    for wrong in (
+        {"period": 0.0},
+        {"unit": "a/b"},
+        {"typo": 1},
+        {"broker": [1]},
+        {"horizon": True},
+        {"period": "fast"},
+    ):
         file.write_text(json.dumps(json.loads(file.read_text()) | wrong))
         with pytest.raises(TwinError):
             configuration.read(file)
@@ -323,7 +405,10 @@ def test_loopback_needs_nothing(host: str) -> None:
     configuration.check_broker(Broker(host))
 
 
-@pytest.mark.parametrize("broker", [Broker("192.0.2.1"), Broker("192.0.2.1", user="a", password="b"), Broker("broker.invalid"), Broker("0.0.0.0")])
+@pytest.mark.parametrize(
+    "broker",
+    [Broker("192.0.2.1"), Broker("192.0.2.1", user="a", password="b"), Broker("broker.invalid"), Broker("0.0.0.0")],
+)
 def test_beyond_loopback_user_password_and_tls_are_required(broker: Broker) -> None:
     with pytest.raises(TwinError, match="is not on this machine: user, password and TLS"):
         configuration.check_broker(broker)

@@ -40,12 +40,26 @@ class User:
 
     def run(self, *command: str, code: int | None = 0) -> "subprocess.CompletedProcess[str]":
         """Runs a program of the environment; nothing else is on PATH. `code` is the exit code that it has to have, None for any."""
-        variables = {"PATH": str(self.programs), "HOME": str(self.home), "TMPDIR": str(self.temporary), "XDG_CACHE_HOME": str(self.cache), "LANG": "C.UTF-8"}
+        variables = {
+            "PATH": str(self.programs),
+            "HOME": str(self.home),
+            "TMPDIR": str(self.temporary),
+            "XDG_CACHE_HOME": str(self.cache),
+            "LANG": "C.UTF-8",
+        }
         # The machine decides where packages come from.
-        variables |= {name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_", "HTTPS_", "https_"))}
+        variables |= {
+            name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_", "HTTPS_", "https_"))
+        }
         program, *rest = command
         done = subprocess.run(
-            [self.environment / "bin" / program, *rest], cwd=self.folder, env=variables, capture_output=True, text=True, check=False, timeout=PATIENCE
+            [self.environment / "bin" / program, *rest],
+            cwd=self.folder,
+            env=variables,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
         )
         assert code is None or done.returncode == code, done.stdout + done.stderr
         assert "Traceback" not in done.stdout + done.stderr
@@ -67,7 +81,17 @@ def made_user(folder: Path, wheel: Path, extra: str) -> User:
     user = User(folder, with_pip=False)
     lock = REPOSITORY / "python" / "lock.txt"
     python = user.environment / "bin" / "python"
-    install = [REPOSITORY / "target" / "uv" / "bin" / "uv", "pip", "install", "--quiet", "--python", python, "--constraints", lock, f"{wheel}{extra}"]
+    install = [
+        REPOSITORY / "target" / "uv" / "bin" / "uv",
+        "pip",
+        "install",
+        "--quiet",
+        "--python",
+        python,
+        "--constraints",
+        lock,
+        f"{wheel}{extra}",
+    ]
     subprocess.run(install, env=os.environ | {"UV_SYSTEM_CERTS": "1"}, check=True, timeout=PATIENCE)
     return user
 
@@ -92,22 +116,38 @@ def test_what_is_missing_is_one_sentence(tmp_path: Path, wheel: Path) -> None:
     """Without extras a scene is run, and subcommands of the extras say what they need."""
     user = made_user(tmp_path, wheel, "")
     text = user.fivebar("run", "fall_90_120")
-    assert user.made() == {"fall_90_120"} and {"tip.png", "fall_90_120.csv", "fall_90_120.html"} <= set(os.listdir(user.folder / "fall_90_120"))
+    assert user.made() == {"fall_90_120"} and {"tip.png", "fall_90_120.csv", "fall_90_120.html"} <= set(
+        os.listdir(user.folder / "fall_90_120")
+    )
     assert "singularities met" in text and f"fall_90_120{os.sep}fall_90_120.html" in text
-    for words, extra in ((["twin"], "twin"), (["calibrate", "x.csv"], "calibrate"), (["ensemble"], "ensemble"), (["replay", "x"], "twin")):
+    for words, extra in (
+        (["twin"], "twin"),
+        (["calibrate", "x.csv"], "calibrate"),
+        (["ensemble"], "ensemble"),
+        (["replay", "x"], "twin"),
+    ):
         sentence = user.fivebar(*words, code=2)
-        assert sentence.count("\n") == 1 and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n"), sentence
+        assert sentence.count("\n") == 1 and sentence.endswith(
+            f"pip install 'fivebar[{extra}]' installs what is needed\n"
+        ), sentence
     assert user.made() == {"fall_90_120"}
 
 
 def test_nothing_of_the_repository_is_used(user: User) -> None:
-    where = user.run("python", "-c", "import fivebar; print(fivebar.__file__); print(fivebar.unit())").stdout.splitlines()
+    where = user.run(
+        "python", "-c", "import fivebar; print(fivebar.__file__); print(fivebar.unit())"
+    ).stdout.splitlines()
     assert all(Path(place).is_relative_to(user.environment) for place in where)
 
 
 def test_scenes_and_files(user: User) -> None:
     assert "pick_and_place" in user.fivebar("scenes")
-    scene = {"description": "Ein Fall.", "experiment": {"stopTime": 0.1}, "init.theta[2]": 2.0944, "solver.method": "automatic"}
+    scene = {
+        "description": "Ein Fall.",
+        "experiment": {"stopTime": 0.1},
+        "init.theta[2]": 2.0944,
+        "solver.method": "automatic",
+    }
     (user.folder / "große Maschine.json").write_text(json.dumps(scene), encoding="utf-8")
     user.fivebar("run", "große Maschine.json", "--out", "hier & dort")
     assert "große Maschine.csv" in os.listdir(user.folder / "hier & dort")

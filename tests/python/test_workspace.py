@@ -34,8 +34,19 @@ def symmetric(distance: float, proximal: float, distal: float) -> dict[str, floa
     return {"base.distance": distance} | {f"link[{i}].length": length for i, length in lengths.items()}
 
 
-STOPPED = symmetric(0.3, 0.2, 0.25) | {"stop.enabled": True, "stop.lower[1]": 0.8, "stop.upper[1]": 3.0, "stop.upper[2]": 2.2}
-UNEVEN = {"base.distance": 0.25, "link[1].length": 0.2, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17}
+STOPPED = symmetric(0.3, 0.2, 0.25) | {
+    "stop.enabled": True,
+    "stop.lower[1]": 0.8,
+    "stop.upper[1]": 3.0,
+    "stop.upper[2]": 2.2,
+}
+UNEVEN = {
+    "base.distance": 0.25,
+    "link[1].length": 0.2,
+    "link[2].length": 0.3,
+    "link[3].length": 0.22,
+    "link[4].length": 0.17,
+}
 MACHINES = {
     "paper": {},
     "dextar": symmetric(0.118, 0.09, 0.09),
@@ -130,15 +141,22 @@ def test_curves_belong_to_their_mode(survey: workspace.Map) -> None:
                 assert np.abs(sines(curve.theta)[:, 0]).max() < 1e-9
             else:
                 leg = int(curve.detail[-2]) - 1
-                assert np.abs(np.sin((posture.motors[inner, leg] - float(survey.scene[curve.detail])) / 2)).max(initial=0) < 1e-6
+                assert (
+                    np.abs(np.sin((posture.motors[inner, leg] - float(survey.scene[curve.detail])) / 2)).max(initial=0)
+                    < 1e-6
+                )
                 assert stop_margin(survey.scene, posture.motors)[inner].min(initial=0) > -1e-6
 
 
 def test_stops_count_turns() -> None:
     """A motor is within its stops in the turn that suits best; stops a turn or more apart are none."""
-    scene = made({"stop.enabled": True, "stop.lower[1]": 3.0, "stop.upper[1]": 4.0, "stop.lower[2]": -4.0, "stop.upper[2]": 4.0})
+    scene = made(
+        {"stop.enabled": True, "stop.lower[1]": 3.0, "stop.upper[1]": 4.0, "stop.lower[2]": -4.0, "stop.upper[2]": 4.0}
+    )
     motors = np.array([[-np.pi, 0.0], [3.5 - 2 * np.pi, 1.0], [0.0, 2.0], [2.9, 3.0]])
-    assert stop_margin(scene, motors) == pytest.approx([np.pi - 3, 0.5, 0.5 - (3.5 - 0.0 if 3.5 < np.pi else 2 * np.pi - 3.5), -0.1])
+    assert stop_margin(scene, motors) == pytest.approx(
+        [np.pi - 3, 0.5, 0.5 - (3.5 - 0.0 if 3.5 < np.pi else 2 * np.pi - 3.5), -0.1]
+    )
     assert np.all(np.isinf(stop_margin(made({}), motors)))
 
 
@@ -154,11 +172,16 @@ def test_fields_are_those_of_single_postures(survey: workspace.Map) -> None:
                 assert mode.theta[row, column] == pytest.approx(posture.theta, abs=1e-12)
                 assert mode.dexterity[row, column] == pytest.approx(machine.dexterity(posture.theta), abs=1e-12)
         assert np.array_equal(mode.reached, machine.is_reachable(np.stack(np.meshgrid(survey.x, survey.y), axis=-1)))
-        assert np.count_nonzero(mode.reached) * (survey.x[1] - survey.x[0]) ** 2 == pytest.approx(machine.reach_area, rel=0.03)
+        assert np.count_nonzero(mode.reached) * (survey.x[1] - survey.x[0]) ** 2 == pytest.approx(
+            machine.reach_area, rel=0.03
+        )
 
 
 def test_legs_that_never_meet_are_refused() -> None:
-    with pytest.raises(ValueError, match="the left leg reaches from 0 to 0.42 m, the right one from 0 to 0.42 m, so that they never meet"):
+    with pytest.raises(
+        ValueError,
+        match="the left leg reaches from 0 to 0.42 m, the right one from 0 to 0.42 m, so that they never meet",
+    ):
         workspace.compute(made({"base.distance": 0.9}))
 
 
@@ -182,8 +205,13 @@ def test_the_unit_stays_at_rest(new: Callable[..., Instance], values: dict[str, 
         torque = statics.holding_torques(scene, posture.theta) + machine.motor_torques(posture.theta, force)
         instance.slave.reset()
         # Springs count whole turns; statics takes the turn that is nearest to their rest.
-        turns = [2 * np.pi * np.round((float(scene[f"spring.theta0[{i + 1}]"]) - posture.motors[i]) / (2 * np.pi)) for i in (0, 1)]
-        starts = {f"init.theta[{i + 1}]": posture.motors[i] + turns[i] for i in (0, 1)} | {"init.assembly": 1 if posture.assembly == "plus" else 2}
+        turns = [
+            2 * np.pi * np.round((float(scene[f"spring.theta0[{i + 1}]"]) - posture.motors[i]) / (2 * np.pi))
+            for i in (0, 1)
+        ]
+        starts = {f"init.theta[{i + 1}]": posture.motors[i] + turns[i] for i in (0, 1)} | {
+            "init.assembly": 1 if posture.assembly == "plus" else 2
+        }
         inputs = {"tau[1]": torque[0], "tau[2]": torque[1], "tip.fx": -force[0], "tip.fy": -force[1]}
         instance.initialise({**values, **starts, **inputs})
         # Without these torques it would be some hundred rad/s2.
@@ -202,7 +230,9 @@ def test_tip_force_is_what_all_directions_allow() -> None:
     for posture, force in zip(theta, held):
         torques = statics.holding_torques(scene, posture)
         if force >= 0:
-            needed = np.abs(torques + machine.motor_torques(np.broadcast_to(posture, (len(directions), 4)), force * directions))
+            needed = np.abs(
+                torques + machine.motor_torques(np.broadcast_to(posture, (len(directions), 4)), force * directions)
+            )
             assert (needed / limits).max() == pytest.approx(1.0, abs=1e-6)
         else:
             assert np.any(np.abs(torques) > limits)
@@ -213,7 +243,10 @@ def test_tip_force_of_any_shape() -> None:
     theta = Machine.from_scene(scene).inverse(np.tile((0.2, 0.25), (2, 3, 1)), OUT).theta
     forces = statics.tip_force(scene, theta, (1.0, 2.0))
     assert forces.shape == (2, 3) and statics.tip_force(scene, theta[0], (1.0, 2.0)).shape == (3,)
-    assert np.shape(statics.tip_force(scene, theta[0, 0], (1.0, 2.0))) == () and statics.tip_force(scene, theta[0, 0], (1.0, 2.0)) == forces[0, 0]
+    assert (
+        np.shape(statics.tip_force(scene, theta[0, 0], (1.0, 2.0))) == ()
+        and statics.tip_force(scene, theta[0, 0], (1.0, 2.0)) == forces[0, 0]
+    )
     # A left leg that is stretched puts no load on its motor.
     assert statics.tip_force(scene, (0.0, 0.0, 0.5, 0.7), (1e9, 1e9)) > 0
 
@@ -236,7 +269,12 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
         files = workspace.write(map_, folder) + workspace_pictures.draw(map_, folder)
         assert sorted(files) == sorted(folder.iterdir())
     names = {path.name for path in (tmp_path / "a").iterdir()}
-    pictures = {f"{kind}_{mode.name}.{suffix}" for kind in ("condition", "force") for mode in map_.modes for suffix in ("svg", "png")}
+    pictures = {
+        f"{kind}_{mode.name}.{suffix}"
+        for kind in ("condition", "force")
+        for mode in map_.modes
+        for suffix in ("svg", "png")
+    }
     assert names == pictures | {"field.csv", "loci.csv", "discs.csv"} and len(pictures) == 8
     for name in names:
         content = (tmp_path / "a" / name).read_bytes()
@@ -246,7 +284,12 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(int(np.count_nonzero(mode.reached)) for mode in map_.modes)
     assert {row["working"] for row in rows} == {"minusPlus", "plusPlus"}
-    assert all(np.isfinite(float(row[name])) for row in rows for name in row if "[" in name and row[name] not in ("inf", "-inf"))
+    assert all(
+        np.isfinite(float(row[name]))
+        for row in rows
+        for name in row
+        if "[" in name and row[name] not in ("inf", "-inf")
+    )
     with (tmp_path / "a" / "loci.csv").open(encoding="utf-8") as file:
         assert {row["kind"] for row in csv.DictReader(file)} == {"inverse", "direct", "stop"}
 
@@ -254,7 +297,12 @@ def test_pictures_and_tables(tmp_path: Path) -> None:
 def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
     """As a user runs it: pictures that show something, the scene's motion where it was; what is wrong is one sentence."""
     run = lambda *words: subprocess.run(
-        [sys.executable, "-m", "fivebar", "map", *words], cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"FIVEBAR_FMU": str(fmu)}
+        [sys.executable, "-m", "fivebar", "map", *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"FIVEBAR_FMU": str(fmu)},
     )
     done = run("pick_and_place", "--mode", "minusPlus")
     assert done.returncode == 0, done.stderr
@@ -268,7 +316,10 @@ def test_the_command_maps_a_scene(tmp_path: Path, fmu: Path) -> None:
     theta = np.array([[float(row[f"{name} [rad]"]) for name in workspace.ANGLES] for row in rows])
     tip = np.array([[float(row["x [m]"]), float(row["y [m]"])] for row in rows])
     assert len(rows) == 1601 and np.abs(machine.forward(theta[:, [0, 3]]).tip - tip).max() < 1e-8
-    for words, sentence in ((["nonsense"], "there is no scene 'nonsense'"), (["swing", "--mode", "plus"], "'plus' is not one of")):
+    for words, sentence in (
+        (["nonsense"], "there is no scene 'nonsense'"),
+        (["swing", "--mode", "plus"], "'plus' is not one of"),
+    ):
         refused = run(*words)
         assert refused.returncode == 2 and refused.stdout == "" and len(refused.stderr.splitlines()) == 1
         assert sentence in refused.stderr
@@ -281,11 +332,15 @@ def test_the_page_holds_the_map(tmp_path: Path) -> None:
     map_page.write(survey, tmp_path / "map.html")
     page = (tmp_path / "map.html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'id="data">(.*?)</script>', page)[1])  # type: ignore[index]
-    assert not re.search(r"https?://|src=|\{\{", page) and [mode["name"] for mode in data["modes"]] == [mode.name for mode in survey.modes]
+    assert not re.search(r"https?://|src=|\{\{", page) and [mode["name"] for mode in data["modes"]] == [
+        mode.name for mode in survey.modes
+    ]
     for packed, mode in zip(data["modes"], survey.modes):
         field = np.frombuffer(base64.b64decode(packed["fields"][0]["values"]), "<f4").reshape(mode.dexterity.shape)
         assert np.abs(field - mode.dexterity).max() < 1e-7
-        assert [tuple(disc.values()) for disc in packed["discs"]] == [tuple(disc) for disc in mode.discs if disc.radius > 0.3 * mode.discs[0].radius]
+        assert [tuple(disc.values()) for disc in packed["discs"]] == [
+            tuple(disc) for disc in mode.discs if disc.radius > 0.3 * mode.discs[0].radius
+        ]
         assert packed["stops"] and packed["fields"][1]["unit"] == "N"
 
 
@@ -308,6 +363,12 @@ def test_outlines_of_pages_are_the_loci(values: dict[str, float | bool]) -> None
 def test_path_by_modes() -> None:
     """A motion is told apart by working mode."""
     machine = Machine.from_scene(made({}))
-    theta = np.concatenate([machine.inverse([(0.2, 0.3), (0.21, 0.3)], working).theta for working in (OUT, ("plus", "plus"))])
+    theta = np.concatenate(
+        [machine.inverse([(0.2, 0.3), (0.21, 0.3)], working).theta for working in (OUT, ("plus", "plus"))]
+    )
     path = workspace.Path(np.arange(4.0), np.zeros((4, 2)), theta)
-    assert path.parts(OUT) == [slice(0, 2)] and path.parts(("plus", "plus")) == [slice(2, 4)] and path.parts(("minus", "minus")) == []
+    assert (
+        path.parts(OUT) == [slice(0, 2)]
+        and path.parts(("plus", "plus")) == [slice(2, 4)]
+        and path.parts(("minus", "minus")) == []
+    )

@@ -11,13 +11,19 @@ import pytest
 import fivebar
 from conftest import REPOSITORY
 
-BLOCKS = re.findall(r"^## (\w+)\n\n```python\n(.*?)^```$", (REPOSITORY / "docs" / "your-tool.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+BLOCKS = re.findall(
+    r"^## (\w+)\n\n```python\n(.*?)^```$",
+    (REPOSITORY / "docs" / "your-tool.md").read_text(encoding="utf-8"),
+    re.DOTALL | re.MULTILINE,
+)
 
 
 def tip(tool: str, fmu: Path, folder: Path) -> list[float]:
     """The two numbers on the last line of a script's output that holds nothing else: masters log to the same stream, with times."""
     shutil.copy(fmu, folder / "FiveBar.fmu")
-    done = subprocess.run([sys.executable, "-c", dict(BLOCKS)[tool]], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", dict(BLOCKS)[tool]], cwd=folder, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     numbers = [line for line in done.stdout.splitlines() if re.fullmatch(r"[\[\]\d\s.,e+-]+", line)]
     return [float(number) for number in re.findall(r"-?\d+\.\d+(?:e-?\d+)?", numbers[-1])]

@@ -20,7 +20,9 @@ def follower(config: Config, library: Library) -> Follower:
     return Follower(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
 
 
-def recorded(config: Config, library: Library, samples: int, mangle: Callable[[Message], list[bytes]] = lambda m: [encode(m)]) -> SimpleNamespace:
+def recorded(
+    config: Config, library: Library, samples: int, mangle: Callable[[Message], list[bytes]] = lambda m: [encode(m)]
+) -> SimpleNamespace:
     """Machine, twin, watch and recorder for so many samples; what they were, ended."""
     twin, watch, recorder = Twin(config, library), Watch(config), Recorder(config)
     recorder.about = twin.setup.to_message(config.unit, BEGIN)

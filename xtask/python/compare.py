@@ -122,7 +122,9 @@ def difference(before: Run, after: Run) -> Difference:
     since = float(before.time[np.argmax(apart)]) if apart.any() else None
     early = tip_distance(before, after)[before.time[:rows] <= EARLY] if rows else np.zeros(1)
     ends = [_end(run) for run in (before, after)]
-    return Difference(since, float(np.max(early)), tuple(counters), " but then ".join(ends) if ends[0] != ends[1] else None)
+    return Difference(
+        since, float(np.max(early)), tuple(counters), " but then ".join(ends) if ends[0] != ends[1] else None
+    )
 
 
 def verdict(found: Difference, nudged: list[Difference]) -> Verdict:

@@ -26,7 +26,9 @@ def closure(extras: tuple[str, ...]) -> dict[str, metadata.Distribution]:
         for text in distribution.requires or ():
             requirement = Requirement(text)
             environments = [{"extra": extra} for extra in asked] or [{"extra": ""}]
-            if requirement.marker is None or any(requirement.marker.evaluate(environment) for environment in environments):
+            if requirement.marker is None or any(
+                requirement.marker.evaluate(environment) for environment in environments
+            ):
                 waiting.append((normal(requirement.name), tuple(sorted(requirement.extras))))
     return found
 
@@ -39,17 +41,28 @@ def normal(name: str) -> str:
 def component(name: str, distribution: metadata.Distribution, optional: bool) -> dict[str, object]:
     """One package; what an extra alone asks for is optional."""
     purl = f"pkg:pypi/{name}@{distribution.version}"
-    made: dict[str, object] = {"type": "library", "bom-ref": purl, "purl": purl, "name": name, "version": distribution.version}
+    made: dict[str, object] = {
+        "type": "library",
+        "bom-ref": purl,
+        "purl": purl,
+        "name": name,
+        "version": distribution.version,
+    }
     made["scope"] = "optional" if optional else "required"
     if expression := distribution.metadata.get("License-Expression"):
         made["licenses"] = [{"expression": expression}]
-    elif classifiers := [c.rpartition(" :: ")[2] for c in distribution.metadata.get_all("Classifier", []) if c.startswith("License :: ")]:
+    elif classifiers := [
+        c.rpartition(" :: ")[2] for c in distribution.metadata.get_all("Classifier", []) if c.startswith("License :: ")
+    ]:
         made["licenses"] = [{"license": {"name": classifier}} for classifier in classifiers]
     elif text := distribution.metadata.get("License"):
         made["licenses"] = [{"license": {"name": text.splitlines()[0]}}]
     elif files := distribution.metadata.get_all("License-File"):
         # A package that names no licence brings the text of one.
-        made["licenses"] = [{"license": {"name": file, "text": {"content": distribution.read_text(f"licenses/{file}")}}} for file in files]
+        made["licenses"] = [
+            {"license": {"name": file, "text": {"content": distribution.read_text(f"licenses/{file}")}}}
+            for file in files
+        ]
     return made
 
 

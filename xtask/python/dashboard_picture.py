@@ -41,7 +41,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="the SVG file to write")
     options = parser.parse_args(arguments)
     shutil.rmtree(options.folder, ignore_errors=True)
-    given = ["twin", "--seconds", "600", "--learn", "--exact", "--fmu", str(options.fmu), "--out", str(options.folder / "twin")]
+    given = [
+        "twin",
+        "--seconds",
+        "600",
+        "--learn",
+        "--exact",
+        "--fmu",
+        str(options.fmu),
+        "--out",
+        str(options.folder / "twin"),
+    ]
     twin = subprocess.Popen([sys.executable, "-m", "fivebar", *given], stdout=subprocess.PIPE, text=True)
     try:
         # The first line comes when all processes have been started.

@@ -67,7 +67,9 @@ class Unit:
     def __init__(self, model: ModelDescription, directory: str):
         self.variables = {v.name: v for v in model.modelVariables}
         self.references = {name: v.valueReference for name, v in self.variables.items()}
-        (self.method,) = [int(item.value) for item in self.variables["solver.method"].declaredType.items if item.name == "dop853"]
+        (self.method,) = [
+            int(item.value) for item in self.variables["solver.method"].declaredType.items if item.name == "dop853"
+        ]
         self.slave = instantiate(model, directory, Log())
 
     def initialise(self, values: dict[str, float], inputs: np.ndarray, assembly: int = 1) -> None:
@@ -77,7 +79,9 @@ class Unit:
         flags = {name: bool(value) for name, value in values.items() if self.variables[name].type == "Boolean"}
         self.slave.setReal([self.references[name] for name in (*reals, *INPUTS)], [*reals.values(), *inputs])
         self.slave.setBoolean([self.references[name] for name in flags], list(flags.values()))
-        self.slave.setInteger([self.references["solver.method"], self.references["init.assembly"]], [self.method, assembly])
+        self.slave.setInteger(
+            [self.references["solver.method"], self.references["init.assembly"]], [self.method, assembly]
+        )
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
@@ -98,9 +102,13 @@ class Around:
 
     def __init__(self, unit: Unit, machine: Machine):
         self.unit, self.drive, self.assembly = unit, machine.inputs[0], 1
-        self.constants = {name: value for name, value in machine.start.items() if not name.startswith(("init.", "estimator."))}
+        self.constants = {
+            name: value for name, value in machine.start.items() if not name.startswith(("init.", "estimator."))
+        }
         points = MerweScaledSigmaPoints(6, alpha=0.5, beta=2.0, kappa=-3.0)
-        self.filter = UnscentedKalmanFilter(6, 2, STEP, hx=lambda x: x[:2], fx=self.move, points=points, residual_z=difference)
+        self.filter = UnscentedKalmanFilter(
+            6, 2, STEP, hx=lambda x: x[:2], fx=self.move, points=points, residual_z=difference
+        )
         start = [machine.start[f"init.{what}[{i}]"] for what in ("theta", "omega") for i in (1, 2)]
         self.filter.x, self.first = np.array([*start, 0.0, 0.0]), np.diag(np.repeat(START, 2) ** 2)
         self.filter.P = self.first.copy()
@@ -205,7 +213,9 @@ def machines(folder: Path) -> dict[int, Machine]:
     for run in np.unique(described["run"]):
         rows, of = described[described["run"] == run], samples[samples[:, 0] == run]
         start = dict(zip(map(str, rows["variable"]), map(float, rows["value"]), strict=True))
-        found[int(run)] = Machine(str(rows["scene"][0]), str(rows["encoder"][0]), start, of[:, 1], of[:, 2:4], of[:, 4:10], of[:, 10:])
+        found[int(run)] = Machine(
+            str(rows["scene"][0]), str(rows["encoder"][0]), start, of[:, 1], of[:, 2:4], of[:, 4:10], of[:, 10:]
+        )
     return found
 
 
@@ -232,15 +242,31 @@ def draw(picture: Path, all_machines: dict[int, Machine], errors: dict[tuple[int
                 course = errors[fall, way]
                 # The worst of each hundredth of a second.
                 worst = 1e3 * course[: len(course) // 10 * 10].reshape(-1, 10).max(axis=1)
-                over_time.semilogy(0.01 * np.arange(len(worst)), worst, color=colour, label=way, linewidth=2.2 if way == UNIT else 1.1)
+                over_time.semilogy(
+                    0.01 * np.arange(len(worst)), worst, color=colour, label=way, linewidth=2.2 if way == UNIT else 1.1
+                )
                 for i, scene in enumerate(scenes):
-                    runs = [errors[run, way] for run, m in all_machines.items() if (m.scene, m.encoder) == (scene, encoder)]
+                    runs = [
+                        errors[run, way] for run, m in all_machines.items() if (m.scene, m.encoder) == (scene, encoder)
+                    ]
                     x, value, lost = i + 0.12 * (k - 2.5), 1e3 * median(map(rms, runs)), sum(map(is_lost, runs))
                     over_scenes.bar(x, min(value, 1e3), 0.11, color=colour)
                     if lost:
-                        over_scenes.annotate(str(lost), (x, 1.2 * min(value, 1e3)), ha="center", fontsize=7, color="#c92a2a")
-            over_time.set(title=f"a fall with masses 5 % off, {encoder}", xlabel="time  (s)", ylabel="tip error  (mm)", ylim=(1e-4, 1e3))
-            over_scenes.set(title=f"median of the runs, {encoder} (in red: lost)", ylabel="tip error  (mm)", yscale="log", ylim=(1e-3, 2e3))
+                        over_scenes.annotate(
+                            str(lost), (x, 1.2 * min(value, 1e3)), ha="center", fontsize=7, color="#c92a2a"
+                        )
+            over_time.set(
+                title=f"a fall with masses 5 % off, {encoder}",
+                xlabel="time  (s)",
+                ylabel="tip error  (mm)",
+                ylim=(1e-4, 1e3),
+            )
+            over_scenes.set(
+                title=f"median of the runs, {encoder} (in red: lost)",
+                ylabel="tip error  (mm)",
+                yscale="log",
+                ylim=(1e-3, 2e3),
+            )
             over_scenes.set_xticks(range(len(scenes)), [scene.split(",")[0] for scene in scenes])
         panels[0, 0].legend(ncols=2, fontsize=7, loc="lower right")
         picture.parent.mkdir(parents=True, exist_ok=True)
@@ -282,7 +308,10 @@ def main(arguments: list[str] | None = None) -> int:
             cells.append((f"{error:.0f}" if error >= 100 else f"{error:.2g}") + (f" ({lost})" if lost else ""))
         print(f"| {scene} | {encoder} | " + " | ".join(cells) + " |")
     alone, reading = (1e6 * median(column) for column in zip(*times, strict=True))
-    print(f"\nA sample through FMPy, median: {alone:.0f} µs by the unit, {reading:.0f} µs with what is read of it; ", end="")
+    print(
+        f"\nA sample through FMPy, median: {alone:.0f} µs by the unit, {reading:.0f} µs with what is read of it; ",
+        end="",
+    )
     print(f"{1e6 * median(around):.0f} µs by filterpy. Allowed of the unit: 60 µs.")
     draw(options.picture, found, errors)
     return 0 if reading <= 60 else 1

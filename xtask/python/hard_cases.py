@@ -96,13 +96,21 @@ def matrix(rows: list[Row]) -> Figure:
     for row in rows:
         y = cases.index((row["item"], row["case"]))
         column = (row["method"], row["setting"])
-        x, width, note = (columns.index(column), 1, _count(row)) if column in columns else (0, len(columns), f"{_count(row)}, {', '.join(column)}")
+        x, width, note = (
+            (columns.index(column), 1, _count(row))
+            if column in columns
+            else (0, len(columns), f"{_count(row)}, {', '.join(column)}")
+        )
         colour = COLOURS[colour_of(row)][0]
         axes.add_patch(Rectangle((x, y), width, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
         axes.text(x + width / 2, y + 0.3, _energy(row), ha="center", va="center", fontsize=9, color=INK)
-        axes.text(x + width / 2, y + 0.69, note, ha="center", va="center", fontsize=6.5, color="#495057", linespacing=1.1)
+        axes.text(
+            x + width / 2, y + 0.69, note, ha="center", va="center", fontsize=6.5, color="#495057", linespacing=1.1
+        )
     axes.set(xlim=(0, len(columns)), ylim=(len(cases), 0))
-    axes.set_xticks(np.arange(len(columns)) + 0.5, [f"{method}\n{_short(setting)}" for method, setting in columns], fontsize=8)
+    axes.set_xticks(
+        np.arange(len(columns)) + 0.5, [f"{method}\n{_short(setting)}" for method, setting in columns], fontsize=8
+    )
     axes.set_yticks(np.arange(len(cases)) + 0.5, [f"{name}   {item}" for item, name in cases])
     axes.xaxis.tick_top()
     axes.tick_params(length=0)

@@ -40,7 +40,12 @@ BARE = {
     "direct, inverse singularities": ("direct singularities", "inverse singularities"),
     "coaxial motors": ("coaxial motors", "coaxial motors, rest in line"),
     "paper test 1": ("paper test 1",),
-    "lengths, masses, payload, steps of load": ("links of 0.02 to 2 m", "mass ratios of 1e-4 to 1e4", "payload of 1e3 links", "steps of load"),
+    "lengths, masses, payload, steps of load": (
+        "links of 0.02 to 2 m",
+        "mass ratios of 1e-4 to 1e4",
+        "payload of 1e3 links",
+        "steps of load",
+    ),
     "one hour": ("one hour",),
 }
 """Lines of the table of the page: cases that it shows, some together."""
@@ -55,7 +60,9 @@ OTHERS = ("perturbed free falls", "exact crossings")
 
 def main(arguments: list[str] | None = None) -> int:
     """The exit code: 0 done, 1 there is no table, or none that is fit for the docs."""
-    parser = argparse.ArgumentParser(description="Writes the tables and pictures of the hard cases into docs/hard-cases.md and its notes.")
+    parser = argparse.ArgumentParser(
+        description="Writes the tables and pictures of the hard cases into docs/hard-cases.md and its notes."
+    )
     parser.add_argument("--folder", type=Path, required=True, help="the folder of hard-cases.csv and the pictures")
     refused = update(ROOT, parser.parse_args(arguments).folder)
     print(refused or f"{PAGE}\n{NOTES}", file=sys.stderr if refused else sys.stdout)
@@ -123,35 +130,71 @@ def bare_machine(rows: list[Row]) -> list[str]:
 def default_method(rows: list[Row]) -> list[str]:
     """The cases by `i3alp` at the tolerances at which it is judged."""
     head = [*FIRST, "worst \\|ΔE\\| default, mgL", "tight, mgL", "worst Φ, m", "worst Φ̇, m/s", "ended early"]
-    return docs.markdown(head, [[*first(found), *energies(found), *violations(found), early(found)] for found in by_case(rows, DEFAULT, TIGHT)], left=2)
+    return docs.markdown(
+        head,
+        [
+            [*first(found), *energies(found), *violations(found), early(found)]
+            for found in by_case(rows, DEFAULT, TIGHT)
+        ],
+        left=2,
+    )
 
 
 def explicit_method(rows: list[Row]) -> list[str]:
     """The cases by `dop853`."""
     head = [*FIRST, "worst \\|ΔE\\|, mgL", "demand, mgL", "sub-steps per step"]
-    lines = [[*first([row]), worst([row], ENERGY), demand(row), row["mean sub-steps"]] for [row] in by_case(rows, EXPLICIT)]
+    lines = [
+        [*first([row]), worst([row], ENERGY), demand(row), row["mean sub-steps"]] for [row] in by_case(rows, EXPLICIT)
+    ]
     return docs.markdown(head, lines, left=2)
 
 
 def conserving_step(rows: list[Row]) -> list[str]:
     """The cases by strictly fixed steps of three lengths, the middle one judged; and how many are made by the fallback."""
-    head = [*FIRST, "worst \\|ΔE\\| at 0.25 ms, mgL", "at 1 ms", "at 4 ms", "demand at 1 ms", "worst Φ, m", "worst Φ̇, m/s", "ended early", "by the fallback"]
+    head = [
+        *FIRST,
+        "worst \\|ΔE\\| at 0.25 ms, mgL",
+        "at 1 ms",
+        "at 4 ms",
+        "demand at 1 ms",
+        "worst Φ, m",
+        "worst Φ̇, m/s",
+        "ended early",
+        "by the fallback",
+    ]
     lines = []
     for found in by_case(rows, *CONSERVING):
-        lines.append([*first(found), *energies(found), demand(found[1]), *violations(found), early(found), slashed(found, fallbacks)])
+        lines.append(
+            [
+                *first(found),
+                *energies(found),
+                demand(found[1]),
+                *violations(found),
+                early(found),
+                slashed(found, fallbacks),
+            ]
+        )
     return docs.markdown(head, lines, left=2)
 
 
 def discontinuities(rows: list[Row]) -> list[str]:
     """The scenes of loads with discontinuities by the methods that are judged."""
     head = ["case", "`i3alp`", "`i3alp`, 3e-10 rad", "`dop853`", "`automatic`"]
-    return docs.markdown(head, [[first(found)[1], *energies(found)] for found in by_case(rows, DEFAULT, TIGHT, EXPLICIT, AUTOMATIC)], left=1)
+    return docs.markdown(
+        head,
+        [[first(found)[1], *energies(found)] for found in by_case(rows, DEFAULT, TIGHT, EXPLICIT, AUTOMATIC)],
+        left=1,
+    )
 
 
 def others(rows: list[Row]) -> list[str]:
     """Methods and settings that are not judged, in two of the cases."""
     head = ["case", "method", "step", "ended early", "not met", "of", "worst \\|ΔE\\| while it ran, mgL"]
-    shown = [row for row in rows if row["case"] in OTHERS and row["verdict"] == "for comparison" and row["method"] != CONSERVING[0][0]]
+    shown = [
+        row
+        for row in rows
+        if row["case"] in OTHERS and row["verdict"] == "for comparison" and row["method"] != CONSERVING[0][0]
+    ]
     names = ("case", "method", "setting", "ended early", "not met", "runs")
     return docs.markdown(head, [[*(row[name] for name in names), worst([row], ENERGY)] for row in shown], left=3)
 

@@ -30,7 +30,11 @@ def held(scene: Scene, law: str) -> Scene:
     """The joint of `stick_slip` under half its breakaway torque, which the servo keeps, by a law of friction."""
     values = scene.variants[0].values
     pull = values["friction.breakaway[1]"] / 2 / values["servo.kp[1]"]
-    load = {"servo.theta[1]": values["init.theta[1]"] + pull, "friction.law": LAWS[law], "friction.breakawayVelocity": 1e-3}
+    load = {
+        "servo.theta[1]": values["init.theta[1]"] + pull,
+        "friction.law": LAWS[law],
+        "friction.breakawayVelocity": 1e-3,
+    }
     return replace(scene, stop_time=2.0, signals={}, variants=[Variant(law, values | load)])
 
 
@@ -48,7 +52,9 @@ def main(arguments: list[str] | None = None) -> int:
         figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
         draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json", known)))
         draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json", known)))
-        draw_hold(hold, [run(model, directory, held(read(options.scenes / "stick_slip.json", known), law)) for law in LAWS])
+        draw_hold(
+            hold, [run(model, directory, held(read(options.scenes / "stick_slip.json", known), law)) for law in LAWS]
+        )
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)

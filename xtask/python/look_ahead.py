@@ -15,8 +15,16 @@ from pathlib import Path
 from fmpy import extract, read_model_description
 from fmpy.simulation import instantiate_fmu
 
-SERVO = {"init.theta[2]": 2.0944, "payload.enabled": True, "servo.enabled": True, "servo.theta[1]": 1.6, "servo.theta[2]": 2.0}
-STRONG = {f"servo.{name}[{side}]": value for name, value in (("kp", 200.0), ("kd", 2.0), ("limit", 50.0)) for side in (1, 2)}
+SERVO = {
+    "init.theta[2]": 2.0944,
+    "payload.enabled": True,
+    "servo.enabled": True,
+    "servo.theta[1]": 1.6,
+    "servo.theta[2]": 2.0,
+}
+STRONG = {
+    f"servo.{name}[{side}]": value for name, value in (("kp", 200.0), ("kd", 2.0), ("limit", 50.0)) for side in (1, 2)
+}
 GOALS = {"servo, payload, dry friction": 1000, "servo, payload": 6000}
 """Predictions a second that are wanted at the default tolerance by `automatic`."""
 
@@ -61,20 +69,30 @@ def per_second(folder: str, values: dict[str, float | bool], seconds: float) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Prints a row for each machine and tolerance, with the goals."""
-    parser = argparse.ArgumentParser(description="How many predictions of 0.5 s a twin can make a second, through FMPy, on one core.")
+    parser = argparse.ArgumentParser(
+        description="How many predictions of 0.5 s a twin can make a second, through FMPy, on one core."
+    )
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     parser.add_argument("--quick", action="store_true", help="measure for a tenth of the time")
     options = parser.parse_args(arguments)
     seconds = SECONDS / 10.0 if options.quick else SECONDS
     folder = extract(str(options.fmu))
-    print("| machine | solver.errorTolerance | " + " | ".join(METHODS) + " | goal |\n| --- | --- |" + " ---: |" * (len(METHODS) + 1))
+    print(
+        "| machine | solver.errorTolerance | "
+        + " | ".join(METHODS)
+        + " | goal |\n| --- | --- |"
+        + " ---: |" * (len(METHODS) + 1)
+    )
     rows = []
     try:
         for machine, values in MACHINES.items():
             for tolerance in TOLERANCES:
                 settings = {"solver.errorTolerance": tolerance}
-                rates = [per_second(folder, values | settings | {"solver.method": number}, seconds) for number in METHODS.values()]
+                rates = [
+                    per_second(folder, values | settings | {"solver.method": number}, seconds)
+                    for number in METHODS.values()
+                ]
                 goal = GOALS.get(machine, "") if tolerance == DEFAULT else ""
                 rows.append([machine, tolerance, *(round(rate) for rate in rates), goal])
                 cells = [f"{rate:,.0f}" for rate in rates] + [f"{goal:,}" if goal else ""]

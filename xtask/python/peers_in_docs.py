@@ -32,7 +32,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"There is no table in {options.peers}; `cargo xtask peers` measures it.", file=sys.stderr)
         return 1
     if missing := left_out(found):
-        print(f"The docs stay as they are, for the table has no {missing}; `.ci/setup-peers` and `cargo xtask peers` have all.", file=sys.stderr)
+        print(
+            f"The docs stay as they are, for the table has no {missing}; `.ci/setup-peers` and `cargo xtask peers` have all.",
+            file=sys.stderr,
+        )
         return 1
     update(ROOT, found.rows, found.about)
     print(FILE)
@@ -42,7 +45,9 @@ def main(arguments: list[str] | None = None) -> int:
 def left_out(found: tables.Table) -> str:
     """Names of peers that were not run; nothing if all were."""
     of_some = found.about.partition(f"{COMMAND} ")[2] if COMMAND in found.about else found.about
-    return ", ".join([row["peer"] for row in found.rows if not row["scene"]]) or (f"others than {of_some}" if of_some else "")
+    return ", ".join([row["peer"] for row in found.rows if not row["scene"]]) or (
+        f"others than {of_some}" if of_some else ""
+    )
 
 
 def update(root: Path, rows: list[ahead.Row], about: str) -> None:

@@ -44,7 +44,16 @@ def update(root: Path, folder: Path) -> str:
 
 def table(rows: list[Row]) -> list[str]:
     """Iterations of a step, and steps of a million that need more than a first guess."""
-    head = ["step", "`solver.maxWork`", "median", "99.99 %", "most iterations", "rescued", "by the fallback", "ended with a status"]
+    head = [
+        "step",
+        "`solver.maxWork`",
+        "median",
+        "99.99 %",
+        "most iterations",
+        "rescued",
+        "by the fallback",
+        "ended with a status",
+    ]
     lines = []
     for row in rows:
         counts = (f"{1e6 * int(row[name]) / int(row['steps']):.3g}" for name in ("rescued", "by the fallback", "ended"))

@@ -24,8 +24,15 @@ def main(arguments: list[str] | None = None) -> int:
     """Writes the page; the exit code: 0 done, 1 there is nothing to draw or to update."""
     parser = argparse.ArgumentParser(description="Writes the accuracy report from the tables of the measurements.")
     parser.add_argument("--folder", type=Path, required=True, help="the folder of the report; tables are in its data/")
-    for name, text in (("bench", "benchmarks"), ("hard-cases", "hard cases"), ("runs", "runs of scenes"), ("peers", "peers")):
-        parser.add_argument(f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out")
+    for name, text in (
+        ("bench", "benchmarks"),
+        ("hard-cases", "hard cases"),
+        ("runs", "runs of scenes"),
+        ("peers", "peers"),
+    ):
+        parser.add_argument(
+            f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out"
+        )
     parser.add_argument("--update-docs", action="store_true", help="also write tables and pictures into the docs")
     options = parser.parse_args(arguments)
     data = options.folder / "data"

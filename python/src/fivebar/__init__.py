@@ -24,7 +24,10 @@ __all__ = ["run", "scenes", "unit"]
 
 
 def unit(
-    scene: "str | Path | Scene | None" = None, name: str | None = None, naming: "Naming" = "structured", folder: str | Path | None = None
+    scene: "str | Path | Scene | None" = None,
+    name: str | None = None,
+    naming: "Naming" = "structured",
+    folder: str | Path | None = None,
 ) -> Path:
     """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout that which `cargo xtask package` has packed.
 

@@ -44,7 +44,11 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
     # "</" would end the script element that holds the data.
     packed = json.dumps(data, ensure_ascii=False).replace("</", "<\\/")
     page = TEMPLATE.read_text(encoding="utf-8")
-    page = page.replace("{{title}}", html.escape(scene.name)).replace("{{reach}}", REACH.read_text(encoding="utf-8")).replace("{{data}}", packed)
+    page = (
+        page.replace("{{title}}", html.escape(scene.name))
+        .replace("{{reach}}", REACH.read_text(encoding="utf-8"))
+        .replace("{{data}}", packed)
+    )
     path.write_text(page, encoding="utf-8")
 
 

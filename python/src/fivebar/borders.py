@@ -97,7 +97,10 @@ def stop_curves(scene: Scene, machine: Machine, working: Working, beyond: int = 
             # The leg at its stop is there but for round-off.
             other[:, leg] = (lower + upper) / 2
             on = reached & bend & (stop_margin(scene, other) >= 0)
-            curves += [Curve("stop", f"stop.{limit}[{leg + 1}]", tip[part], posture.theta[part]) for part in stretches(on, beyond)]
+            curves += [
+                Curve("stop", f"stop.{limit}[{leg + 1}]", tip[part], posture.theta[part])
+                for part in stretches(on, beyond)
+            ]
     return curves
 
 
@@ -142,7 +145,9 @@ class Obstacles:
             return np.full(len(places), np.inf)
         x, y = (places[:, axis, None] - self.begin[:, axis] for axis in (0, 1))
         share = np.clip((x * self.along[:, 0] + y * self.along[:, 1]) / self.squared, 0, 1)
-        apart: Floats = np.sqrt(np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1))
+        apart: Floats = np.sqrt(
+            np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1)
+        )
         return apart
 
 

@@ -43,7 +43,9 @@ class Demand:
         self._log = Log()
         try:
             model = fmpy.read_model_description(self._folder, validate=False)
-            self._tau = [v.valueReference for name in ("tau[1]", "tau[2]") for v in model.modelVariables if v.name == name]
+            self._tau = [
+                v.valueReference for name in ("tau[1]", "tau[2]") for v in model.modelVariables if v.name == name
+            ]
             self._unit = load(fmi2.FMU2Model, model, self._folder, "demand")
             self._unit.instantiate(callbacks=self._log.callbacks())
             set_values(self._unit, model, dict(scene.values) | dict.fromkeys(OFF, False) | smooth | start | still)
@@ -85,4 +87,6 @@ class Demand:
                 found.append((derivatives[2], derivatives[3]))
             return found
         except FMICallException as error:
-            raise FiveBarError(f"the unit was asked for the torques that the motion needs: {self._log.last() or error}") from None
+            raise FiveBarError(
+                f"the unit was asked for the torques that the motion needs: {self._log.last() or error}"
+            ) from None

@@ -47,7 +47,12 @@ STYLE: Final["dict[RcKeyType, Any]"] = {
 def save(figure: Figure, file: Path) -> Path:
     """Writes a picture and closes it: the same figure gives the same bytes."""
     # Texts beside the axes, as names of unknowns, may need more room.
-    figure.savefig(file, bbox_inches="tight", pad_inches=0.1, metadata={"Date": None} if file.suffix == ".svg" else {"Software": None})
+    figure.savefig(
+        file,
+        bbox_inches="tight",
+        pad_inches=0.1,
+        metadata={"Date": None} if file.suffix == ".svg" else {"Software": None},
+    )
     plt.close(figure)
     return file
 
@@ -130,7 +135,9 @@ def surroundings(axes: Axes, run: Run) -> None:
         lower, upper = (np.degrees(p[f"stop.{limit}[{leg}]"]) for limit in ("lower", "upper"))
         if p["stop.enabled"] and upper - lower < 360:
             radius = 0.3 * p[f"link[{link}].length"]
-            axes.add_patch(Wedge((foot, 0), radius, upper, lower, facecolor=BARRIER, edgecolor=FAINT, hatch="///", zorder=0))
+            axes.add_patch(
+                Wedge((foot, 0), radius, upper, lower, facecolor=BARRIER, edgecolor=FAINT, hatch="///", zorder=0)
+            )
     axes.plot([0, base], [0, 0], color=FAINT, linewidth=1, linestyle=":", zorder=1)
     axes.plot([0, base], [0, 0], "^", color=INK, markersize=8, zorder=7)
 

@@ -72,7 +72,9 @@ class _Recorder:
         self.real_table = np.empty((rows, len(self.reals)))
         self.integer_table = np.empty((rows, len(self.integers)), dtype=np.int64)
         self.real_references = (fmi2.fmi2ValueReference * len(self.reals))(*(v.valueReference for v in self.reals))
-        self.integer_references = (fmi2.fmi2ValueReference * len(self.integers))(*(v.valueReference for v in self.integers))
+        self.integer_references = (fmi2.fmi2ValueReference * len(self.integers))(
+            *(v.valueReference for v in self.integers)
+        )
         self.real_values = (c_double * len(self.reals))()
         self.integer_values = (c_int * len(self.integers))()
 
@@ -142,7 +144,9 @@ class _Signals:
             self.slave.setReal(self.references, self.rows[row])
 
 
-def drive(model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress | None = None) -> Run:
+def drive(
+    model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress | None = None
+) -> Run:
     """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program."""
     begin = time.perf_counter()
     variables = computed(model)
@@ -169,7 +173,9 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
         units={"time": "s"} | {v.name: unit(v) for v in model.modelVariables},
         columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in scene.signals.items()},
         parameters=parameters,
-        items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in variables if v.type == "Enumeration"},
+        items={
+            v.name: {int(i.value): i.name for i in v.declaredType.items} for v in variables if v.type == "Enumeration"
+        },
         call_seconds=call_seconds,
         wall_seconds=time.perf_counter() - begin,
         failure=failure,
@@ -191,7 +197,12 @@ def _initialise(
 
 
 def _step(
-    slave: fmi2.FMU2Slave, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress | None, log: Log
+    slave: fmi2.FMU2Slave,
+    points: np.ndarray,
+    signals: _Signals,
+    recorder: _Recorder,
+    progress: Progress | None,
+    log: Log,
 ) -> tuple[list[float], str | None]:
     """Steps through `points`; seconds that each fmi2DoStep took, and the FMU's sentence if a call failed."""
     clock = time.perf_counter

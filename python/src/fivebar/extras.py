@@ -16,7 +16,9 @@ def need(extra: str) -> None:
         wrong.append(f"{_listed(missing)} {verb} needed and not installed")
     for requirement, found in needed:
         if found is not None and not requirement.specifier.contains(found, prereleases=True):
-            wrong.append(f"{requirement.name} {found} is installed, and {str(requirement.specifier).replace('>=', '>= ')} is needed")
+            wrong.append(
+                f"{requirement.name} {found} is installed, and {str(requirement.specifier).replace('>=', '>= ')} is needed"
+            )
     if wrong:
         raise FiveBarError(f"{'; '.join(wrong)}: pip install 'fivebar[{extra}]' installs what is needed")
 
@@ -24,7 +26,11 @@ def need(extra: str) -> None:
 def requirements(extra: str) -> list[Requirement]:
     """Packages that an extra needs on this machine beside those that the package always needs."""
     found = [Requirement(text) for text in requires("fivebar") or ()]
-    return [r for r in found if r.marker is not None and r.marker.evaluate({"extra": extra}) and not r.marker.evaluate({"extra": ""})]
+    return [
+        r
+        for r in found
+        if r.marker is not None and r.marker.evaluate({"extra": extra}) and not r.marker.evaluate({"extra": ""})
+    ]
 
 
 def _listed(names: list[str]) -> str:

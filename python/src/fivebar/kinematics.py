@@ -145,7 +145,9 @@ class Machine:
         """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
         if strange := set(values) - set(GEOMETRY):
             raise FiveBarError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
-        distance, l1, l2, l3, l4 = (float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY)
+        distance, l1, l2, l3, l4 = (
+            float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY
+        )
         return cls(distance, (l1, l2, l3, l4))
 
     @classmethod
@@ -269,7 +271,12 @@ class Machine:
         def lens(left: float, right: float) -> float:
             return _lens_area(self.distance, left, right)
 
-        return lens(far_left, far_right) - lens(near_left, far_right) - lens(far_left, near_right) + lens(near_left, near_right)
+        return (
+            lens(far_left, far_right)
+            - lens(near_left, far_right)
+            - lens(far_left, near_right)
+            + lens(near_left, near_right)
+        )
 
     # Velocities and forces
 
@@ -313,7 +320,9 @@ class Machine:
             across = _turned(_direction(theta[..., distal]))
             turning = np.sum(across * (velocity - to_elbow), axis=-1) / distal_length
             # The loop's equation for velocities, differentiated: u_D . v = l_P sin(bend) omega.
-            known = np.sum(_direction(theta[..., distal]) * acceleration + turning[..., None] * across * velocity, axis=-1)
+            known = np.sum(
+                _direction(theta[..., distal]) * acceleration + turning[..., None] * across * velocity, axis=-1
+            )
             known = known - proximal_length * np.cos(bend) * (turning - omega[..., leg]) * omega[..., leg]
             found.append(known / (proximal_length * np.sin(bend)))
         return np.stack(np.broadcast_arrays(*found), axis=-1)
@@ -388,7 +397,9 @@ class Machine:
         """The circles on which a leg is stretched or folded; a radius of 0 is the motor's axis."""
         rims: tuple[tuple[int, Line], ...] = ((1, "stretched"), (0, "folded"))
         return [
-            Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side])) for leg in (0, 1) for side, posture in rims
+            Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side]))
+            for leg in (0, 1)
+            for side, posture in rims
         ]
 
     def direct_singularities(self, points: int = 2000) -> list[Locus]:
@@ -397,18 +408,20 @@ class Machine:
         With distal links of equal length, folded ones have both elbows on one point: circles. Coaxial motors with equal proximal links as
         well have that everywhere in the working modes `plus`, `plus` and `minus`, `minus`: that is no curve, see `is_degenerate`.
         """
-        return [locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)]
+        return [
+            locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)
+        ]
 
     def direct_at(self, theta1: float) -> list[tuple[Line, Posture]]:
         """Postures with the left motor at `theta1`, rad, and the distal links in line; none where the elbows' distance forbids it.
 
         Folded links of equal length are left out: both elbows are on one point, and the tip may lie anywhere about it.
         """
-        found: list[tuple[Literal["stretched", "folded"], Posture]] = []
+        found: list[tuple[Line, Posture]] = []
         for posture, coupler in self._couplers():
             if coupler == 0:
                 continue
-            elbow = self.lengths[0] * _direction(np.float64(theta1))
+            elbow = self.lengths[0] * _direction(np.array(theta1))
             cosine, middle = self._turn_of_coupler(elbow, coupler)
             if abs(cosine) <= 1:
                 both = [self._in_line(elbow, middle + side * np.arccos(cosine), coupler) for side in (-1, 1)]
@@ -434,7 +447,9 @@ class Machine:
     @staticmethod
     def _bends(working: Working) -> tuple[float, float]:
         if not isinstance(working, (tuple, list)) or len(working) != 2:
-            raise FiveBarError(f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first.")
+            raise FiveBarError(
+                f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first."
+            )
         return _sign("working", working[0]), _sign("working", working[1])
 
     def _missing(self, tip: Floats, leg: int) -> tuple[Floats, Floats]:
@@ -476,9 +491,11 @@ class Machine:
         """The Jacobian times sin(theta3 - theta2): finite everywhere."""
         left, right = np.moveaxis(self._arms(theta), -1, 0)
         (s2, c2), (s3, c3) = ((np.sin(theta[..., i]), np.cos(theta[..., i])) for i in (1, 2))
-        return np.stack([np.stack([s3 * left, -s2 * right], axis=-1), np.stack([-c3 * left, c2 * right], axis=-1)], axis=-2)
+        return np.stack(
+            [np.stack([s3 * left, -s2 * right], axis=-1), np.stack([-c3 * left, c2 * right], axis=-1)], axis=-2
+        )
 
-    def _couplers(self) -> tuple[tuple[Literal["stretched", "folded"], float], ...]:
+    def _couplers(self) -> tuple[tuple[Line, float], ...]:
         """The vector from the left to the right elbow when the distal links are in line, as a multiple of the left one's direction, m."""
         _, l2, l3, _ = self.lengths
         return ("stretched", l2 + l3), ("folded", l2 - l3)
@@ -490,7 +507,9 @@ class Machine:
         with np.errstate(divide="ignore", invalid="ignore"):
             cosine = np.where(away > 0, (coupler**2 + (away - l4) * (away + l4)) / (2 * coupler * away), np.inf)
         # Round-off at the ends, where the right proximal link is in line with the coupler.
-        return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(arrow[..., 1], arrow[..., 0])
+        return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(
+            arrow[..., 1], arrow[..., 0]
+        )
 
     def _elbow_at(self, turn: Floats, coupler: float, side: Floats | float) -> Floats:
         """The left elbow (..., 2), on either side of the line that it may lie on, with the left distal link at angles `turn` (...)."""
@@ -501,7 +520,8 @@ class Machine:
         along = ((l1 - l4) * (l1 + l4) + away**2) / (2 * away)
         across = side * np.sqrt(np.maximum((l1 - along) * (l1 + along), 0.0))
         unit = arrow / away[..., None]
-        return along[..., None] * unit + across[..., None] * _turned(unit)
+        elbow: Floats = along[..., None] * unit + across[..., None] * _turned(unit)
+        return elbow
 
     def _in_line(self, left: Floats, turn: Floats, coupler: float) -> Posture:
         """Postures with the left elbow at `left` (..., 2) and the left distal link at `turn` (...), in line with the right one."""
@@ -511,7 +531,7 @@ class Machine:
         theta = np.stack([np.arctan2(v[..., 1], v[..., 0]) for v in vectors], axis=-1)
         return Posture(theta, tip, np.stack([left, right], axis=-2))
 
-    def _coupler_curves(self, posture: Literal["stretched", "folded"], coupler: float, points: int) -> list[Locus]:
+    def _coupler_curves(self, posture: Line, coupler: float, points: int) -> list[Locus]:
         """Curves of the tip as the four-bar of motors, proximal links and coupler goes round.
 
         Its crank is the left proximal link, or the coupler if that is short: the angle between elbows that nearly coincide would be lost in
@@ -520,7 +540,9 @@ class Machine:
         l1, _, _, l4 = self.lengths
         length = abs(coupler)
         by_coupler = length < SHORT * self.size and abs(length - self.distance) >= length / 2
-        crank, nearest, farthest = (length, abs(l1 - l4), l1 + l4) if by_coupler else (l1, abs(length - l4), length + l4)
+        crank, nearest, farthest = (
+            (length, abs(l1 - l4), l1 + l4) if by_coupler else (l1, abs(length - l4), length + l4)
+        )
         loci = []
         for lower, upper in self._crank_ranges(crank, nearest, farthest):
             if upper - lower >= 2 * np.pi:
@@ -550,7 +572,8 @@ class Machine:
             away = max(self.distance, crank)
             return [(-np.pi, np.pi)] if away > round_off and nearest - round_off <= away <= farthest + round_off else []
         highest, lowest = (
-            ((self.distance - away) * (self.distance + away) + crank**2) / (2 * self.distance * crank) for away in (nearest, farthest)
+            ((self.distance - away) * (self.distance + away) + crank**2) / (2 * self.distance * crank)
+            for away in (nearest, farthest)
         )
         if highest < -1 - 1e-12 or lowest > 1 + 1e-12:
             return []
@@ -567,7 +590,9 @@ class Machine:
         try:
             array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError):
-            raise FiveBarError(f"{name} = {values!r:.80}: {width} numbers in {unit} are expected, in the last axis of an array.") from None
+            raise FiveBarError(
+                f"{name} = {values!r:.80}: {width} numbers in {unit} are expected, in the last axis of an array."
+            ) from None
         if array.ndim == 0 or array.shape[-1] != width:
             raise FiveBarError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
         if not np.all(np.isfinite(array)):
@@ -586,7 +611,9 @@ class Machine:
         sine = sines(theta)[..., :1] if kind == "direct" else sines(theta)[..., 1:]
         if np.any(singular := np.any(np.abs(sine) < LEAST_SINE, axis=-1)):
             at, count = _first(singular)
-            raise FiveBarError(f"{_item('theta', theta, at, 'rad')} is a singularity of the {kind} kind: {reason}{count}.")
+            raise FiveBarError(
+                f"{_item('theta', theta, at, 'rad')} is a singularity of the {kind} kind: {reason}{count}."
+            )
 
     def _out_of_reach(self, tip: Floats, leg: int, missing: Floats) -> str:
         at, count = _first(missing != 0)

@@ -28,14 +28,24 @@ def write(survey: Map, file: Path) -> Path:
         "description": scene.description,
         "machine": {"distance": machine.distance, "lengths": machine.lengths},
         "outline": outline(machine),
-        "grid": {"x": float(survey.x[0]), "y": float(survey.y[0]), "cell": cell, "columns": len(survey.x), "rows": len(survey.y)},
+        "grid": {
+            "x": float(survey.x[0]),
+            "y": float(survey.y[0]),
+            "cell": cell,
+            "columns": len(survey.x),
+            "rows": len(survey.y),
+        },
         "load": "" if survey.limits is None else load_words(survey),
         "modes": [_mode(survey, mode) for mode in survey.modes],
     }
     # "</" would end the script element that holds the data.
     packed = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("</", "<\\/")
     page = TEMPLATE.read_text(encoding="utf-8")
-    page = page.replace("{{title}}", html.escape(scene.name)).replace("{{reach}}", REACH.read_text(encoding="utf-8")).replace("{{data}}", packed)
+    page = (
+        page.replace("{{title}}", html.escape(scene.name))
+        .replace("{{reach}}", REACH.read_text(encoding="utf-8"))
+        .replace("{{data}}", packed)
+    )
     file.write_text(page, encoding="utf-8", newline="\n")
     return file
 
@@ -44,7 +54,11 @@ def _mode(survey: Map, mode: Mode) -> dict[str, Any]:
     machine, kappas = survey.machine, [f"{kappa:g}" if np.isfinite(kappa) else "∞" for kappa in KAPPAS]
     fields = [_field("condition number", "", mode.dexterity, [1 / kappa for kappa in KAPPAS], kappas)]
     if mode.force is not None and len(levels := force_levels(mode)):
-        fields.append(_field("force held in every direction", "N", mode.force, levels.tolist(), [f"{level:g}" for level in levels]))
+        fields.append(
+            _field(
+                "force held in every direction", "N", mode.force, levels.tolist(), [f"{level:g}" for level in levels]
+            )
+        )
     parts = [] if survey.path is None else [survey.path.tip[part] for part in survey.path.parts(mode.working)]
     return {
         "name": mode.name,
@@ -59,7 +73,14 @@ def _mode(survey: Map, mode: Mode) -> dict[str, Any]:
 
 def _field(name: str, unit: str, values: NDArray[np.float64], levels: list[float], labels: list[str]) -> dict[str, Any]:
     """A field with its colours: one from each level to the next."""
-    return {"name": name, "unit": unit, "values": _packed(values), "levels": levels, "labels": labels, "colours": scale_colours(len(levels) - 1)}
+    return {
+        "name": name,
+        "unit": unit,
+        "values": _packed(values),
+        "levels": levels,
+        "labels": labels,
+        "colours": scale_colours(len(levels) - 1),
+    }
 
 
 def _packed(values: NDArray[np.float64]) -> str:

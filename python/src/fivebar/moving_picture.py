@@ -144,7 +144,9 @@ def _path(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
     """The path of the tip, as long as the way that it has gone."""
     points = view.points(run["tip.x"], run["tip.y"])[frames]
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    left = clock.animate("stroke-dashoffset", [clock.share(t) for t in run.time[frames]], [_number(way[-1] - w, 1) for w in way])
+    left = clock.animate(
+        "stroke-dashoffset", [clock.share(t) for t in run.time[frames]], [_number(way[-1] - w, 1) for w in way]
+    )
     # The gap is longer than the way, or the next dash would show as a dot at the end.
     length, gap = _number(way[-1], 1), _number(way[-1] + 20, 1)
     return (
@@ -158,7 +160,10 @@ def _legs(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
     tip = view.points(run["tip.x"], run["tip.y"])[frames]
     moments = [clock.share(t) for t in run.time[frames]]
     legs = []
-    for leg, foot, colour, end in ((1, 0.0, LEFT, ""), (2, run.parameters["base.distance"], RIGHT, ' marker-end="url(#tip)"')):
+    for leg, foot, colour, end in (
+        (1, 0.0, LEFT, ""),
+        (2, run.parameters["base.distance"], RIGHT, ' marker-end="url(#tip)"'),
+    ):
         (start,) = view.points(np.array([foot]), np.array([0.0]))
         elbow = view.points(run[f"elbow[{leg}].x"], run[f"elbow[{leg}].y"])[frames]
         poses = [_list(np.array([start, *joints])) for joints in zip(elbow, tip)]
@@ -166,7 +171,9 @@ def _legs(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
             f'<polyline class="link" stroke="{colour}" marker-mid="url(#elbow{leg})"{end} points="{poses[0]}">'
             f"{clock.animate('points', moments, poses)}</polyline>"
         )
-    markers = "".join(_marker(name, *look) for name, look in (("elbow1", (LEFT, 5)), ("elbow2", (RIGHT, 5)), ("tip", (TIP, 6))))
+    markers = "".join(
+        _marker(name, *look) for name, look in (("elbow1", (LEFT, 5)), ("elbow2", (RIGHT, 5)), ("tip", (TIP, 6)))
+    )
     return f"<defs>{markers}</defs>\n" + "\n".join(legs)
 
 
@@ -262,7 +269,9 @@ def _curves(run: Run, clock: Clock, events: list[Event]) -> str:
     parts += grown
     for pair in range(len(PAIRS)):
         y = top + pair * distance
-        parts.append(f'<rect x="{left - 0.75}" y="{y - 3}" width="1.5" height="{height + 6}" fill="{TIP}">{move}</rect>')
+        parts.append(
+            f'<rect x="{left - 0.75}" y="{y - 3}" width="1.5" height="{height + 6}" fill="{TIP}">{move}</rect>'
+        )
     return "\n".join(parts)
 
 

@@ -57,7 +57,12 @@ class Written:
 
 
 def write_unit(
-    folder: Path, scene: Scene | None = None, name: str | None = None, *, naming: Naming = "structured", plain: Path | None = None
+    folder: Path,
+    scene: Scene | None = None,
+    name: str | None = None,
+    *,
+    naming: Naming = "structured",
+    plain: Path | None = None,
 ) -> Written:
     """Writes `NAME.fmu` to `folder`, which is made if it is not there: the machine and experiment of `scene`, or those of the plain unit.
 
@@ -125,10 +130,17 @@ def left_out(scene: Scene) -> list[str]:
 def _left_to_the_master(scene: Scene) -> list[str]:
     sentences = []
     if scene.signals:
-        sentences.append(f"Inputs that the scene changes with time begin at its values at 0 s and are for the master to change: {', '.join(scene.signals)}.")
+        sentences.append(
+            f"Inputs that the scene changes with time begin at its values at 0 s and are for the master to change: {', '.join(scene.signals)}."
+        )
     if scene.offsets:
-        shown = " and ".join(f"{offset:.6g} rad for measured.theta{name[-3:]} and servo.theta{name[-3:]}" for name, offset in scene.offsets.items())
-        sentences.append(f"The machine's encoders show more than true angles, which the master takes off samples and orders: {shown}.")
+        shown = " and ".join(
+            f"{offset:.6g} rad for measured.theta{name[-3:]} and servo.theta{name[-3:]}"
+            for name, offset in scene.offsets.items()
+        )
+        sentences.append(
+            f"The machine's encoders show more than true angles, which the master takes off samples and orders: {shown}."
+        )
     return sentences
 
 
@@ -164,7 +176,9 @@ def starts_of(scene: Scene, variables: Variables) -> list[Start]:
     for name, value in (scene.values | {name: float(course[0]) for name, course in scene.signals.items()}).items():
         variable = variables.settable(name)
         names: dict[Value, str] = {number: item for item, number in variable.items.items()}
-        starts.append(Start(variable, variable.value(names.get(value, value) if variable.type == "Enumeration" else value)))
+        starts.append(
+            Start(variable, variable.value(names.get(value, value) if variable.type == "Enumeration" else value))
+        )
     return starts
 
 
@@ -192,7 +206,12 @@ class _Description:
             self.root.set("description", _description(scene))
             self.element("DefaultExperiment").set("stopTime", repr(float(scene.stop_time)))
             self.element("DefaultExperiment").set("stepSize", repr(float(scene.step_size)))
-        values = {v.get("name"): value for v in self.element("ModelVariables") for value in v if value.get("start") is not None}
+        values = {
+            v.get("name"): value
+            for v in self.element("ModelVariables")
+            for value in v
+            if value.get("start") is not None
+        }
         for start in starts:
             values[start.variable.name].set("start", start.text)
         self.root.set("guid", f"{{{uuid.uuid5(NAMESPACE, self.text())}}}")
@@ -231,7 +250,10 @@ def _page(page: str, description: _Description, starts: list[Start]) -> str:
     """The page inside the archive, with a section on what is different, and with one's own start values in the table of variables."""
     root, experiment = description.root, description.element("DefaultExperiment")
     cell = re.compile(r"(<tr><td><code>([^<]*)</code></td>(?:<td>[^<]*</td>){3}<td>)[^<]*(?=</td>)")
-    own = {html.escape(start.variable.name, quote=False): html.escape(start.shown(start.value), quote=False) for start in starts}
+    own = {
+        html.escape(start.variable.name, quote=False): html.escape(start.shown(start.value), quote=False)
+        for start in starts
+    }
     page = cell.sub(lambda row: row[1] + own[row[2]] if row[2] in own else row[0], page)
     rows = "\n".join(_row(start) for start in starts if start.value != start.variable.start)
     lasts, step = (f"{float(experiment.get(key, '0')):g}" for key in ("stopTime", "stepSize"))

@@ -65,7 +65,9 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
         figure = Figure(figsize=size)
 
         def place(left: float, from_top: float, width: float, height: float) -> Axes:
-            return figure.add_axes((left / size[0], 1 - (from_top + height) / size[1], width / size[0], height / size[1]))
+            return figure.add_axes(
+                (left / size[0], 1 - (from_top + height) / size[1], width / size[0], height / size[1])
+            )
 
         top = 1.0
         whole, near = place(0.75, top, 2.75, heights[0]), place(4.2, top, 2.75, heights[0])
@@ -74,7 +76,13 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
         top += high + 0.85
         error, torque = place(0.75, top, 2.75, heights[2]), place(4.2, top, 2.75, heights[2])
         left, right = made.working
-        figure.text(0.15 / size[0], 1 - 0.22 / size[1], f"{made.scene.name} draws {name} in working mode {left}{right.capitalize()}", va="center", fontsize=11)
+        figure.text(
+            0.15 / size[0],
+            1 - 0.22 / size[1],
+            f"{made.scene.name} draws {name} in working mode {left}{right.capitalize()}",
+            va="center",
+            fontsize=11,
+        )
         figure.text(0.15 / size[0], 1 - 0.36 / size[1], _broken(outcome.words(), 110), va="top", fontsize=8, color=GREY)
         _overview(whole, made)
         _sheet(sheet, outcome, window)
@@ -92,7 +100,9 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
         return _save(figure, folder, "drawn")
 
 
-def draw_blocked(scene: Scene, working: Working, drawing: Drawing, blocked: Blocked, name: str, folder: Path) -> list[Path]:
+def draw_blocked(
+    scene: Scene, working: Working, drawing: Drawing, blocked: Blocked, name: str, folder: Path
+) -> list[Path]:
     """Draws `blocked.svg` and `blocked.png`: the drawing, the borders of the working mode, and the place where the machine cannot go on."""
     machine = Machine.from_scene(scene)
     with matplotlib.rc_context(STYLE):
@@ -103,7 +113,9 @@ def draw_blocked(scene: Scene, working: Working, drawing: Drawing, blocked: Bloc
         for axes in (whole, near):
             handles = _background(axes, scene, machine, working)
             # One artist: drawings have up to 100,000 strokes.
-            axes.add_collection(LineCollection([stroke * MM for stroke in strokes], colors=PURPLE, linewidths=1.3, zorder=7))
+            axes.add_collection(
+                LineCollection([stroke * MM for stroke in strokes], colors=PURPLE, linewidths=1.3, zorder=7)
+            )
             axes.plot(*(blocked.place * MM), "X", color=VERMILLION, markeredgecolor=WHITE, markersize=11, zorder=10)
         points = np.concatenate([*strokes, blocked.place[None]])
         _frame(whole, np.concatenate([points, _corners(machine)]), 0.03)
@@ -113,7 +125,9 @@ def draw_blocked(scene: Scene, working: Working, drawing: Drawing, blocked: Bloc
         whole.set_title("a  The drawing and what bounds it", fontsize=9)
         near.set_title("b  The place where it is blocked", fontsize=9)
         handles.append(Line2D([], [], color=PURPLE, linewidth=1.3, label=f"{name}"))
-        handles.append(Line2D([], [], color=VERMILLION, marker="X", markersize=9, linestyle="none", label="blocked here"))
+        handles.append(
+            Line2D([], [], color=VERMILLION, marker="X", markersize=9, linestyle="none", label="blocked here")
+        )
         figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 0.0), frameon=False, ncols=1)
         figure.text(0.02, 0.97, _broken(str(blocked)), va="top", fontsize=9)
         return _save(figure, folder, "blocked")
@@ -140,7 +154,9 @@ def _corners(machine: Machine) -> Floats:
     (_, left), (_, right) = machine.reach.tolist()
     begin, end = max(-left, machine.distance - right), min(left, machine.distance + right)
     crossing = (machine.distance**2 + left**2 - right**2) / (2 * machine.distance) if machine.distance > 0 else 0.0
-    height = min(left, right) if not 0 < crossing < machine.distance else float(np.sqrt(max(left**2 - crossing**2, 0.0)))
+    height = (
+        min(left, right) if not 0 < crossing < machine.distance else float(np.sqrt(max(left**2 - crossing**2, 0.0)))
+    )
     return np.array([(begin, -height), (end, height), *machine.motors])
 
 
@@ -223,7 +239,16 @@ def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes, window: Floats) -> None
     """The worst place, large, and where it is on the sheet."""
     _lines(axes, outcome, 6.0, 1.2)
     _frame(axes, window, 0.0)
-    sheet.add_patch(Rectangle(tuple(window[0] * MM), *((window[1] - window[0]) * MM), fill=False, edgecolor=VERMILLION, linewidth=1.0, zorder=8))
+    sheet.add_patch(
+        Rectangle(
+            tuple(window[0] * MM),
+            *((window[1] - window[0]) * MM),
+            fill=False,
+            edgecolor=VERMILLION,
+            linewidth=1.0,
+            zorder=8,
+        )
+    )
     for spine in axes.spines.values():
         spine.set_edgecolor(VERMILLION)
 
@@ -253,7 +278,9 @@ def _torques(axes: Axes, outcome: Outcome, limits: Limits) -> None:
     for leg, colour, width in ((0, BLACK, 1.2), (1, VERMILLION, 0.8)):
         most = limits.torques[leg]
         label = f"{SIDES[leg]} motor" + (f", limit {most:g} N·m" if np.isfinite(most) else "")
-        axes.plot(*thinned(made.time, outcome.torque[:, leg], buckets=BUCKETS), color=colour, linewidth=width, label=label)
+        axes.plot(
+            *thinned(made.time, outcome.torque[:, leg], buckets=BUCKETS), color=colour, linewidth=width, label=label
+        )
         if np.abs(outcome.torque).max() > 0.4 * most:
             for side in (-1, 1):
                 axes.axhline(side * most, color=colour, linewidth=0.8, linestyle=(0, (1, 2) if leg else (4, 3)))

@@ -121,7 +121,9 @@ def servo_limits(scene: Scene) -> tuple[float, float]:
     return float(scene["servo.limit[1]"]), float(scene["servo.limit[2]"])
 
 
-def plan(scene: Scene, drawing: Drawing, timing: Timing, working: Working | None = None, limits: Limits = Limits()) -> Plan:
+def plan(
+    scene: Scene, drawing: Drawing, timing: Timing, working: Working | None = None, limits: Limits = Limits()
+) -> Plan:
     """The motion that draws `drawing`, as it is placed, by the scene's machine in a working mode, that of its start unless told.
 
     Each piece from rest to rest takes the longer, the less the limits of rate and torque allow. Raises `Blocked` where a stroke, or a way
@@ -132,13 +134,28 @@ def plan(scene: Scene, drawing: Drawing, timing: Timing, working: Working | None
     check(scene, machine, mode, sequence)
     with Demand(scene, machine.inverse(sequence[0].curves[0, 0], mode).theta) as demand:
         told = [max(1, math.ceil(timing.duration(piece.length) / step - 1e-9)) for piece in sequence]
-        counts = [_enough(piece, timing, count, step, machine, mode, limits, demand) for piece, count in zip(sequence, told)]
+        counts = [
+            _enough(piece, timing, count, step, machine, mode, limits, demand) for piece, count in zip(sequence, told)
+        ]
         tip, velocity, acceleration, pen = _schedule(sequence, timing, counts, step)
         posture = machine.inverse(tip, mode)
         theta = np.unwrap(posture.theta, axis=0) + _turns(scene, posture.theta[0])
         omega = machine.motor_rates(theta, velocity)
         torque = demand.torques(theta, omega, machine.motor_accelerations(theta, velocity, acceleration))
-    return Plan(scene, machine, mode, drawing, timing, step * np.arange(len(tip), dtype=float), tip, pen, theta, omega, torque, sum(map(int.__ne__, counts, told)))
+    return Plan(
+        scene,
+        machine,
+        mode,
+        drawing,
+        timing,
+        step * np.arange(len(tip), dtype=float),
+        tip,
+        pen,
+        theta,
+        omega,
+        torque,
+        sum(map(int.__ne__, counts, told)),
+    )
 
 
 Rows = tuple[Floats, Floats, Floats, Flags]
@@ -182,7 +199,16 @@ def _turns(scene: Scene, theta: Floats) -> Floats:
 # Limits
 
 
-def _enough(piece: Piece, timing: Timing, count: int, step: float, machine: Machine, working: Working, limits: Limits, demand: Demand) -> int:
+def _enough(
+    piece: Piece,
+    timing: Timing,
+    count: int,
+    step: float,
+    machine: Machine,
+    working: Working,
+    limits: Limits,
+    demand: Demand,
+) -> int:
     """How many communication steps a piece has to take, at least `count`, for the motors to stay within their limits.
 
     Rates go with 1 over the time, torques beyond those at rest with its square (Hollerbach 1984), but for friction: so the unit is asked again.
@@ -232,7 +258,9 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
     """
     name = working[0] + working[1].capitalize()
     if machine.is_degenerate(working):
-        raise FiveBarError(f"In working mode {name} every posture of this machine is a direct singularity: it needs another mode")
+        raise FiveBarError(
+            f"In working mode {name} every posture of this machine is a direct singularity: it needs another mode"
+        )
     start = sequence[0].curves[0, 0]
     if not machine.is_reachable(start):
         raise Blocked(start, _out_of_reach(machine, sequence[0], start))
@@ -247,7 +275,11 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
         return
     place, owner = found
     piece = sequence[owner]
-    legs = [circle for circle in machine.inverse_singularities() if abs(np.hypot(*(place - circle.centre)) - circle.radius) < 4 * CLEARANCE * machine.size]
+    legs = [
+        circle
+        for circle in machine.inverse_singularities()
+        if abs(np.hypot(*(place - circle.centre)) - circle.radius) < 4 * CLEARANCE * machine.size
+    ]
     if legs:
         circle = legs[0]
         raise Blocked(
@@ -258,18 +290,27 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
     nearest = min(curves, key=lambda curve: float(Obstacles([], [curve.tip]).distance(place[None])[0]))
     if nearest.kind == "stop":
         raise Blocked(place, f"{_where(piece, place)} meets {nearest.detail} = {float(scene[nearest.detail]):.6g} rad")
-    raise Blocked(place, f"{_where(piece, place)} meets a direct singularity of working mode {name}: the distal links are {nearest.detail}")
+    raise Blocked(
+        place,
+        f"{_where(piece, place)} meets a direct singularity of working mode {name}: the distal links are {nearest.detail}",
+    )
 
 
-def _first_touch(obstacles: Obstacles, spans: Floats, owners: NDArray[np.int_], tolerance: float) -> tuple[Floats, int] | None:
+def _first_touch(
+    obstacles: Obstacles, spans: Floats, owners: NDArray[np.int_], tolerance: float
+) -> tuple[Floats, int] | None:
     """The first place of curves (n, 4, 2) that is nearer to a border than a tolerance, m, and its owner; None if there is none."""
     while len(spans):
         if len(spans) > MOST_SPANS:
             half = len(spans) // 2
-            return _first_touch(obstacles, spans[:half], owners[:half], tolerance) or _first_touch(obstacles, spans[half:], owners[half:], tolerance)
+            return _first_touch(obstacles, spans[:half], owners[:half], tolerance) or _first_touch(
+                obstacles, spans[half:], owners[half:], tolerance
+            )
         left, right = _halves(spans)
         # A curve is no longer than its control polygon.
-        extent = np.maximum(*(np.sum(np.linalg.norm(np.diff(part, axis=1), axis=-1), axis=-1) for part in (left, right)))
+        extent = np.maximum(
+            *(np.sum(np.linalg.norm(np.diff(part, axis=1), axis=-1), axis=-1) for part in (left, right))
+        )
         unclear = obstacles.distance(left[:, 3]) <= extent
         touching = unclear & (extent < tolerance)
         if np.any(touching):
@@ -310,16 +351,25 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
 
     Signals of the scene and its further runs are left out.
     """
-    values = {key: value for key, value in made.scene.values.items() if not key.startswith(("init.", "servo.theta", "servo.omega"))}
+    values = {
+        key: value
+        for key, value in made.scene.values.items()
+        if not key.startswith(("init.", "servo.theta", "servo.omega"))
+    }
     values |= made.scene.offsets
     left, right = made.working
     text = f"The machine of {made.scene.name} draws {name}: {made.drawn:.3g} m of lines in {made.time[-1]:.4g} s, in working mode {left}, {right}."
     kept = _knots(made.tip)
-    knots = {f"tip.{axis}": {"linear": list(zip(made.time[kept].tolist(), made.tip[kept, i].tolist()))} for i, axis in enumerate("xy")}
+    knots = {
+        f"tip.{axis}": {"linear": list(zip(made.time[kept].tolist(), made.tip[kept, i].tolist()))}
+        for i, axis in enumerate("xy")
+    }
     try:
         scenes.write(file, text, values, float(made.time[-1]), made.scene.step_size, of_unit(), knots, made.working)
     except FiveBarError as error:
-        raise FiveBarError(f"{error}; a higher speed, or a larger experiment.stepSize of the machine's scene, makes it smaller") from None
+        raise FiveBarError(
+            f"{error}; a higher speed, or a larger experiment.stepSize of the machine's scene, makes it smaller"
+        ) from None
 
 
 def _knots(tip: Floats) -> Flags:
@@ -361,7 +411,9 @@ def compare(made: Plan, result: Result) -> Outcome:
         raise FiveBarError(f"the machine did not end its drawing: {result.failure}")
     tip = np.stack([result["tip.x"], result["tip.y"]], axis=-1)
     torque = np.stack([result[f"servo.torque[{i}]"] for i in (1, 2)], axis=-1)
-    return Outcome(made, tip, torque, np.hypot(*(tip - made.tip).T), Obstacles([], strokes_of(made.tip, made.pen)).distance(tip))
+    return Outcome(
+        made, tip, torque, np.hypot(*(tip - made.tip).T), Obstacles([], strokes_of(made.tip, made.pen)).distance(tip)
+    )
 
 
 def strokes_of(tip: Floats, pen: Flags) -> list[Floats]:

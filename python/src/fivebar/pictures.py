@@ -196,7 +196,15 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
         met = [event.time for event in events if event.kind == kind]
         # The graver kinds are rare: a thin mark among fifty seconds would be lost.
         width = 2.5 if kind in GRAVE else 1.0
-        lanes.plot(met, np.full(len(met), lane), "|", color=KIND_COLOURS[kind], markersize=12, markeredgewidth=width, clip_on=False)
+        lanes.plot(
+            met,
+            np.full(len(met), lane),
+            "|",
+            color=KIND_COLOURS[kind],
+            markersize=12,
+            markeredgewidth=width,
+            clip_on=False,
+        )
     lanes.set_yticks(range(len(KINDS)), [f"{kind}  {sum(e.kind == kind for e in events)}" for kind in KINDS])
     for label, kind in zip(lanes.get_yticklabels(), KINDS):
         label.set_color(KIND_COLOURS[kind])
@@ -229,7 +237,9 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     for i, other in enumerate(runs[1:], start=1):
         distance = tip_distance(runs[0], other)
         time, value = thinned(runs[0].time[: len(distance)], distance)
-        axes.semilogy(time, positive(value), color=RUN_COLOURS[i % 5], label=f"{run_label(other)} against {runs[0].label}")
+        axes.semilogy(
+            time, positive(value), color=RUN_COLOURS[i % 5], label=f"{run_label(other)} against {runs[0].label}"
+        )
     axes.axhline(CLOSE, color=FAINT, linewidth=1, linestyle="--")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-16))
     axes.set_ylabel("|ΔQ|  (m)")
@@ -250,7 +260,13 @@ def _poses(axes: Axes, run: Run, window: float) -> None:
         for leg, foot, colour in ((1, 0.0, LEFT), (2, base, RIGHT)):
             elbow = (run[f"elbow[{leg}].x"][i], run[f"elbow[{leg}].y"][i])
             axes.plot(
-                [foot, elbow[0], tip[0]], [0, elbow[1], tip[1]], "-o", color=colour, alpha=strength, linewidth=1.6, markersize=2.6
+                [foot, elbow[0], tip[0]],
+                [0, elbow[1], tip[1]],
+                "-o",
+                color=colour,
+                alpha=strength,
+                linewidth=1.6,
+                markersize=2.6,
             )
     axes.plot(run["tip.x"][: last + 1], run["tip.y"][: last + 1], color=TIP, linewidth=1.2, zorder=5)
     axes.plot(*tip, "o", color=TIP, markersize=5, zorder=8)

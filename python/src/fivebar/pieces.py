@@ -161,5 +161,3 @@ def _lengths(curves: Floats, begin: Floats, end: Floats) -> Floats:
     for node, weight in zip(NODES.tolist(), WEIGHTS.tolist()):
         lengths = lengths + weight * half * np.linalg.norm(_derivative(curves, middle + node * half), axis=-1)
     return lengths
-
-

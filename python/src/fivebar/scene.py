@@ -76,7 +76,9 @@ class Scene:
         stride = max(1, math.ceil(step_size / self.step_size - 1e-9))
         short = replace(self, stop_time=min(self.stop_time, stop_time), step_size=stride * self.step_size)
         rows = stride * np.arange(len(short.time))
-        return replace(short, signals={name: values[np.minimum(rows, len(values) - 1)] for name, values in self.signals.items()})
+        return replace(
+            short, signals={name: values[np.minimum(rows, len(values) - 1)] for name, values in self.signals.items()}
+        )
 
     def changed(self, given: Mapping[str, Any], variables: Variables) -> "Scene":
         """The scene with other start values, enumerations by the names of their items; an overlay keeps what it changes itself."""
@@ -115,7 +117,9 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
     """0, H, 2H, ... and the stop time, s: (n,); a remainder within rounding is no step of its own."""
     steps = stop_time / step_size - 1e-9
     if not steps < MOST_POINTS:
-        raise FiveBarError(f"{stop_time} s in steps of {step_size} s are too many: up to {MOST_POINTS} communication points are allowed")
+        raise FiveBarError(
+            f"{stop_time} s in steps of {step_size} s are too many: up to {MOST_POINTS} communication points are allowed"
+        )
     points: NDArray[np.float64] = step_size * np.arange(max(1, math.ceil(steps)) + 1, dtype=np.float64)
     points[-1] = stop_time
     return points
@@ -135,7 +139,9 @@ def found(name: str | Path) -> Path:
         return path
     files = shipped.scene_files()
     if str(name) not in files:
-        raise FiveBarError(f"there is no scene {str(name)!r:.80}; there are {', '.join(files)}, and files that end in .json")
+        raise FiveBarError(
+            f"there is no scene {str(name)!r:.80}; there are {', '.join(files)}, and files that end in .json"
+        )
     return files[str(name)]
 
 
@@ -232,6 +238,10 @@ def _lines(content: Mapping[str, Any]) -> str:
     for key, value in content.items():
         text = json.dumps(value, ensure_ascii=False)
         if key == scene_file.SIGNALS:
-            text = "{\n    " + ",\n    ".join(f"{json.dumps(name)}: {json.dumps(signal)}" for name, signal in value.items()) + "\n  }"
+            text = (
+                "{\n    "
+                + ",\n    ".join(f"{json.dumps(name)}: {json.dumps(signal)}" for name, signal in value.items())
+                + "\n  }"
+            )
         entries.append(f"  {json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(entries) + "\n}\n"

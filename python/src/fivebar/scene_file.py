@@ -38,7 +38,9 @@ class Content:
     def __init__(self, content: Any, variables: Variables):
         if not isinstance(content, dict):
             raise FiveBarError("a scene must be an object of variable names and values")
-        self.values = _values({name: value for name, value in content.items() if name not in RESERVED}, variables, RESERVED)
+        self.values = _values(
+            {name: value for name, value in content.items() if name not in RESERVED}, variables, RESERVED
+        )
         self.offsets = {name: _angle(name, content[name]) for name in OFFSETS if name in content}
         """Mounting angles of encoders, rad, by key."""
         self.stop_time, self.step_size = _experiment(content, variables)
@@ -48,7 +50,10 @@ class Content:
         self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
         self.tip = tip_scenes.read(content, self.values, self.signals, variables)
         check_labels([method(self.values, variables), *(label for label, _ in self.overlays)])
-        check_signals([self.values, *(values for _, values in self.overlays)], [*(signal.variable.name for signal in self.signals), *(self.tip.follows if self.tip else ())])
+        check_signals(
+            [self.values, *(values for _, values in self.overlays)],
+            [*(signal.variable.name for signal in self.signals), *(self.tip.follows if self.tip else ())],
+        )
 
 
 def text(file: Path) -> str:
@@ -68,7 +73,9 @@ def text(file: Path) -> str:
 def parse(text: str) -> Any:
     """The JSON of a text; numbers are finite, and no key stands twice in an object."""
     try:
-        content = json.loads(text, object_pairs_hook=_unique, parse_int=_integer, parse_float=_finite, parse_constant=_none)
+        content = json.loads(
+            text, object_pairs_hook=_unique, parse_int=_integer, parse_float=_finite, parse_constant=_none
+        )
         _check_brackets(content, MOST_BRACKETS)
         json.dumps(content, ensure_ascii=False).encode()
     except RecursionError:
@@ -168,7 +175,9 @@ def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float
     """Stop time and communication step, s; where they are not given, those of the unit."""
     given = content.get(EXPERIMENT, {})
     if not isinstance(given, dict):
-        raise FiveBarError(f"'{EXPERIMENT}' must be an object such as {{\"stopTime\": 2, \"stepSize\": 0.001}}, not {shown(given)}")
+        raise FiveBarError(
+            f'\'{EXPERIMENT}\' must be an object such as {{"stopTime": 2, "stepSize": 0.001}}, not {shown(given)}'
+        )
     for key in given:
         if key not in SECONDS:
             raise FiveBarError(f"'{EXPERIMENT}' has no key '{key}'{similar(key, SECONDS)}")
@@ -194,7 +203,9 @@ def _overlays(content: Mapping[str, Any], own: Values, variables: Variables) -> 
 
 def _overlay(given: Any, own: Values, variables: Variables) -> tuple[str, Values]:
     if not isinstance(given, dict):
-        raise FiveBarError(f"it must be an object with a '{LABEL}' and the values that replace the scene's, not {shown(given)}")
+        raise FiveBarError(
+            f"it must be an object with a '{LABEL}' and the values that replace the scene's, not {shown(given)}"
+        )
     label = _text(LABEL, given)
     changes = _values({name: value for name, value in given.items() if name != LABEL}, variables, (LABEL,))
     return label, {name: value for name, value in own.items() if name not in changes} | changes

@@ -90,7 +90,9 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
     if kind == RATE_OF:
         source = _source(given, value, variables)
         if source is None or source.kind == STEPS or variable.unit != f"{source.variable.unit}/s":
-            raise FiveBarError(f"'{RATE_OF}' must name a signal with knots whose rate has the unit {variable.unit}, not {shown(value)}")
+            raise FiveBarError(
+                f"'{RATE_OF}' must name a signal with knots whose rate has the unit {variable.unit}, not {shown(value)}"
+            )
         return replace(source, variable=variable, rate=True)
     if not (isinstance(value, list) and len(value) > 1 and all(_is_knot(knot) for knot in value)):
         raise FiveBarError(f"'{kind}' must be a list of two or more knots [time in s, value], not {shown(value)}")
@@ -127,7 +129,11 @@ def _kind(given: Any) -> tuple[str, Any]:
 
 
 def _is_knot(knot: Any) -> bool:
-    return isinstance(knot, list) and len(knot) == 2 and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in knot)
+    return (
+        isinstance(knot, list)
+        and len(knot) == 2
+        and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in knot)
+    )
 
 
 def _short(number: float) -> str:

@@ -167,7 +167,9 @@ def run(
     variables = of_unit(unit)
     for name in values or {}:
         if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
-            raise FiveBarError(f"{name!r} is no variable: stopTime and stepSize, s, stand in the key 'experiment' of a scene's file")
+            raise FiveBarError(
+                f"{name!r} is no variable: stopTime and stepSize, s, stand in the key 'experiment' of a scene's file"
+            )
     ready = scene if isinstance(scene, Scene) else scenes.read(scene, variables)
     given = dict(values or {}) | ({} if method is None else {"solver.method": method})
     if given:

@@ -76,7 +76,12 @@ def load(kind: type[Kind], model: ModelDescription, directory: str, name: str, g
 
 
 def instantiate(
-    model: ModelDescription, directory: str, log: Log, name: str = "fivebar", logging_on: bool = False, guid: str | None = None
+    model: ModelDescription,
+    directory: str,
+    log: Log,
+    name: str = "fivebar",
+    logging_on: bool = False,
+    guid: str | None = None,
 ) -> fmi2.FMU2Slave:
     """A fresh instance of the FMU extracted to `directory`; its logger fills `log`."""
     slave = load(fmi2.FMU2Slave, model, directory, name, guid)
@@ -91,7 +96,12 @@ def computed(model: ModelDescription) -> list[ScalarVariable]:
 
 def set_values(slave: fmi2.FMU2Slave, model: ModelDescription, values: dict[str, float | int | bool]) -> None:
     """Sets variables by name."""
-    setters = {"Real": slave.setReal, "Integer": slave.setInteger, "Enumeration": slave.setInteger, "Boolean": slave.setBoolean}
+    setters = {
+        "Real": slave.setReal,
+        "Integer": slave.setInteger,
+        "Enumeration": slave.setInteger,
+        "Boolean": slave.setBoolean,
+    }
     variables = {v.name: v for v in model.modelVariables}
     for name, value in values.items():
         setters[variables[name].type]([variables[name].valueReference], [value])
@@ -99,6 +109,11 @@ def set_values(slave: fmi2.FMU2Slave, model: ModelDescription, values: dict[str,
 
 def get_values(slave: fmi2.FMU2Slave, model: ModelDescription, names: list[str]) -> dict[str, float | int | bool]:
     """Reads variables by name."""
-    getters = {"Real": slave.getReal, "Integer": slave.getInteger, "Enumeration": slave.getInteger, "Boolean": slave.getBoolean}
+    getters = {
+        "Real": slave.getReal,
+        "Integer": slave.getInteger,
+        "Enumeration": slave.getInteger,
+        "Boolean": slave.getBoolean,
+    }
     variables = {v.name: v for v in model.modelVariables}
     return {name: getters[variables[name].type]([variables[name].valueReference])[0] for name in names}

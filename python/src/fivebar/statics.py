@@ -17,7 +17,11 @@ def holding_torques(scene: Scene, theta: ArrayLike) -> Floats:
     theta = np.asarray(theta, dtype=np.float64)
     machine = Machine.from_scene(scene)
     carried = np.stack(
-        [np.sum(_weight(scene, theta) * machine.link_rates(theta, rates), axis=-1) for rates in ((1.0, 0.0), (0.0, 1.0))], axis=-1
+        [
+            np.sum(_weight(scene, theta) * machine.link_rates(theta, rates), axis=-1)
+            for rates in ((1.0, 0.0), (0.0, 1.0))
+        ],
+        axis=-1,
     )
     return -carried - _springs(scene, theta)
 
@@ -43,12 +47,15 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
         carried = free * sine[..., 0] + by_angle[..., 1] * turn_2[motor] + by_angle[..., 2] * turn_3[motor]
         spare = limits[motor] * np.abs(sine[..., 0]) - np.abs(carried)
         forces.append(np.where(arm != 0, spare / np.where(arm != 0, np.abs(arm), 1.0), np.copysign(np.inf, spare)))
-    return np.minimum(*forces)
+    least: Floats = np.minimum(*forces)
+    return least
 
 
 def _weight(scene: Scene, theta: Floats) -> Floats:
     """Generalised forces of gravity on the links' angles, N·m, shape (..., 4): links 1 and 2 carry the payload."""
-    masses, arms, lengths = ([float(scene[f"link[{i}].{what}"]) for i in range(1, 5)] for what in ("mass", "com", "length"))
+    masses, arms, lengths = (
+        [float(scene[f"link[{i}].{what}"]) for i in range(1, 5)] for what in ("mass", "com", "length")
+    )
     payload = float(scene["payload.mass"]) if scene["payload.enabled"] else 0.0
     pull = float(scene["gravity.g"]) * np.sin(float(scene["gravity.tilt"])) if scene["gravity.enabled"] else 0.0
     moments = np.array(

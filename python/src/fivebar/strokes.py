@@ -10,8 +10,6 @@ import itertools
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +129,9 @@ def _csv(content: bytes) -> Drawing:
     table = []
     for number, row in enumerate(rows, 1):
         if len(row) not in (2, 3) or not all(map(_is_number, row)) or (len(row) == 3 and float(row[2]) not in (0, 1)):
-            raise FiveBarError(f"row {number} is {','.join(row)!r}: it must be x,y or x,y,pen, with pen 1 on the way there or 0")
+            raise FiveBarError(
+                f"row {number} is {','.join(row)!r}: it must be x,y or x,y,pen, with pen 1 on the way there or 0"
+            )
         table.append((float(row[0]), float(row[1]), float(row[2]) if len(row) == 3 else 1.0))
     strokes, begin = [], 0
     points = np.array(table).reshape(-1, 3)
@@ -151,7 +151,9 @@ def _unit_of(header: list[str]) -> float:
     names = [match[1].removeprefix("tip.") if match else None for match in found]
     units = {match[2] or "mm" for match in found[:2] if match}
     if names not in (["x", "y"], ["x", "y", "pen"]) or len(units) != 1 or not units <= set(UNITS):
-        raise FiveBarError(f"its header is {','.join(header)!r}: it must be as 'x [mm],y [mm],pen', with one of the units {', '.join(UNITS)}")
+        raise FiveBarError(
+            f"its header is {','.join(header)!r}: it must be as 'x [mm],y [mm],pen', with one of the units {', '.join(UNITS)}"
+        )
     return UNITS[units.pop()]
 
 

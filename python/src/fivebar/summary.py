@@ -45,12 +45,17 @@ def lines(run: Run, events: list[Event]) -> list[str]:
         ("tip at the end", f"x = {run['tip.x'][-1]:.9f} m, y = {run['tip.y'][-1]:.9f} m (t = {end:g} s)"),
         ("solver", f"{steps} steps, {substeps} sub-steps, {iterations} iterations, {rejected} rejected"),
         ("wall time", f"{run.step_seconds:.2f} s in fmi2DoStep, {run.wall_seconds:.2f} s with all outputs read"),
-        ("real-time factor", f"{_factor(end, run.step_seconds)} in fmi2DoStep, {_factor(end, run.wall_seconds)} in all"),
+        (
+            "real-time factor",
+            f"{_factor(end, run.step_seconds)} in fmi2DoStep, {_factor(end, run.wall_seconds)} in all",
+        ),
     ]
     facts += [("warning", text) for text in run.warnings or []]
     if run.failure is not None:
         facts.append(("ended early", f"after t = {end:g} s of {run.stop_time:g} s: {run.failure}"))
-    return [_line(2, *fact) for fact in facts] + [f"  {sampling(run)}:"] + [_line(4, *fact) for fact in _seen(run, events)]
+    return (
+        [_line(2, *fact) for fact in facts] + [f"  {sampling(run)}:"] + [_line(4, *fact) for fact in _seen(run, events)]
+    )
 
 
 def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:
@@ -58,9 +63,14 @@ def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:
     given = run.parameters
     if not given["servo.enabled"] or not all(given[f"servo.kp[{i}]"] for i in (1, 2)):
         return []
-    told = [np.broadcast_to(run.columns.get(name, values.get(name, 0.0)), run.time.shape) for name in ("servo.theta[1]", "servo.theta[2]")]
+    told = [
+        np.broadcast_to(run.columns.get(name, values.get(name, 0.0)), run.time.shape)
+        for name in ("servo.theta[1]", "servo.theta[2]")
+    ]
     _, near, far, _ = (lengths := [float(given[f"link[{i}].length"]) for i in (1, 2, 3, 4)])
-    apart = np.abs(float(given["base.distance"]) + lengths[3] * np.exp(1j * told[1]) - lengths[0] * np.exp(1j * told[0]))
+    apart = np.abs(
+        float(given["base.distance"]) + lengths[3] * np.exp(1j * told[1]) - lengths[0] * np.exp(1j * told[0])
+    )
     open_ = np.flatnonzero((apart > (near + far) * (1 + 1e-9)) | (apart < abs(near - far) * (1 - 1e-9)))
     if not len(open_):
         return []
@@ -101,7 +111,10 @@ def _seen(run: Run, events: list[Event]) -> list[tuple[str, str]]:
     return [
         ("largest energy error", f"{energy:.2e} J = {energy / energy_scale(run):.2e} mgL{note}"),
         ("constraint violation", f"position {position:.1e} m, velocity {velocity:.1e} m/s"),
-        ("smallest singular value", f"{run['singular.sigmaPhi'][weakest]:.4g} of Phi_q at t = {run.time[weakest]:.3f} s"),
+        (
+            "smallest singular value",
+            f"{run['singular.sigmaPhi'][weakest]:.4g} of Phi_q at t = {run.time[weakest]:.3f} s",
+        ),
         ("singularities met", singularities.count(events)),
     ]
 

@@ -5,11 +5,11 @@ repeats it.
 """
 
 import re
-import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -456,7 +456,8 @@ class _Document:
             return skew
         x, y = found[1:] or (0.0, 0.0)
         turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        return _moved(x, y) @ turn @ _moved(-x, -y)
+        about: Floats = _moved(x, y) @ turn @ _moved(-x, -y)
+        return about
 
     # Shapes
 

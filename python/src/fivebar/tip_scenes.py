@@ -76,7 +76,9 @@ class Tip:
                 f"'{ASSEMBLY}' is {assembly}, but with 'tip.x' = {place[0]:g} m and 'tip.y' = {place[1]:g} m in working mode {left}, {right} the tip "
                 f"is in assembly {'minus' if assembly == 'plus' else 'plus'}"
             )
-        motors = [_nearest_turn(float(angle), _middle(values, unit, leg)) for leg, angle in enumerate(posture.motors, 1)]
+        motors = [
+            _nearest_turn(float(angle), _middle(values, unit, leg)) for leg, angle in enumerate(posture.motors, 1)
+        ]
         return values | dict(zip(START, motors)) | ({} if assembly == "plus" else {START[2]: 2})
 
     def commands(self, values: Values, unit: Mapping[str, Value], points: Floats) -> dict[str, Floats]:
@@ -85,7 +87,9 @@ class Tip:
             return {}
         machine = _machine(values, unit)
         begin = np.array([float(values.get(name, unit[name])) for name in START[:2]])
-        tip, velocity = (np.stack([self._coordinate(name, points, rate) for name in TIP], axis=-1) for rate in (False, True))
+        tip, velocity = (
+            np.stack([self._coordinate(name, points, rate) for name in TIP], axis=-1) for rate in (False, True)
+        )
         mode = self.working or self._of_start(machine, begin, values)
         try:
             theta = machine.inverse(tip, mode).theta
@@ -132,7 +136,9 @@ def read(content: Mapping[str, Any], values: Values, signals: list[Signal], vari
     for follows, given in ((START, start), ((*SERVO_ANGLES, *SERVO_RATES), moved)):
         others = {*values, *(signal.variable.name for signal in signals)} & set(follows)
         if given and others:
-            raise FiveBarError(f"'{min(others)}' follows from {'signals ' if given is moved else ''}'tip.x' and 'tip.y', and cannot be given as well")
+            raise FiveBarError(
+                f"'{min(others)}' follows from {'signals ' if given is moved else ''}'tip.x' and 'tip.y', and cannot be given as well"
+            )
     return Tip(start, _working(content), _assembly(content), moved)
 
 
@@ -140,8 +146,12 @@ def _working(content: Mapping[str, Any]) -> Working | None:
     given = content.get(WORKING)
     if given is None and WORKING not in content:
         return None
-    if not (isinstance(given, list) and len(given) == 2 and all(isinstance(bend, str) and bend in SIGN for bend in given)):
-        raise FiveBarError(f"'{WORKING}' must be the bends of the left and the right leg, such as [\"minus\", \"plus\"], not {shown(given)}")
+    if not (
+        isinstance(given, list) and len(given) == 2 and all(isinstance(bend, str) and bend in SIGN for bend in given)
+    ):
+        raise FiveBarError(
+            f'\'{WORKING}\' must be the bends of the left and the right leg, such as ["minus", "plus"], not {shown(given)}'
+        )
     return given[0], given[1]
 
 

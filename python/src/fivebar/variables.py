@@ -81,7 +81,11 @@ class Variable:
         return next(name for name, value in self.items.items() if value == number)
 
     def _within(self, value: float) -> bool:
-        return not math.isnan(value) and (self.least is None or self.least <= value) and (self.most is None or value <= self.most)
+        return (
+            not math.isnan(value)
+            and (self.least is None or self.least <= value)
+            and (self.most is None or value <= self.most)
+        )
 
     @staticmethod
     def _limits(least: float | None, most: float | None) -> str:
@@ -126,10 +130,16 @@ class Variables(Mapping[str, Variable]):
         """The input of that name."""
         found = self.get(name)
         if found is not None and found.causality == "parameter":
-            what = "tunable parameter: if it is Real, it takes 'steps'" if found.variability == "tunable" else "fixed parameter: it keeps its start value"
+            what = (
+                "tunable parameter: if it is Real, it takes 'steps'"
+                if found.variability == "tunable"
+                else "fixed parameter: it keeps its start value"
+            )
             raise FiveBarError(f"'{name}' is a {what}")
         if found is None or found.causality != "input":
-            raise FiveBarError(f"'{name}' is not an input of the FMU{similar(name, [v.name for v in self.values() if v.causality == 'input'])}")
+            raise FiveBarError(
+                f"'{name}' is not an input of the FMU{similar(name, [v.name for v in self.values() if v.causality == 'input'])}"
+            )
         return found
 
 
@@ -148,13 +158,30 @@ def _read(file: Path, _changed: int, _size: int) -> Variables:
 
 
 def _variable(variable: ScalarVariable) -> Variable:
-    kind: Callable[[str], Value] = {"Real": float, "Integer": int, "Enumeration": int}.get(variable.type, lambda text: text == "true")
+    kind: Callable[[str], Value] = {"Real": float, "Integer": int, "Enumeration": int}.get(
+        variable.type, lambda text: text == "true"
+    )
     declared = variable.declaredType
-    items = {item.name: int(item.value) for item in (declared.items or ())} if declared is not None and variable.type == "Enumeration" else {}
-    least, most = (None if bound is None or variable.type == "Enumeration" else float(bound) for bound in (variable.min, variable.max))
+    items = (
+        {item.name: int(item.value) for item in (declared.items or ())}
+        if declared is not None and variable.type == "Enumeration"
+        else {}
+    )
+    least, most = (
+        None if bound is None or variable.type == "Enumeration" else float(bound)
+        for bound in (variable.min, variable.max)
+    )
     start = None if variable.start is None else kind(variable.start)
     return Variable(
-        variable.name, variable.type, variable.causality, variable.variability or "continuous", unit(variable), start, least, most, items
+        variable.name,
+        variable.type,
+        variable.causality,
+        variable.variability or "continuous",
+        unit(variable),
+        start,
+        least,
+        most,
+        items,
     )
 
 

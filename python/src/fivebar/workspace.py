@@ -116,7 +116,11 @@ class Map:
 
 
 def compute(
-    scene: Scene, limits: tuple[float, float] | None = None, path: Path | None = None, cells: int = CELLS, modes: Iterable[Working] = WORKING_MODES
+    scene: Scene,
+    limits: tuple[float, float] | None = None,
+    path: Path | None = None,
+    cells: int = CELLS,
+    modes: Iterable[Working] = WORKING_MODES,
 ) -> Map:
     """The map of a scene. Limits of torque, N·m, are those of its servos unless given; `path` is a motion to show."""
     machine = Machine.from_scene(scene)
@@ -155,7 +159,9 @@ def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
     return middle + size * (np.arange(columns + 1) - columns / 2), size * np.arange(-rows, rows + 1.0)
 
 
-def _mode(scene: Scene, machine: Machine, working: Working, limits: tuple[float, float] | None, x: Floats, y: Floats) -> Mode:
+def _mode(
+    scene: Scene, machine: Machine, working: Working, limits: tuple[float, float] | None, x: Floats, y: Floats
+) -> Mode:
     places = np.stack(np.meshgrid(x, y), axis=-1)
     posture, reached = machine.field(places, working)
     curves = direct_curves(machine, working) + stop_curves(scene, machine, working)
@@ -187,7 +193,11 @@ def _aspects(regions: NDArray[np.int8]) -> list[tuple[int, Flags]]:
     while True:
         before = labels.copy()
         for axis in (0, 1):
-            low, high = (slice(None, -1), slice(1, None)) if axis == 0 else ((slice(None), slice(None, -1)), (slice(None), slice(1, None)))
+            low, high = (
+                (slice(None, -1), slice(1, None))
+                if axis == 0
+                else ((slice(None), slice(None, -1)), (slice(None), slice(1, None)))
+            )
             joined = (regions[low] == regions[high]) & (regions[low] != 0)
             smaller = np.minimum(labels[low], labels[high])
             labels[low] = np.where(joined, smaller, labels[low])
@@ -240,7 +250,13 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
 
 
 def _roomiest(
-    room: Callable[[Floats, Obstacles], Floats], middles: Floats, size: float, rough: Obstacles, fine: Obstacles, slack: float, tolerance: float
+    room: Callable[[Floats, Obstacles], Floats],
+    middles: Floats,
+    size: float,
+    rough: Obstacles,
+    fine: Obstacles,
+    slack: float,
+    tolerance: float,
 ) -> tuple[Floats, float]:
     """The place with the most room in square cells about `middles`, and how much there is.
 
@@ -278,7 +294,10 @@ def write(survey: Map, folder: str | FilePath) -> list[FilePath]:
     directory.mkdir(parents=True, exist_ok=True)
     angles = [f"{name} [rad]" for name in ANGLES]
     tables: dict[str, tuple[list[str], Iterable[Sequence[object]]]] = {
-        "field.csv": (["working", "x [m]", "y [m]", "assembly", *angles, "dexterity [1]", "within_stops", "force [N]"], _field_rows(survey)),
+        "field.csv": (
+            ["working", "x [m]", "y [m]", "assembly", *angles, "dexterity [1]", "within_stops", "force [N]"],
+            _field_rows(survey),
+        ),
         "loci.csv": (["working", "kind", "detail", "piece", "x [m]", "y [m]", *angles], _locus_rows(survey)),
         "discs.csv": (
             ["working", "assembly", "x [m]", "y [m]", "radius [m]"],
@@ -303,7 +322,14 @@ def _field_rows(survey: Map) -> Iterable[list[object]]:
         on = mode.reached
         assembly = np.where(sines(mode.theta[on])[:, 0] >= 0, "plus", "minus").tolist()
         force = [""] * len(assembly) if mode.force is None else mode.force[on].tolist()
-        columns = (places[on].tolist(), assembly, mode.theta[on].tolist(), mode.dexterity[on].tolist(), mode.within_stops[on].tolist(), force)
+        columns = (
+            places[on].tolist(),
+            assembly,
+            mode.theta[on].tolist(),
+            mode.dexterity[on].tolist(),
+            mode.within_stops[on].tolist(),
+            force,
+        )
         for place, side, theta, dexterity, within, held in zip(*columns):
             yield [mode.name, *place, side, *theta, dexterity, int(within), held]
 
@@ -313,7 +339,17 @@ def _locus_rows(survey: Map) -> Iterable[list[object]]:
     for number, circle in enumerate(survey.circles):
         for angle in np.linspace(-np.pi, np.pi, 361).tolist():
             tip = circle.centre[0] + circle.radius * np.cos(angle), circle.centre[1] + circle.radius * np.sin(angle)
-            yield ["", "inverse", f"{('left', 'right')[circle.leg]} {circle.posture}", number, *map(float, tip), "", "", "", ""]
+            yield [
+                "",
+                "inverse",
+                f"{('left', 'right')[circle.leg]} {circle.posture}",
+                number,
+                *map(float, tip),
+                "",
+                "",
+                "",
+                "",
+            ]
     for mode in survey.modes:
         for number, curve in enumerate(mode.curves):
             rows = np.column_stack([curve.tip, curve.theta])

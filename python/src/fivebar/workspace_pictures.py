@@ -63,7 +63,9 @@ def draw(survey: Map, folder: str | Path) -> list[Path]:
                 figure = picture(survey, mode)
                 for suffix in ("svg", "png"):
                     files.append(directory / f"{kind}_{mode.name}.{suffix}")
-                    figure.savefig(files[-1], dpi=150, bbox_inches="tight", metadata={"Date": None} if suffix == "svg" else None)
+                    figure.savefig(
+                        files[-1], dpi=150, bbox_inches="tight", metadata={"Date": None} if suffix == "svg" else None
+                    )
     return files
 
 
@@ -71,7 +73,9 @@ def condition_picture(survey: Map, mode: Mode) -> Figure:
     """The condition number over the reach, with all loci."""
     figure, axes, bar = _page(survey, mode)
     levels = [1 / kappa for kappa in KAPPAS]
-    field = axes.contourf(survey.x * MM, survey.y * MM, mode.dexterity, levels=levels, colors=scale_colours(len(levels) - 1), zorder=1)
+    field = axes.contourf(
+        survey.x * MM, survey.y * MM, mode.dexterity, levels=levels, colors=scale_colours(len(levels) - 1), zorder=1
+    )
     field.set_rasterized(True)
     colour_bar = figure.colorbar(field, cax=bar, spacing="uniform")
     colour_bar.set_ticks(levels, labels=["∞" if np.isinf(kappa) else f"{kappa:g}" for kappa in KAPPAS])
@@ -92,14 +96,18 @@ def force_picture(survey: Map, mode: Mode) -> Figure:
     handles: list[Patch] = []
     if len(levels := force_levels(mode)):
         values = np.clip(mode.force, -1e9, 1e9)
-        field = axes.contourf(survey.x * MM, survey.y * MM, values, levels=levels, cmap="cividis", extend="max", zorder=1)
+        field = axes.contourf(
+            survey.x * MM, survey.y * MM, values, levels=levels, cmap="cividis", extend="max", zorder=1
+        )
         field.set_rasterized(True)
         figure.colorbar(field, cax=bar).set_label("force that the tip holds in every direction  (N)")
     else:
         bar.set_axis_off()
     if np.any(mode.force[mode.reached & mode.within_stops] <= 0):
         lacking = np.clip(mode.force, -1e9, 1e9)
-        axes.contourf(survey.x * MM, survey.y * MM, lacking, levels=[-2e9, 0.0], colors=[WHITE], hatches=["xxx"], zorder=1.1)
+        axes.contourf(
+            survey.x * MM, survey.y * MM, lacking, levels=[-2e9, 0.0], colors=[WHITE], hatches=["xxx"], zorder=1.1
+        )
         handles.append(Patch(facecolor=WHITE, edgecolor=BLACK, hatch="xxx", label="the motors do not carry the weight"))
     _finish(axes, survey, mode, handles)
     axes.text(0, 1.01, load_words(survey), transform=axes.transAxes, va="bottom", fontsize=8)
@@ -121,13 +129,17 @@ def load_words(survey: Map) -> str:
     """Limits of torque and payload of a force's field, in words."""
     assert survey.limits is not None
     left, right = survey.limits
-    load = f"payload {float(survey.scene['payload.mass']) * 1e3:g} g" if survey.scene["payload.enabled"] else "no payload"
+    load = (
+        f"payload {float(survey.scene['payload.mass']) * 1e3:g} g" if survey.scene["payload.enabled"] else "no payload"
+    )
     return f"torques up to {left:g} N·m left, {right:g} N·m right; {load}"
 
 
 def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
     """A figure with axes of equal scales in mm, and those of its colour bar."""
-    shown = np.concatenate([survey.machine.motors, _posture(survey, mode), np.stack([survey.x[[0, -1]], survey.y[[0, -1]]], axis=-1)])
+    shown = np.concatenate(
+        [survey.machine.motors, _posture(survey, mode), np.stack([survey.x[[0, -1]], survey.y[[0, -1]]], axis=-1)]
+    )
     low, high = shown.min(axis=0), shown.max(axis=0)
     margin = 0.03 * float(np.max(high - low))
     low, high = (low - margin) * MM, (high + margin) * MM
@@ -136,7 +148,9 @@ def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
     size = LEFT_ROOM + width + 1.2, BELOW_ROOM + height + 0.9
     figure = Figure(figsize=size)
     axes = figure.add_axes((LEFT_ROOM / size[0], BELOW_ROOM / size[1], width / size[0], height / size[1]))
-    bar = figure.add_axes(((LEFT_ROOM + width + 0.15) / size[0], BELOW_ROOM / size[1], 0.16 / size[0], height / size[1]))
+    bar = figure.add_axes(
+        ((LEFT_ROOM + width + 0.15) / size[0], BELOW_ROOM / size[1], 0.16 / size[0], height / size[1])
+    )
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_xlabel("tip.x  (mm)")
@@ -154,11 +168,24 @@ def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
 def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
     """Everything over the field, and the legend."""
     hide_outside(axes, survey.machine)
-    handles = [*more, *_stops(axes, survey, mode), *draw_loci(axes, survey.machine, mode.curves), *_discs(axes, survey, mode), *_path(axes, survey, mode)]
+    handles = [
+        *more,
+        *_stops(axes, survey, mode),
+        *draw_loci(axes, survey.machine, mode.curves),
+        *_discs(axes, survey, mode),
+        *_path(axes, survey, mode),
+    ]
     handles += _machine(axes, survey, mode)
     assert isinstance(axes.figure, Figure)
     height = axes.figure.get_figheight() - BELOW_ROOM - 0.9
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.5 / height), frameon=False, borderaxespad=0, handlelength=2.6)
+    axes.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0, -0.5 / height),
+        frameon=False,
+        borderaxespad=0,
+        handlelength=2.6,
+    )
 
 
 def hide_outside(axes: Axes, machine: Machine) -> None:
@@ -185,7 +212,9 @@ def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
     if not survey.scene["stop.enabled"]:
         return []
     margin = np.clip(mode.stop_margin, -10, 10)
-    hatched = axes.contourf(survey.x * MM, survey.y * MM, margin, levels=[-20, 0], colors=["#ffffffb0"], hatches=["////"], zorder=1.5)
+    hatched = axes.contourf(
+        survey.x * MM, survey.y * MM, margin, levels=[-20, 0], colors=["#ffffffb0"], hatches=["////"], zorder=1.5
+    )
     hatched.set_edgecolor(GREY)
     for curve in mode.curves:
         if curve.kind == "stop":
@@ -196,11 +225,24 @@ def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
 def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float = 1.0) -> list[Line2D]:
     """Draws circles and curves of singularities, in mm, with lines of so many times the usual width; what the legend is to have."""
     thin, thick = 1.3 * weight, 1.6 * weight
-    handles = [Line2D([], [], color=BLACK, linewidth=thin, label="inverse singularity: a leg stretched or folded (rim of the reach)")]
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=BLACK,
+            linewidth=thin,
+            label="inverse singularity: a leg stretched or folded (rim of the reach)",
+        )
+    ]
     for circle in machine.inverse_singularities():
         if circle.radius > 0:
             centre = circle.centre[0] * MM, circle.centre[1] * MM
-            _within(axes, machine, Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=thin, zorder=4), circle.leg)
+            _within(
+                axes,
+                machine,
+                Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=thin, zorder=4),
+                circle.leg,
+            )
     names = {
         "stretched": "direct singularity: distal links stretched" + (" (Watt's curve)" if machine.is_symmetric else ""),
         "folded": "direct singularity: distal links folded",
@@ -232,7 +274,9 @@ def _discs(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
     shown = [disc for disc in mode.discs if disc.radius > 0.3 * mode.discs[0].radius]
     styles = {"plus": (0, (6, 2)), "minus": (0, (1.5, 1.5))}
     for disc in shown:
-        circle = Circle((disc.x * MM, disc.y * MM), disc.radius * MM, fill=False, edgecolor=SKY, linewidth=1.4, zorder=6)
+        circle = Circle(
+            (disc.x * MM, disc.y * MM), disc.radius * MM, fill=False, edgecolor=SKY, linewidth=1.4, zorder=6
+        )
         circle.set_linestyle(styles[disc.assembly])
         axes.add_patch(circle)
     for assembly, style in styles.items():
@@ -254,14 +298,24 @@ def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
     handles = []
     if not whole:
         axes.plot(*tip.T, color=GREY, linewidth=0.7, linestyle=":", zorder=6.5)
-        handles.append(Line2D([], [], color=GREY, linewidth=0.7, linestyle=":", label="motion of the scene in other working modes"))
+        handles.append(
+            Line2D([], [], color=GREY, linewidth=0.7, linestyle=":", label="motion of the scene in other working modes")
+        )
     for part in parts:
         axes.plot(*tip[part].T, linewidth=3.2, color=WHITE, zorder=7, path_effects=casing)
         axes.plot(*tip[part].T, linewidth=1.6, color=PURPLE, zorder=7.1)
     if parts:
         handles.append(Line2D([], [], color=PURPLE, linewidth=1.6, label="motion of the scene, from the ring"))
         if parts[0].start == 0:
-            axes.plot(*tip[0], "o", markerfacecolor=WHITE, markeredgecolor=PURPLE, markersize=5, markeredgewidth=1.4, zorder=10)
+            axes.plot(
+                *tip[0],
+                "o",
+                markerfacecolor=WHITE,
+                markeredgecolor=PURPLE,
+                markersize=5,
+                markeredgewidth=1.4,
+                zorder=10,
+            )
     return handles
 
 
@@ -285,7 +339,17 @@ def _machine(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
         return [Line2D([], [], color=BLACK, marker="^", linestyle="none", markersize=6, label="motors")]
     axes.plot(*joints.T, color=WHITE, linewidth=4.2, zorder=7.9, solid_joinstyle="round")
     axes.plot(*joints.T, color=BLACK, linewidth=2.0, zorder=8, solid_joinstyle="round", marker="o", markersize=3.5)
-    return [Line2D([], [], color=BLACK, linewidth=2.0, marker="o", markersize=3.5, label="a posture of the machine, with its motors ▲")]
+    return [
+        Line2D(
+            [],
+            [],
+            color=BLACK,
+            linewidth=2.0,
+            marker="o",
+            markersize=3.5,
+            label="a posture of the machine, with its motors ▲",
+        )
+    ]
 
 
 def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
@@ -311,7 +375,14 @@ def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> 
             for link, (begin, end) in enumerate(((0, 1), (1, 2), (3, 2), (4, 3))):
                 middle = joints[begin] + 0.4 * (joints[end] - joints[begin])
                 text = axes.text(*middle, f"{link + 1}", ha="center", va="center", fontsize=9, zorder=4)
-                text.set_bbox({"boxstyle": "circle,pad=0.15", "facecolor": WHITE, "edgecolor": (BLACK, VERMILLION)[link > 1], "linewidth": 0.8})
+                text.set_bbox(
+                    {
+                        "boxstyle": "circle,pad=0.15",
+                        "facecolor": WHITE,
+                        "edgecolor": (BLACK, VERMILLION)[link > 1],
+                        "linewidth": 0.8,
+                    }
+                )
             signs = ["> 0" if bend == "plus" else "< 0" for bend in working]
             side = "> 0" if posture.assembly == "plus" else "< 0"
             axes.set_title(

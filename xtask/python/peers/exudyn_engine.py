@@ -9,7 +9,9 @@ import numpy as np
 from machine import BASE, COM, INERTIA, JOINTS, LENGTH, MASS, G, Peer, Setting, friction_torque, servo_torque
 
 # Spectral radius 1: the trapezoidal rule with its index-2 constraints; 0.8: generalised-alpha.
-RUNS = tuple((solver, step) for solver in ("TrapezoidalIndex2", "GeneralizedAlpha") for step in (4e-3, 2e-3, 1e-3, 1e-4, 1e-5))
+RUNS = tuple(
+    (solver, step) for solver in ("TrapezoidalIndex2", "GeneralizedAlpha") for step in (4e-3, 2e-3, 1e-3, 1e-4, 1e-5)
+)
 # Bodies: each link with the link that carries it; -1 is the ground.
 LINKS = ((0, -1), (1, 0), (2, 3), (3, -1))
 
@@ -39,7 +41,9 @@ def _setting(solver: str, step: float) -> Setting:
         bodies, nodes = [], []
         for pose in _poses(start[:4]):
             nodes.append(system.AddNode(item.NodeRigidBody2D(referenceCoordinates=pose, initialVelocities=[0, 0, 0])))
-            bodies.append(system.AddObject(item.ObjectRigidBody2D(physicsMass=MASS, physicsInertia=INERTIA, nodeNumber=nodes[-1])))
+            bodies.append(
+                system.AddObject(item.ObjectRigidBody2D(physicsMass=MASS, physicsInertia=INERTIA, nodeNumber=nodes[-1]))
+            )
             centre = system.AddMarker(item.MarkerBodyPosition(bodyNumber=bodies[-1], localPosition=[0, 0, 0]))
             system.AddLoad(item.LoadForceVector(markerNumber=centre, loadVector=[0, -MASS * G, 0]))
 
@@ -69,7 +73,9 @@ def _setting(solver: str, step: float) -> Setting:
             settings.timeIntegration.startTime, settings.timeIntegration.endTime = now, until
             settings.timeIntegration.numberOfSteps = max(1, round((until - now) / step))
             kind = getattr(exu.DynamicSolverType, solver)
-            if not system.SolveDynamic(settings, solverType=kind, updateInitialValues=True, showHints=False, showCausingItems=False):
+            if not system.SolveDynamic(
+                settings, solverType=kind, updateInitialValues=True, showHints=False, showCausingItems=False
+            ):
                 raise RuntimeError("the solver failed")
             now = until
             angles = [system.GetNodeOutput(n, exu.OutputVariableType.Coordinates)[2] for n in nodes]
@@ -92,7 +98,9 @@ def _load(system, nodes: list, start: np.ndarray) -> None:
     def between(first: int, second: int | None, force) -> None:
         # Exudyn's force pulls the second marker back by the returned value, and its rate is that of the second one.
         markers = [angle(second), angle(first)]
-        system.AddObject(item.ObjectConnectorCoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=force))
+        system.AddObject(
+            item.ObjectConnectorCoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=force)
+        )
 
     def friction(_system, _t, _number, _displacement, rate, *_):
         return -friction_torque(rate)

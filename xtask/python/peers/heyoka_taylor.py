@@ -66,7 +66,10 @@ def _equations(loaded: bool) -> list:
         out = [None] * 4
         for near, far in ((0, 1), (3, 2)):
             det = NEAR * FAR - off[near] ** 2
-            out[near], out[far] = (FAR * f[near] - off[near] * f[far]) / det, (NEAR * f[far] - off[near] * f[near]) / det
+            out[near], out[far] = (
+                (FAR * f[near] - off[near] * f[far]) / det,
+                (NEAR * f[far] - off[near] * f[near]) / det,
+            )
         return out
 
     def dot(x: list, y: list):

@@ -8,7 +8,9 @@ import numpy as np
 from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting, joint_torques
 
 # The loop hardens with the step, so that RK4 is of second order here.
-RUNS = tuple(("RK4", h) for h in (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 2e-5)) + tuple(("implicitfast", h) for h in (1e-3, 1e-4, 2e-5))
+RUNS = tuple(("RK4", h) for h in (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 2e-5)) + tuple(
+    ("implicitfast", h) for h in (1e-3, 1e-4, 2e-5)
+)
 
 
 def peer() -> Peer:

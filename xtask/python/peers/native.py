@@ -38,7 +38,19 @@ def cargo_built(folder: str) -> Path:
     target = BUILT / folder
     manifest = SOURCES / folder / "Cargo.toml"
     cargo = os.environ.get("CARGO", "cargo")
-    _build([cargo, "build", "--release", "--locked", "--quiet", "--manifest-path", str(manifest), "--target-dir", str(target)])
+    _build(
+        [
+            cargo,
+            "build",
+            "--release",
+            "--locked",
+            "--quiet",
+            "--manifest-path",
+            str(manifest),
+            "--target-dir",
+            str(target),
+        ]
+    )
     return target / "release" / f"peer-{folder}"
 
 

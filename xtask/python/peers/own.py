@@ -13,11 +13,23 @@ import machine
 from fivebar.slave import Log, get_values, instantiate, set_values
 from machine import Peer, Setting
 
-STATE = ["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]", "omega[1]", "passive.omega[1]", "passive.omega[2]", "omega[2]"]
+STATE = [
+    "theta[1]",
+    "passive.theta[1]",
+    "passive.theta[2]",
+    "theta[2]",
+    "omega[1]",
+    "passive.omega[1]",
+    "passive.omega[2]",
+    "omega[2]",
+]
 
 # Names as in the report, then the method as in the model description; a method that this .fmu does not have is left out.
 RUNS = {
-    "i3alp, adaptive": ("i3alp", [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-7, 3e-9, 1e-11, 1e-13)]),
+    "i3alp, adaptive": (
+        "i3alp",
+        [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-7, 3e-9, 1e-11, 1e-13)],
+    ),
     "i3alp, fixed step": ("i3alp", [{"solver.adaptive": False, "solver.stepSize": h} for h in (1e-3, 1e-4, 1e-5)]),
     "i3alpConserving": ("i3alpConserving", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4)]),
     "rk4": ("rk4", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4, 2e-5)]),
@@ -36,7 +48,11 @@ def peers(fmu: Path) -> list[Peer]:
     sides = {item.name: int(item.value) for item in assembly.declaredType.items}
     version = model.version or "this .fmu"
     return [
-        Peer(f"{ahead.OURS}{name}", version, [_setting(model, directory, sides, run | {"solver.method": numbers[method]}) for run in runs])
+        Peer(
+            f"{ahead.OURS}{name}",
+            version,
+            [_setting(model, directory, sides, run | {"solver.method": numbers[method]}) for run in runs],
+        )
         for name, (method, runs) in RUNS.items()
         if method in numbers
     ]
@@ -63,7 +79,11 @@ def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, f
         slave = instantiate(model, directory, log)
         # Equal distal links: the tip is on the right where they turn clockwise from the left one to the right one.
         side = sides["plus" if math.sin(start[2] - start[1]) >= 0 else "minus"]
-        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | (loads or {}) | settings)
+        set_values(
+            slave,
+            model,
+            {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | (loads or {}) | settings,
+        )
         slave.setupExperiment(startTime=0.0)
         slave.enterInitializationMode()
         slave.exitInitializationMode()

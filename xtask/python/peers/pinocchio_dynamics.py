@@ -30,7 +30,11 @@ def peer() -> Peer:
     libraries = [f"-L{prefix / 'lib'}", "-lpinocchio_default", f"-Wl,-rpath,{prefix / 'lib'}"]
     program = native.compiled("pinocchio.cpp", "g++", FLAGS + headers, libraries)
     runs = [(*run, *gains) for gains in GAINS for run in RUNS]
-    return Peer("Pinocchio", importlib.metadata.version("libpinocchio"), [_setting(native.Program(program, *run), *run) for run in runs])
+    return Peer(
+        "Pinocchio",
+        importlib.metadata.version("libpinocchio"),
+        [_setting(native.Program(program, *run), *run) for run in runs],
+    )
 
 
 def _prefix() -> Path:
@@ -43,5 +47,7 @@ def _prefix() -> Path:
 
 def _setting(program: native.Program, method: str, knob: float, kp: float, kd: float) -> Setting:
     gains = f"Baumgarte {kp:g} 1/s^2, {kd:g} 1/s" if kp else "no Baumgarte"
-    text = f"constraintDynamics (proximal, mu 1e-12, 1 iteration), {METHODS[method].format(knob)}, {gains}, C++ by g++ -O3"
+    text = (
+        f"constraintDynamics (proximal, mu 1e-12, 1 iteration), {METHODS[method].format(knob)}, {gains}, C++ by g++ -O3"
+    )
     return Setting(text, program.begin, program.clock)

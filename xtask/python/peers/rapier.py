@@ -7,7 +7,9 @@ from machine import Peer, Setting
 
 # Joints, step (s), sweeps of the impulse joints. More solver iterations are shorter steps by another name. With the joints as hard as
 # they are by default, the rest is the error of the first-order step.
-RUNS = tuple((joints, h, sweeps) for joints in ("impulse", "multibody") for h in (1e-3, 1e-4, 1e-5, 1e-6) for sweeps in (1, 4))
+RUNS = tuple(
+    (joints, h, sweeps) for joints in ("impulse", "multibody") for h in (1e-3, 1e-4, 1e-5, 1e-6) for sweeps in (1, 4)
+)
 
 
 def peer() -> Peer:

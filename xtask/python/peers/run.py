@@ -178,7 +178,10 @@ def show(row: Row) -> None:
     """A line for people, while it runs."""
     numbers = [row.error_1s_m, row.error_2s_m, row.ms_per_simulated_second, row.energy_error_mgL]
     e1, e2, cost, energy = ("-" if x is None else f"{x:.2g}" for x in numbers)
-    print(f"{row.scene:16} {row.peer:15} e1 {e1:8} e2 {e2:8} m {cost:8} ms/s  dE {energy:8} mgL  {row.settings}  {row.note}", flush=True)
+    print(
+        f"{row.scene:16} {row.peer:15} e1 {e1:8} e2 {e2:8} m {cost:8} ms/s  dE {energy:8} mgL  {row.settings}  {row.note}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

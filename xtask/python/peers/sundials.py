@@ -28,7 +28,9 @@ def ida() -> Peer:
 
 def _peer(name: str, methods: tuple[str, ...]) -> Peer:
     program = _program()
-    return Peer(name, _version(), [_setting(program, method, tolerance) for method in methods for tolerance in TOLERANCES])
+    return Peer(
+        name, _version(), [_setting(program, method, tolerance) for method in methods for tolerance in TOLERANCES]
+    )
 
 
 def _setting(program: Path, method: str, tolerance: float) -> Setting:
@@ -46,5 +48,11 @@ def _program() -> Path:
 
 
 def _version() -> str:
-    header = subprocess.run(["gcc", "-E", "-dM", "-include", "sundials/sundials_config.h", "-"], input="", capture_output=True, text=True, check=True)
+    header = subprocess.run(
+        ["gcc", "-E", "-dM", "-include", "sundials/sundials_config.h", "-"],
+        input="",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return re.search(r'SUNDIALS_VERSION "(.+)"', header.stdout)[1]

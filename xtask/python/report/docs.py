@@ -12,7 +12,10 @@ from report.page import compact
 
 def marks(name: str, command: str) -> tuple[str, str]:
     """The comments around a written text."""
-    return f"<!-- {name}: what follows is written by `{command} --update-docs`, not by hand -->", f"<!-- {name}: end -->"
+    return (
+        f"<!-- {name}: what follows is written by `{command} --update-docs`, not by hand -->",
+        f"<!-- {name}: end -->",
+    )
 
 
 BEGIN, END = marks("accuracy", "cargo xtask report")

@@ -25,7 +25,15 @@ COLOURS = {
 }
 """One colour per method, in every figure."""
 
-SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpConserving": "P", "i3alpPrinted": "v", "rk4": "^", "automatic": "*"}
+SHAPES = {
+    "dop853": "o",
+    "i3alp, adaptive": "s",
+    "i3alp, fixed step": "D",
+    "i3alpConserving": "P",
+    "i3alpPrinted": "v",
+    "rk4": "^",
+    "automatic": "*",
+}
 
 USELESS = 1.0
 """An error, m, above the size of the machine."""
@@ -38,7 +46,9 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
     """Error against time, a panel per scene, a line per method, settings beside markers."""
     columns = 2 if len(references) == 4 else min(3, len(references))
     rows = -(-len(references) // columns)
-    figure, panels = plt.subplots(rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True)
+    figure, panels = plt.subplots(
+        rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True
+    )
     for axes in panels.flat[len(references) :]:
         axes.set_visible(False)
     for axes, reference in zip(panels.flat, references):
@@ -91,25 +101,43 @@ def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
     """The setting beside the ends of each line and every third marker, where it covers no line, no marker and no other note; where it would
     on every side, it is left out, as is one that stands beside the marker of another method already."""
     pixels = axes.figure.dpi / 72  # of a point
-    lines = [line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1]
+    lines = [
+        line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1
+    ]
     points = axes.transData.transform([(m.cost, m.error) for m in markers])
     taken = [*taken, *(Bbox([point, point]).padded(pixels * MARKER_SIZE / 2) for point in points)]
     noted: list[tuple[str, np.ndarray]] = []
     # The ends of all lines come first, for they show most.
     of_method = [[m for m in markers if m.method == method] for method in COLOURS]
-    for m in [*(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])), *(m for line in of_method for m in line[3:-2:3])]:
+    for m in [
+        *(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])),
+        *(m for line in of_method for m in line[3:-2:3]),
+    ]:
         point = axes.transData.transform((m.cost, m.error))
         if any(setting == m.setting and np.abs(point - other).max() < pixels * MARKER_SIZE for setting, other in noted):
             continue
         for offset, ha, va in SIDES:
             note = axes.annotate(
-                m.setting, (m.cost, m.error), xytext=offset, textcoords="offset points", fontsize=NOTE_SIZE, color=COLOURS[m.method], ha=ha, va=va
+                m.setting,
+                (m.cost, m.error),
+                xytext=offset,
+                textcoords="offset points",
+                fontsize=NOTE_SIZE,
+                color=COLOURS[m.method],
+                ha=ha,
+                va=va,
             )
             # Notes lie inside the panels: making room for each of them takes seconds.
             note.set_in_layout(False)
             box = note.get_window_extent().padded(pixels * ROOM)
-            inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 and axes.bbox.y0 <= box.y0 and box.y1 <= axes.bbox.y1
-            if inside and not any(box.overlaps(other) for other in taken) and not any(line.intersects_bbox(box, filled=False) for line in lines):
+            inside = (
+                axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 and axes.bbox.y0 <= box.y0 and box.y1 <= axes.bbox.y1
+            )
+            if (
+                inside
+                and not any(box.overlaps(other) for other in taken)
+                and not any(line.intersects_bbox(box, filled=False) for line in lines)
+            ):
                 taken.append(box)
                 noted.append((m.setting, point))
                 break
@@ -132,7 +160,9 @@ def order(markers: list[Marker], references: list[Reference]) -> Figure:
                 line = [
                     m
                     for m in markers
-                    if (m.scene, m.method, m.knob) == (reference.scene, method, knob) and m.complete and m.error < USELESS
+                    if (m.scene, m.method, m.knob) == (reference.scene, method, knob)
+                    and m.complete
+                    and m.error < USELESS
                 ]
                 _line(axes, [m.value for m in line], [m.error for m in line], method)
                 slope = fitted_slope(line, reference.own_error)
@@ -140,7 +170,13 @@ def order(markers: list[Marker], references: list[Reference]) -> Figure:
                     notes.append((method, slope))
             for i, (method, slope) in enumerate(notes):
                 axes.text(
-                    0.98, 0.04 + 0.075 * i, f"slope {slope:.2f}", color=COLOURS[method], fontsize=8.5, ha="right", transform=axes.transAxes
+                    0.98,
+                    0.04 + 0.075 * i,
+                    f"slope {slope:.2f}",
+                    color=COLOURS[method],
+                    fontsize=8.5,
+                    ha="right",
+                    transform=axes.transAxes,
                 )
             _own_error(axes, reference, 0.02)
             logarithmic(axes, xlabel=label, title=f"{reference.kind}: {reference.scene}")
@@ -165,7 +201,12 @@ def energy(rows: list[Row]) -> Figure:
     for method in COLOURS:
         line = [row for row in rows if row["method"] == method and row["ending"] == "complete"]
         line = [row for row in line if 0 < float(row["worst |dE| [mgL]"]) < 1e3]
-        _line(axes, [float(row["us per simulated ms"]) for row in line], [float(row["worst |dE| [mgL]"]) for row in line], method)
+        _line(
+            axes,
+            [float(row["us per simulated ms"]) for row in line],
+            [float(row["worst |dE| [mgL]"]) for row in line],
+            method,
+        )
     logarithmic(axes, xlabel="µs per simulated ms, one core", ylabel="largest |energy error|  (mgL)")
     axes.legend(loc="upper right")
     return figure
@@ -178,7 +219,12 @@ def horizon(rows: list[Row]) -> Figure:
     for axes, knob, label in ((left, "tolerance", "tolerance  (rad)"), (right, "step", "step  (s)")):
         for method in COLOURS:
             line = [row for row in rows if row["method"] == method and row["knob"] == knob]
-            _line(axes, [float(row["value"]) for row in line], [float(row["within 1 mm until [s]"]) for row in line], method)
+            _line(
+                axes,
+                [float(row["value"]) for row in line],
+                [float(row["within 1 mm until [s]"]) for row in line],
+                method,
+            )
         if limit is not None:
             axes.axhline(limit, color=FAINT, linestyle="--", linewidth=1)
             axes.annotate(
@@ -201,7 +247,9 @@ def logarithmic(axes: Axes, **properties: object) -> None:
 
 def _line(axes: Axes, x: list[float], y: list[float], method: str) -> None:
     if x:
-        axes.plot(x, y, color=COLOURS[method], marker=SHAPES[method], markersize=MARKER_SIZE, linewidth=1.5, label=method)
+        axes.plot(
+            x, y, color=COLOURS[method], marker=SHAPES[method], markersize=MARKER_SIZE, linewidth=1.5, label=method
+        )
 
 
 def _own_error(axes: Axes, reference: Reference, x: float) -> None:
@@ -218,7 +266,13 @@ def _own_error(axes: Axes, reference: Reference, x: float) -> None:
 def _legend(figure: Figure, *panels: Axes) -> None:
     """One legend below all panels, in two lines where there is room for one panel only."""
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
-    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found) if figure.get_figwidth() > 6 else 3, fontsize=9)
+    figure.legend(
+        found.values(),
+        found.keys(),
+        loc="outside lower center",
+        ncols=len(found) if figure.get_figwidth() > 6 else 3,
+        fontsize=9,
+    )
 
 
 def _inverse(cost: np.ndarray) -> np.ndarray:

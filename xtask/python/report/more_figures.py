@@ -28,13 +28,22 @@ BINS = 10 ** (np.arange(81) / 10) / 1e3
 def step_times(rows: list[Row]) -> Figure:
     """Share of the calls that take longer than a time."""
     figure, panels = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
-    columns = (("best [us]", "the method: best of the repeats"), ("first [us]", "the machine: one run, whatever else it did"))
+    columns = (
+        ("best [us]", "the method: best of the repeats"),
+        ("first [us]", "the machine: one run, whatever else it did"),
+    )
     for axes, (column, title) in zip(panels, columns):
         for name, colour in SETTING_COLOURS.items():
             times = np.sort([float(row[column]) for row in rows if row["setting"] == name])
             if len(times):
                 longer = 1 - np.arange(len(times)) / len(times)
-                axes.step(times, longer, where="post", color=colour, label=f"{name}: p50 {_at(times, 50)}, p99 {_at(times, 99)} µs")
+                axes.step(
+                    times,
+                    longer,
+                    where="post",
+                    color=colour,
+                    label=f"{name}: p50 {_at(times, 50)}, p99 {_at(times, 99)} µs",
+                )
         logarithmic(axes, xlabel="µs per call of 1 ms", title=title)
         axes.legend(loc="lower left", fontsize=8)
     panels[0].set_ylim(bottom=3e-6)  # room for the legends
@@ -50,7 +59,9 @@ def histogram(rows: list[Row]) -> Figure:
         own = [row for row in rows if (row["step [s]"], row["solver.maxWork"]) == (step, work)]
         ends, counts = (np.array([float(row[name]) for row in own]) for name in ("up to [ns]", "steps"))
         label = f"h = {1e3 * float(step):g} ms, solver.maxWork = {work}: {counts.sum():.0e} steps".replace("e+0", "e")
-        axes.hist(ends / 10**0.05 / 1e3, bins=BINS, weights=counts, histtype="step", color=colour, linewidth=1.5, label=label)
+        axes.hist(
+            ends / 10**0.05 / 1e3, bins=BINS, weights=counts, histtype="step", color=colour, linewidth=1.5, label=label
+        )
     logarithmic(axes, xlabel="µs per step", ylabel="steps, per tenth of a decade")
     axes.set_xlim(left=0.1)
     axes.legend(loc="upper right", fontsize=8.5)
@@ -60,7 +71,11 @@ def histogram(rows: list[Row]) -> Figure:
 def near_singularities(rows: list[Row]) -> Figure:
     """Sub-steps and iterations of each call against the smallest singular values."""
     figure, panels = plt.subplots(2, 3, figsize=(11.2, 6.2), sharex="col", sharey="row")
-    sigmas = (("sigmaPhi", r"$\sigma_{\min}(\Phi_q)$"), ("sigmaJx [m]", r"$\sigma_{\min}(J_x)$  (m)"), ("sigmaJq [m2]", r"$\sigma_{\min}(J_q)$  (m²)"))
+    sigmas = (
+        ("sigmaPhi", r"$\sigma_{\min}(\Phi_q)$"),
+        ("sigmaJx [m]", r"$\sigma_{\min}(J_x)$  (m)"),
+        ("sigmaJq [m2]", r"$\sigma_{\min}(J_q)$  (m²)"),
+    )
     for line, count in zip(panels, ("sub-steps", "iterations")):
         for axes, (column, label) in zip(line, sigmas):
             for name in ("i3alp, default tolerance", "dop853, 1e-8 rad"):
@@ -92,7 +107,10 @@ def prices(rows: list[Row]) -> Figure:
     axes.set_yticks(places, [row["case"] for row in others])
     axes.invert_yaxis()
     axes.grid(False, axis="y")
-    axes.set(xlim=(0, 1.3 * max(values)), xlabel=f"instructions per step, relative to gravity only ({float(base['instructions']):,.0f}; {float(base['ns']):.0f} ns)")
+    axes.set(
+        xlim=(0, 1.3 * max(values)),
+        xlabel=f"instructions per step, relative to gravity only ({float(base['instructions']):,.0f}; {float(base['ns']):.0f} ns)",
+    )
     return figure
 
 
@@ -125,7 +143,9 @@ def peers(rows: list[Row]) -> Figure:
             points = sorted(point for point in points if 0 < point[1] < 0.21)
             method = name.removeprefix(ahead.OURS)
             colour, marker = (colours[name], "x") if name in colours else (COLOURS[method], SHAPES[method])
-            [handles[name]] = axes.plot([p[0] for p in points], [p[1] for p in points], marker=marker, color=colour, linestyle="", markersize=5)
+            [handles[name]] = axes.plot(
+                [p[0] for p in points], [p[1] for p in points], marker=marker, color=colour, linestyle="", markersize=5
+            )
         logarithmic(axes, xlabel="ms per simulated second, one core", title=scene)
     panels[0].set_ylabel("error of the tip after 1 s  (m)")
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=8)

@@ -43,11 +43,16 @@ def table(head: list[str], rows: list[list[str]], numbers: tuple[int, ...] = ())
     """A table of cells that are HTML already; the columns `numbers` are set flush right, a sentence may take several lines."""
 
     def line(tag: str, cells: list[str]) -> str:
-        kinds = (' class="n"' if i in numbers else ' class="long"' if "<" not in c and len(c) > SENTENCE else "" for i, c in enumerate(cells))
+        kinds = (
+            ' class="n"' if i in numbers else ' class="long"' if "<" not in c and len(c) > SENTENCE else ""
+            for i, c in enumerate(cells)
+        )
         return "".join(f"<{tag}{kind}>{c}</{tag}>" for kind, c in zip(kinds, cells, strict=True))
 
     body = "\n".join(f"<tr>{line('td', row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{line("th", head)}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
+    return (
+        f'<div class="scroll"><table><thead><tr>{line("th", head)}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
+    )
 
 
 @dataclass

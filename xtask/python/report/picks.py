@@ -60,7 +60,9 @@ def ratio_table(markers: list[Marker], references: list[Reference]) -> tuple[lis
     rows = []
     for reference in judged:
         ratios = [by_itself(markers, reference, wanted) for wanted in WANTED]
-        rows.append([reference.scene, *("" if r is None else f"**{r:.2f}**" if r > FAIR else f"{r:.2f}" for r in ratios)])
+        rows.append(
+            [reference.scene, *("" if r is None else f"**{r:.2f}**" if r > FAIR else f"{r:.2f}" for r in ratios)]
+        )
     return ["scene", *(f"{power(wanted)} m" for wanted in WANTED)], rows
 
 
@@ -105,7 +107,9 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
     """Lines of Markdown: wanted accuracy by one scene of each kind."""
     shown = one_of_each_kind(references)
     head = ["tip error below", *(f"{r.kind}: {r.scene}" for r in shown)]
-    lines = [[f"{power(wanted)} m", *(answer(pick(markers, reference, wanted)) for reference in shown)] for wanted in SHORT]
+    lines = [
+        [f"{power(wanted)} m", *(answer(pick(markers, reference, wanted)) for reference in shown)] for wanted in SHORT
+    ]
     return docs.markdown(head, lines, left=len(head))
 
 

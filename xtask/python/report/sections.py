@@ -43,7 +43,10 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
         "those of the whole run, so a setting is good for motions of a similar kind that last as long as the scene. µs per ms: microseconds of one core per "
         "simulated millisecond."
     )
-    cells = [[r.kind, html.escape(r.scene), *(answer(picks.pick(markers, r, wanted)) for wanted in picks.SHORT)] for r in references]
+    cells = [
+        [r.kind, html.escape(r.scene), *(answer(picks.pick(markers, r, wanted)) for wanted in picks.SHORT)]
+        for r in references
+    ]
     section.parts.append(table(["kind", "scene", *(f"{picks.power(wanted)} m" for wanted in picks.SHORT)], cells))
     section.text("The time is that of one simulated millisecond. All decades, scene by scene:")
     for reference in references:
@@ -54,7 +57,13 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
             "What <code>automatic</code>, which chooses the kind of its steps by itself, takes over what the best of the other methods "
             f"takes; bold: more than {picks.FAIR}. Where two are of one kind of step, what differs from 1 is the choice or luck:"
         )
-        cells = [[html.escape(cell[2:-2]).join(("<b>", "</b>")) if cell.startswith("**") else html.escape(cell) for cell in row] for row in rows]
+        cells = [
+            [
+                html.escape(cell[2:-2]).join(("<b>", "</b>")) if cell.startswith("**") else html.escape(cell)
+                for cell in row
+            ]
+            for row in rows
+        ]
         section.parts.append(table(head, cells, tuple(range(1, len(head)))))
     section.text('Data: <a href="data/precision.csv">precision.csv</a>.')
     return section
@@ -81,7 +90,15 @@ def decades(markers: list[Marker], reference: Reference) -> str:
             other = f"{second.method}, {second.setting}: {picks.cost(second.cost / best.cost)} ×" if second else "none"
             cells = [wanted, f"<b>{best.method}</b>", f"{best.knob} {best.setting}", f"{best.error:.1e} m"]
             rows.append([*cells, picks.cost(best.cost), picks.factor(best.cost), other])
-    head = ["error below", "method", "setting", "its error", "µs per ms", "× real time", "next method, cost against the first"]
+    head = [
+        "error below",
+        "method",
+        "setting",
+        "its error",
+        "µs per ms",
+        "× real time",
+        "next method, cost against the first",
+    ]
     stiff = sorted({m.method for m in markers if m.scene == reference.scene and m.stiff})
     note = (
         f"<p>The loads of this scene are too stiff for {' and '.join(stiff)}: its steps were limited by its stability and not by the "
@@ -93,10 +110,17 @@ def decades(markers: list[Marker], reference: Reference) -> str:
 def precision(markers: list[Marker], references: list[Reference]) -> Section:
     """3: work and precision."""
     section = Section("precision", "Error against time")
-    section.text("Lower and further left is better. Step or tolerance stands beside the ends of each line and every third marker, where there is room.")
+    section.text(
+        "Lower and further left is better. Step or tolerance stands beside the ends of each line and every third marker, where there is room."
+    )
     for kind, scenes in by_kind(references).items():
         caption = f"Work and precision, {kind}: a line per method, from its coarsest to its finest setting. Runs that ended early are left out."
-        section.figure(figures.work_precision(markers, scenes), f"precision-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
+        section.figure(
+            figures.work_precision(markers, scenes),
+            f"precision-{name_of(kind)}",
+            caption,
+            ["precision.csv", "references.csv"],
+        )
     return section
 
 
@@ -113,7 +137,9 @@ def order(markers: list[Marker], references: list[Reference], energy: list[dict[
             f"{kind.capitalize()}. Left: error against step, slopes by least squares where the order shows. Right: error against "
             "tolerance. Grey: below the reference's own error no error can be measured."
         )
-        section.figure(figures.order(markers, scenes), f"order-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
+        section.figure(
+            figures.order(markers, scenes), f"order-{name_of(kind)}", caption, ["precision.csv", "references.csv"]
+        )
     rows = [[r.kind, html.escape(r.scene), f"{r.own_error:.1e} m", html.escape(r.source)] for r in references]
     section.parts.append(table(["kind", "scene", "own error of the reference", "where it comes from"], rows))
     if energy:
@@ -160,15 +186,29 @@ def steps(m: Measurements) -> Section:
     section.figure(more_figures.near_singularities(m.steps.rows), "singular", caption, ["steps.csv"])
     section.parts.append("<h3>Every strictly fixed step</h3>")
     if m.step_times:
-        section.text("What a real-time user looks for: each step of the perturbed falls by i3alpConserving, timed alone, the rescues of rare steps included.")
+        section.text(
+            "What a real-time user looks for: each step of the perturbed falls by i3alpConserving, timed alone, the rescues of rare steps included."
+        )
         caption = "How many steps take how long; the clock's own calls, some 0.05 µs, are part of it. docs/conserving.md says how the longest are bounded."
         section.figure(more_figures.histogram(m.step_times.rows), "histogram", caption, ["step-times.csv"])
     else:
         section.missing("the histogram of strictly fixed steps", "cargo xtask bench")
     if m.calls:
         section.parts.append("<h3>By scene</h3>")
-        section.text("At the default settings, one call for each communication step of the scene. The largest time is mostly due to the machine.")
-        head = ["scene", "calls", "step, ms", "mean, µs", "p50, µs", "p99, µs", "largest, µs", "mean sub-steps", "most sub-steps"]
+        section.text(
+            "At the default settings, one call for each communication step of the scene. The largest time is mostly due to the machine."
+        )
+        head = [
+            "scene",
+            "calls",
+            "step, ms",
+            "mean, µs",
+            "p50, µs",
+            "p99, µs",
+            "largest, µs",
+            "mean sub-steps",
+            "most sub-steps",
+        ]
         section.parts.append(table(head, [calls_of(row) for row in m.calls.rows], tuple(range(1, len(head)))))
         section.text('Data: <a href="data/scenes.csv">scenes.csv</a>.')
     else:
@@ -180,14 +220,23 @@ def calls_of(row: dict[str, str]) -> list[str]:
     """A row of the table by scene, in units that people read."""
     times = [picks.cost(1e-3 * float(row[f"{which}_ns"])) for which in ("mean", "p50", "p99", "largest")]
     step = f"{1e3 * float(row['communication_step_s']):g}"
-    return [html.escape(row["scene"]), row["calls"], step, *times, f"{float(row['mean_substeps']):.2f}", row["most_substeps"]]
+    return [
+        html.escape(row["scene"]),
+        row["calls"],
+        step,
+        *times,
+        f"{float(row['mean_substeps']):.2f}",
+        row["most_substeps"],
+    ]
 
 
 def effects(m: Measurements) -> Section:
     """7: the price list."""
     section = Section("effects", "What effects cost")
     if m.effects:
-        section.text("An effect that is off costs nothing: it is not in memory. What it costs when it is on, at a fixed step of i3alp:")
+        section.text(
+            "An effect that is off costs nothing: it is not in memory. What it costs when it is on, at a fixed step of i3alp:"
+        )
         caption = "Instructions of a step with the effect on, relative to gravity only; instructions do not depend on the load of the machine."
         section.figure(more_figures.prices(m.effects.rows), "effects", caption, ["effects.csv"])
     else:
@@ -199,7 +248,9 @@ def matrix(m: Measurements) -> Section:
     """8: the hard cases."""
     section = Section("hard-cases", "Hard cases")
     if m.hard_cases:
-        section.text("Motion through and near singularities, and how each method copes with it; docs/hard-cases.md explains the cases.")
+        section.text(
+            "Motion through and near singularities, and how each method copes with it; docs/hard-cases.md explains the cases."
+        )
         caption = "Worst energy error by case and method, and how many runs do not meet the demand."
         section.figure(hard_cases.matrix(m.hard_cases.rows), "hard-cases", caption, ["hard-cases.csv"])
     else:
@@ -245,7 +296,9 @@ def peers(m: Measurements) -> Section:
         "counts for a peer; one of our settings counts only if all dearer ones of its method are good enough as well."
     )
     for scene, second in itertools.product(ahead.SCENES, (1, 2)):
-        head, *lines = [[html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, scene, second))]
+        head, *lines = [
+            [html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, scene, second))
+        ]
         section.parts.append(f"<h3>Error after {second} s of {scene}</h3>")
         section.parts.append(table(head, lines, tuple(range(2, len(head)))))
     head, *lines = [[html.escape(cell) for cell in line] for line in ahead.energies(m.peers.rows)]
@@ -256,7 +309,9 @@ def peers(m: Measurements) -> Section:
     absent = [row for row in m.peers.rows if not row["scene"]]
     ended = [row for row in m.peers.rows if row["scene"] and row["note"]]
     section.parts.append("<h3>What failed or was left out</h3>")
-    section.bullets([f"{html.escape(row['peer'])}: {html.escape(row['note'])}" for row in absent] or ["Nothing was left out."])
+    section.bullets(
+        [f"{html.escape(row['peer'])}: {html.escape(row['note'])}" for row in absent] or ["Nothing was left out."]
+    )
     head = ["peer", "scene", "settings", "note"]
     section.parts.append(table(head, [[html.escape(row[name]) for name in head] for row in ended]))
     head = list(m.peers.rows[0])
@@ -285,7 +340,13 @@ def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str],
             add(r.scene, r.method, r.setting, r.ending, f"ran to the end, more than {figures.USELESS:g} m off")
     for row in m.energy.rows:
         if row["ending"] != "complete" or float(row["worst |dE| [mgL]"]) > 1:
-            add("energy over 50 s", row["method"], setting(row["knob"], float(row["value"])), row["ending"], "ran to the end, energy more than 1 mgL off")
+            add(
+                "energy over 50 s",
+                row["method"],
+                setting(row["knob"], float(row["value"])),
+                row["ending"],
+                "ran to the end, energy more than 1 mgL off",
+            )
     return found
 
 
@@ -299,7 +360,10 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     """11: failures, omissions, and possible bias of the comparison."""
     section = Section("failures", "What failed, was left out, or could bias the comparison")
     section.parts.append("<h3>Failed</h3>")
-    rows = [[html.escape(scene), method, listed(settings), why] for (scene, method, why), settings in failed(m, markers).items()]
+    rows = [
+        [html.escape(scene), method, listed(settings), why]
+        for (scene, method, why), settings in failed(m, markers).items()
+    ]
     if rows:
         section.parts.append(table(["scene", "method", "settings", "what happened"], rows))
         section.text("The exact messages and times are in precision.csv and energy.csv.")
@@ -315,11 +379,17 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     for (scene, why), chosen in aside.items():
         settings_of = "; ".join(f"{method} at {listed(settings)}" for method, settings in chosen.items())
         left_out.append(html.escape(f"{scene}: {settings_of}: {why}"))
-    left_out.append("settings coarser or finer than those in the tables; fixed steps below 10 µs; the cost of reading more than the tip, and of the FMI calls")
+    left_out.append(
+        "settings coarser or finer than those in the tables; fixed steps below 10 µs; the cost of reading more than the tip, and of the FMI calls"
+    )
     section.bullets(left_out)
     section.parts.append("<h3>What could bias it</h3>")
     spreads = sorted(r.spread for r in markers if r.complete)
-    spread = f"the slowest round took {spreads[len(spreads) // 2]:.2g} times the fastest in the median, at most {spreads[-1]:.2g} times" if spreads else ""
+    spread = (
+        f"the slowest round took {spreads[len(spreads) // 2]:.2g} times the fastest in the median, at most {spreads[-1]:.2g} times"
+        if spreads
+        else ""
+    )
     bias = [
         f"The machine did other things too: {spread}. The load at the start stands in section 1; instruction counts (section 7) do not depend on it.",
         "One machine, one compiler: other processors may order methods of similar cost differently.",

@@ -148,7 +148,10 @@ class Measurements:
     @classmethod
     def read(cls, data: Path, bench: Path, hard_cases: Path, peers: Path) -> "Measurements":
         """Reads the tables that exist."""
-        own = {name: read(data / f"{name}.csv") for name in ("precision", "references", "energy", "horizon", "growth", "steps")}
+        own = {
+            name: read(data / f"{name}.csv")
+            for name in ("precision", "references", "energy", "horizon", "growth", "steps")
+        }
         return cls(
             **own,
             effects=read_bench(bench, "effects"),

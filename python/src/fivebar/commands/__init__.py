@@ -94,7 +94,10 @@ def _keep_to_the_cache() -> None:
     # Pictures go to files.
     os.environ.setdefault("MPLBACKEND", "Agg")
     settings = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    for variable, package, own in (("MPLCONFIGDIR", "matplotlib", Path.home() / ".matplotlib"), ("DASK_CONFIG", "dask", Path.home() / ".dask")):
+    for variable, package, own in (
+        ("MPLCONFIGDIR", "matplotlib", Path.home() / ".matplotlib"),
+        ("DASK_CONFIG", "dask", Path.home() / ".dask"),
+    ):
         if not (settings / package).exists() and not own.exists():
             os.environ.setdefault(variable, str(_cache() / package))
 

@@ -10,25 +10,59 @@ from fivebar.commands import options
 
 @click.command()
 @click.argument("file", type=options.FILE, required=False)
-@click.option("--parameters", multiple=True, metavar="NAME", help="What is sought, once or more, groups as link[1,4].mass; else what is usual.")
-@click.option("--scene", metavar="SCENE|FILE", help="What the machine is taken for before; without it the scene of the record.")
-@click.option("--from", "begin", type=float, default=0.0, show_default=True, metavar="S", help="s after the first sample.")
-@click.option("--seconds", type=float, default=10.0, show_default=True, metavar="S", help="How much of the record is used.")
-@click.option("--longest", type=float, default=10.0, show_default=True, metavar="S", help="Series longer than this are cut.")
 @click.option(
-    "--commands", type=click.Choice(["rate", "linear", "hold"]), default="rate", show_default=True, help="What drives do between samples."
+    "--parameters",
+    multiple=True,
+    metavar="NAME",
+    help="What is sought, once or more, groups as link[1,4].mass; else what is usual.",
 )
-@click.option("--patience", type=float, default=50.0, show_default=True, metavar="S", help="s of CPU after which a fit is given up.")
+@click.option(
+    "--scene", metavar="SCENE|FILE", help="What the machine is taken for before; without it the scene of the record."
+)
+@click.option(
+    "--from", "begin", type=float, default=0.0, show_default=True, metavar="S", help="s after the first sample."
+)
+@click.option(
+    "--seconds", type=float, default=10.0, show_default=True, metavar="S", help="How much of the record is used."
+)
+@click.option(
+    "--longest", type=float, default=10.0, show_default=True, metavar="S", help="Series longer than this are cut."
+)
+@click.option(
+    "--commands",
+    type=click.Choice(["rate", "linear", "hold"]),
+    default="rate",
+    show_default=True,
+    help="What drives do between samples.",
+)
+@click.option(
+    "--patience",
+    type=float,
+    default=50.0,
+    show_default=True,
+    metavar="S",
+    help="s of CPU after which a fit is given up.",
+)
 @click.option("--unit", default="", help="Which machine, if the record has several.")
-@click.option("--proposal/--no-proposal", default=True, help="Look for a motion that would tell what is not identified.")
+@click.option(
+    "--proposal/--no-proposal", default=True, help="Look for a motion that would tell what is not identified."
+)
 @options.fmu()
 @options.out("./calibrate/")
 @click.option("--trials", type=int, metavar="N", help="No FILE: calibrate N made records, count what error bars cover.")
 @click.option(
-    "--machines", type=click.Choice(["one", "any"]), default="one", show_default=True, help="Of trials: one machine with six unknowns off, or each another."
+    "--machines",
+    type=click.Choice(["one", "any"]),
+    default="one",
+    show_default=True,
+    help="Of trials: one machine with six unknowns off, or each another.",
 )
-@click.option("--first", type=int, default=100, show_default=True, metavar="K", help="Number of the first of these trials.")
-def calibrate(file: Path | None, fmu: Path | None, out: Path | None, trials: int | None, machines: str, first: int, **given: Any) -> int:
+@click.option(
+    "--first", type=int, default=100, show_default=True, metavar="K", help="Number of the first of these trials."
+)
+def calibrate(
+    file: Path | None, fmu: Path | None, out: Path | None, trials: int | None, machines: str, first: int, **given: Any
+) -> int:
     """Find masses, friction and lengths from a record.
 
     FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] and what drives were told.

@@ -16,7 +16,12 @@ from fivebar.commands import options
 @options.out("./SCENE/")
 @click.option("--open", "open_page", is_flag=True, help="Show the interactive page in the browser.")
 def map_(
-    scene: str, mode: tuple[str, ...], torque: tuple[float, float] | None, no_motion: bool, out: Path | None, open_page: bool
+    scene: str,
+    mode: tuple[str, ...],
+    torque: tuple[float, float] | None,
+    no_motion: bool,
+    out: Path | None,
+    open_page: bool,
 ) -> None:
     """Map where a machine can go.
 
@@ -35,7 +40,11 @@ def map_(
     modes = [options.WORKING_MODES[name] for name in mode] or list(options.WORKING_MODES.values())
     survey = workspace.compute(ready, torque, None if no_motion else workspace.follow(ready), modes=modes)
     folder = Path(ready.name) if out is None else out
-    files = [*workspace.write(survey, folder), *workspace_pictures.draw(survey, folder), map_page.write(survey, folder / "map.html")]
+    files = [
+        *workspace.write(survey, folder),
+        *workspace_pictures.draw(survey, folder),
+        map_page.write(survey, folder / "map.html"),
+    ]
     click.echo("\n".join(workspace.summary(survey)))
     options.written(files)
     if open_page:

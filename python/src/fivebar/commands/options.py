@@ -33,22 +33,32 @@ def fmu() -> Decorator:
 
 def learn() -> Decorator:
     """Whether a twin learns."""
-    return click.option("--learn", is_flag=True, help="Learn masses, payload, friction, lengths and mounting angles while following.")
+    return click.option(
+        "--learn", is_flag=True, help="Learn masses, payload, friction, lengths and mounting angles while following."
+    )
 
 
 def exact() -> Decorator:
     """Whether a machine is as long as its twin believes."""
-    return click.option("--exact", is_flag=True, help="Lengths and encoders are as the scene says, and the twin takes them so.")
+    return click.option(
+        "--exact", is_flag=True, help="Lengths and encoders are as the scene says, and the twin takes them so."
+    )
 
 
 def out(default: str) -> Decorator:
     """Option for the folder of the results."""
-    return click.option("--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told.")
+    return click.option(
+        "--out", "-o", type=FILE, metavar="DIR", help=f"Folder for everything that is written; {default} unless told."
+    )
 
 
 def mode(multiple: bool) -> Decorator:
     """Working modes, or one of them."""
-    words = "A working mode, once or more; all four unless told." if multiple else "Working mode; that of the scene's start unless told."
+    words = (
+        "A working mode, once or more; all four unless told."
+        if multiple
+        else "Working mode; that of the scene's start unless told."
+    )
     return click.option("--mode", type=click.Choice(list(WORKING_MODES)), multiple=multiple, help=words)
 
 

@@ -27,13 +27,36 @@ def place(value: str) -> tuple[float, float]:
 @click.argument("scene", metavar="SCENE|FILE")
 @click.argument("drawing", type=options.FILE, metavar="DRAWING")
 @click.option("--at", type=place, required=True, metavar="X,Y", help="Where the middle of the drawing lies, m.")
-@click.option("--size", type=options.POSITIVE, metavar="W", help="Width of the drawing, m; as the drawing says unless told.")
-@click.option("--speed", type=options.POSITIVE, default=0.1, show_default=True, metavar="V", help="Speed of the pen, m/s.")
-@click.option("--acceleration", type=options.POSITIVE, default=2.0, show_default=True, metavar="A", help="Acceleration along the lines, m/s2.")
-@click.option("--profile", type=click.Choice(["constant", "minimumJerk"]), default="constant", show_default=True, help="How the speed changes.")
+@click.option(
+    "--size", type=options.POSITIVE, metavar="W", help="Width of the drawing, m; as the drawing says unless told."
+)
+@click.option(
+    "--speed", type=options.POSITIVE, default=0.1, show_default=True, metavar="V", help="Speed of the pen, m/s."
+)
+@click.option(
+    "--acceleration",
+    type=options.POSITIVE,
+    default=2.0,
+    show_default=True,
+    metavar="A",
+    help="Acceleration along the lines, m/s2.",
+)
+@click.option(
+    "--profile",
+    type=click.Choice(["constant", "minimumJerk"]),
+    default="constant",
+    show_default=True,
+    help="How the speed changes.",
+)
 @options.mode(multiple=False)
 @options.torque()
-@click.option("--rate", type=options.POSITIVE, default=math.inf, metavar="W", help="Limit of the motors' rates, rad/s; none unless told.")
+@click.option(
+    "--rate",
+    type=options.POSITIVE,
+    default=math.inf,
+    metavar="W",
+    help="Limit of the motors' rates, rad/s; none unless told.",
+)
 @click.option("--no-run", is_flag=True, help="Write the scene only: do not let the machine draw.")
 @options.out("./SCENE/")
 def path(
@@ -68,7 +91,9 @@ def path(
 
     ready = scenes.read(scene)
     if not ready["servo.enabled"]:
-        raise FiveBarError(f"the scene {ready.name} has servo.enabled = false, and servos are to follow the drawing: set it, and their gains")
+        raise FiveBarError(
+            f"the scene {ready.name} has servo.enabled = false, and servos are to follow the drawing: set it, and their gains"
+        )
     folder = Path(ready.name) if out is None else out
     placed = strokes.read(drawing).placed(at, size)
     working = paths.mode_of(ready) if mode is None else options.WORKING_MODES[mode]

@@ -11,7 +11,13 @@ from fivebar.commands import options
 @click.command()
 @click.argument("file", type=options.FILE)
 @options.fmu()
-@click.option("--since", type=float, default=-math.inf, metavar="SECONDS", help="Only from then on, after the record's first message.")
+@click.option(
+    "--since",
+    type=float,
+    default=-math.inf,
+    metavar="SECONDS",
+    help="Only from then on, after the record's first message.",
+)
 @click.option("--until", type=float, default=math.inf, metavar="SECONDS", help="Only until then.")
 def replay(file: Path, fmu: Path | None, since: float, until: float) -> int:
     """Compute a record's estimates again, compare to the bit.

@@ -10,12 +10,20 @@ from fivebar.commands import options
 
 @click.command()
 @click.argument("scene", metavar="SCENE|FILE")
-@click.option("--set", "changes", multiple=True, metavar="NAME=VALUE", help="Another start value, in the variable's unit; once or more.")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Another start value, in the variable's unit; once or more.",
+)
 @click.option("--method", metavar="NAME", help="Another item of solver.method, such as automatic.")
 @options.fmu()
 @options.out("./SCENE/")
 @click.option("--open", "open_page", is_flag=True, help="Show the animated page in the browser.")
-def run(scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | None, out: Path | None, open_page: bool) -> int:
+def run(
+    scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | None, out: Path | None, open_page: bool
+) -> int:
     """Run a scene: summary, CSV, pictures and an animated page.
 
     SCENE is one of those that `fivebar scenes` lists; a FILE ends in .json and holds start values by name.

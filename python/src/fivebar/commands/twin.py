@@ -9,8 +9,12 @@ from fivebar.commands import options
 
 
 @click.command()
-@click.option("--seconds", type=float, default=60.0, show_default=True, help="Real time that it runs; inf until Ctrl-C.")
-@click.option("--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion.")
+@click.option(
+    "--seconds", type=float, default=60.0, show_default=True, help="Real time that it runs; inf until Ctrl-C."
+)
+@click.option(
+    "--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion."
+)
 @options.learn()
 @options.exact()
 @click.option("--open", is_flag=True, help="Show the dashboard and keep running until Ctrl-C.")
@@ -19,11 +23,29 @@ from fivebar.commands import options
 @click.option("--unit", default="bench", show_default=True, help="What the machine is called in topics.")
 @click.option("--broker", metavar="HOST:PORT", help="Any MQTT broker, in the place of the one that comes along.")
 @click.option("--user", default="", help="At that broker; its password is read from FIVEBAR_PASSWORD.")
-@click.option("--ca-file", default="", metavar="FILE", help="Certificates for TLS with that broker; `system` for those of the system.")
-@click.option("--machine", type=click.Choice(["stand-in", "none"]), default="stand-in", show_default=True, help="none: a real one publishes meas.")
+@click.option(
+    "--ca-file",
+    default="",
+    metavar="FILE",
+    help="Certificates for TLS with that broker; `system` for those of the system.",
+)
+@click.option(
+    "--machine",
+    type=click.Choice(["stand-in", "none"]),
+    default="stand-in",
+    show_default=True,
+    help="none: a real one publishes meas.",
+)
 @click.option("--csv", type=options.FILE, metavar="FILE", help="Play a recording in the place of the stand-in.")
-@click.option("--hidden", type=options.FILE, metavar="FILE", help="What the stand-in has and the twin does not know: JSON, name to value.")
-@click.option("--faults", default="", metavar="NAME=SHARE,...", help="Lose, double, delay samples on purpose, and more.")
+@click.option(
+    "--hidden",
+    type=options.FILE,
+    metavar="FILE",
+    help="What the stand-in has and the twin does not know: JSON, name to value.",
+)
+@click.option(
+    "--faults", default="", metavar="NAME=SHARE,...", help="Lose, double, delay samples on purpose, and more."
+)
 def twin(fmu: Path | None, out: Path | None, **given: Any) -> int:
     """Run a live twin with its dashboard.
 

@@ -12,9 +12,17 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--scene", metavar="SCENE|FILE", help="Start values, experiment and description of the unit: a machine of your own.")
+@click.option(
+    "--scene", metavar="SCENE|FILE", help="Start values, experiment and description of the unit: a machine of your own."
+)
 @click.option("--name", help="Name of the unit; unless told FiveBar, or that of the scene in CamelCase.")
-@click.option("--naming", type=click.Choice(["structured", "flat"]), default="structured", show_default=True, help="flat: for tools that make buses of tip.x and tau[1].")
+@click.option(
+    "--naming",
+    type=click.Choice(["structured", "flat"]),
+    default="structured",
+    show_default=True,
+    help="flat: for tools that make buses of tip.x and tau[1].",
+)
 @options.out("the current folder")
 def unit(scene: str | None, name: str | None, naming: "Naming", out: Path | None) -> None:
     """Write the .fmu for your own tool, or of your machine.

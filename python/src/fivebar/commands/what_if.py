@@ -8,12 +8,28 @@ from fivebar.commands import options
 
 
 @click.command("what-if")
-@click.option("--config", type=options.FILE, required=True, metavar="FILE", help="Of the running twin: twin/runs/RUN/twin.json.")
-@click.option("--candidates", type=options.FILE, metavar="FILE", help="Commands to compare, and a goal; else staying, and a little to each side.")
+@click.option(
+    "--config", type=options.FILE, required=True, metavar="FILE", help="Of the running twin: twin/runs/RUN/twin.json."
+)
+@click.option(
+    "--candidates",
+    type=options.FILE,
+    metavar="FILE",
+    help="Commands to compare, and a goal; else staying, and a little to each side.",
+)
 @click.option("--members", type=int, default=50, show_default=True, metavar="N", help="Motions of each command.")
 @click.option("--seconds", type=float, default=0.5, show_default=True, metavar="S", help="How far ahead.")
-@click.option("--seed", type=int, default=0, show_default=True, metavar="N", help="The same seed gives the same members.")
-@click.option("--times", type=int, default=1, show_default=True, metavar="N", help="How many snapshots are answered; 0: until Ctrl-C.")
+@click.option(
+    "--seed", type=int, default=0, show_default=True, metavar="N", help="The same seed gives the same members."
+)
+@click.option(
+    "--times",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="How many snapshots are answered; 0: until Ctrl-C.",
+)
 @click.option("--scheduler", metavar="ADDRESS", help="A scheduler of Dask; else all in this process.")
 def what_if(**given: Any) -> int:
     """Compare commands from the running twin's state.

@@ -25,7 +25,10 @@ def main() -> int:
         case [name, "--config", file] if name in PROCESSES:
             pass
         case _:
-            print(f"python -m fivebar.twin NAME --config FILE, where NAME is one of {', '.join(PROCESSES)}", file=sys.stderr)
+            print(
+                f"python -m fivebar.twin NAME --config FILE, where NAME is one of {', '.join(PROCESSES)}",
+                file=sys.stderr,
+            )
             return 2
     try:
         return int(import_module(f"fivebar.twin.{PROCESSES[name]}").run(Path(file)))

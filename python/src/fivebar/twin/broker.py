@@ -18,7 +18,9 @@ def run(file: Path) -> int:
     """Serves until told to stop."""
     config = process.read_config(file)
     if not is_loopback(config.broker.host):
-        raise TwinError(f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS")
+        raise TwinError(
+            f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS"
+        )
     process.set_up_log()
     priority.take("broker")
     logging.getLogger("amqtt").setLevel(logging.ERROR)
@@ -50,7 +52,9 @@ async def _serve(config: Config) -> int:
     begin = time.monotonic()
     while not stop.wait(0):
         if status.due(True):
-            status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
+            status.write(
+                {"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()}
+            )
         await asyncio.sleep(process.TICK)
     await broker.shutdown()
     disk.close()

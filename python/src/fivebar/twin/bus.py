@@ -22,13 +22,18 @@ log = logging.getLogger("fivebar")
 class Bus:
     """`handle(topic, payload)` is called for every message on the subscribed kinds, in a thread of its own."""
 
-    def __init__(self, broker: Broker, unit: str, name: str, kinds: Iterable[str], handle: Callable[[str, bytes], None]):
+    def __init__(
+        self, broker: Broker, unit: str, name: str, kinds: Iterable[str], handle: Callable[[str, bytes], None]
+    ):
         self.broker, self.unit, self.kinds, self.handle = broker, unit, tuple(kinds), handle
         self.connections = 0
         self.unsent = 0
         """Messages that there was no connection for."""
         self.client = mqtt.Client(
-            CallbackAPIVersion.VERSION2, client_id=f"{unit}-{name}-{os.getpid()}", clean_session=True, reconnect_on_failure=True
+            CallbackAPIVersion.VERSION2,
+            client_id=f"{unit}-{name}-{os.getpid()}",
+            clean_session=True,
+            reconnect_on_failure=True,
         )
         self.client.reconnect_delay_set(0.2, 1)  # type: ignore[arg-type]  # fractions of a second work as well
         self.client.on_connect, self.client.on_disconnect = self._connected, self._disconnected
@@ -66,7 +71,12 @@ class Bus:
             log.error("the broker refuses the connection: %s", reason)
             return
         self.connections += 1
-        log.info("connected to the broker at %s:%d%s", self.broker.host, self.broker.port, " again" if self.connections > 1 else "")
+        log.info(
+            "connected to the broker at %s:%d%s",
+            self.broker.host,
+            self.broker.port,
+            " again" if self.connections > 1 else "",
+        )
         if self.kinds:
             client.subscribe([(topic(self.unit, kind), int(kind in RELIABLE)) for kind in self.kinds])
 

@@ -75,7 +75,10 @@ def about(config: Config) -> dict[str, Any]:
 
     try:
         stops = [[float(value(f"stop.{limit}[{i}]")) for limit in ("lower", "upper")] for i in (1, 2)]
-        plane = {"normal": [float(value("contact.nx")), float(value("contact.ny"))], "offset": float(value("contact.offset"))}
+        plane = {
+            "normal": [float(value("contact.nx")), float(value("contact.ny"))],
+            "offset": float(value("contact.offset")),
+        }
         return {
             "unit": config.unit,
             "scene": content.name,
@@ -87,7 +90,9 @@ def about(config: Config) -> dict[str, Any]:
             "plane": plane if switched("contact.enabled") else None,
             "period": config.period,
             "horizon": config.horizon,
-            "statuses": {int(item.value): item.description for item in library.variable("estimated.status").declaredType.items},
+            "statuses": {
+                int(item.value): item.description for item in library.variable("estimated.status").declaredType.items
+            },
             "causes": CAUSES,
             "login": bool(config.broker.user),
             "learned": learned(config, content, library),
@@ -186,7 +191,10 @@ class Server:
             return
         self.pages += 1
         pace = Pace()
-        ways = {asyncio.create_task(way) for way in (_to_broker(page, writer, pace), _from_broker(reader, pace), _to_page(page, pace))}
+        ways = {
+            asyncio.create_task(way)
+            for way in (_to_broker(page, writer, pace), _from_broker(reader, pace), _to_page(page, pace))
+        }
         try:
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -324,7 +332,9 @@ async def _serve(config: Config) -> int:
     async with server.listening():
         while not stop.wait(0):
             if status.due(True):
-                status.write({"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()})
+                status.write(
+                    {"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()}
+                )
             await asyncio.sleep(process.TICK)
     disk.close()
     return 0

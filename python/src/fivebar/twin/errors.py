@@ -1,6 +1,5 @@
 """Errors on the user's side: one sentence that names the object, its value, and the allowed ones."""
 
-
 from fivebar.errors import FiveBarError
 
 

@@ -17,7 +17,15 @@ from fivebar.twin.forecast import RADIUS, covariance, half_width
 from fivebar.twin.messages import MEASURED, TRACKED
 from fivebar.twin.watch import Histogram
 
-ESTIMATES: Final = ("tip.x", "tip.y", "estimated.nis", "estimated.alarm", "estimated.tau[1]", "estimated.tau[2]", "estimated.status")
+ESTIMATES: Final = (
+    "tip.x",
+    "tip.y",
+    "estimated.nis",
+    "estimated.alarm",
+    "estimated.tau[1]",
+    "estimated.tau[2]",
+    "estimated.status",
+)
 
 
 COVERED: Final = 0.9
@@ -98,7 +106,9 @@ def read(file: Path) -> Story:
     """Goes through a record once."""
     story = Story()
     waiting: dict[int, dict[str, float]] = {}
-    for message in record.messages(file, "meas", "est", "forecast", "alarm", "learned", "gap", refused=story.bad.append):
+    for message in record.messages(
+        file, "meas", "est", "forecast", "alarm", "learned", "gap", refused=story.bad.append
+    ):
         story.origin = story.origin or message.time
         fields, time = message.fields, 1e-9 * (message.time - story.origin)
         if message.kind == "meas":
@@ -111,15 +121,21 @@ def read(file: Path) -> Story:
             band = half_width(covariance(fields)) if "estimated.tip.cov[1]" in fields else math.nan
             story.estimated.add({"time": time, "band": band} | fields)
             seen = waiting.pop(message.seq, {})
-            story.followed += all(abs(seen[name] - fields[name.removeprefix("measured.")]) < NEAR for name in MEASURED if name in seen)
+            story.followed += all(
+                abs(seen[name] - fields[name.removeprefix("measured.")]) < NEAR for name in MEASURED if name in seen
+            )
         elif message.kind == "forecast":
             _forecast(story, message.extra, time)
         elif message.kind == "alarm":
-            story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("named", message.extra.get("cause")))))
+            story.alarms.append(
+                (time, str(message.extra.get("state")), str(message.extra.get("named", message.extra.get("cause"))))
+            )
         elif message.kind == "learned":
             story.learned = {"estimated": fields, "values": message.extra["values"]}
         else:
-            story.gaps.append(Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", "")))
+            story.gaps.append(
+                Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", ""))
+            )
     return story
 
 
@@ -181,7 +197,9 @@ def causes(alarms: list[tuple[float, str, str]]) -> list[str]:
     """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it was cut off."""
     states = [each for each in alarms if each[1] != "trouble"]
     pairs = itertools.zip_longest(states, states[1:], fillvalue=(math.inf, "", ""))
-    return [end if after == "calibrating" else begin for (_, state, begin), (_, after, end) in pairs if state == "anomaly"]
+    return [
+        end if after == "calibrating" else begin for (_, state, begin), (_, after, end) in pairs if state == "anomaly"
+    ]
 
 
 def _or_none(value: float, digits: int = 6) -> float | None:
@@ -200,7 +218,12 @@ def _median(values: np.ndarray) -> float:
 
 
 def summarise(
-    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
+    config: Config,
+    story: Story,
+    judged: Judged,
+    status: dict[str, list[dict[str, Any]]],
+    restarts: dict[str, int],
+    troubles: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Every figure, in nested objects; unknown ones are null. `troubles` are the processes' messages."""
 
@@ -242,7 +265,9 @@ def summarise(
             "followed": story.followed,
             "late": total("follow", "late"),
         },
-        "latency_ms": {name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))},
+        "latency_ms": {
+            name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))
+        },
         "tip_error_mm": {
             "rms": _or_none(1e3 * math.sqrt(_mean(judged.error**2))) if len(error) else None,
             "median": _or_none(1e3 * _median(error)),
@@ -258,7 +283,9 @@ def summarise(
             "coverage95": _or_none(_mean(judged.inside[last])),
             "halfwidth_mm": {
                 "median": _or_none(1e3 * float(np.median(story.forecasts["half_width"][last]))) if last.any() else None,
-                "p95": _or_none(1e3 * float(np.quantile(story.forecasts["half_width"][last], 0.95))) if last.any() else None,
+                "p95": _or_none(1e3 * float(np.quantile(story.forecasts["half_width"][last], 0.95)))
+                if last.any()
+                else None,
             },
             "by_ahead": by_ahead,
         },
@@ -269,7 +296,10 @@ def summarise(
         "restarts": restarts,
         "gaps": [gap._asdict() for gap in story.gaps],
         "rows_refused": len(story.bad),
-        "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
+        "memory_mb": {
+            process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1)
+            for process, lives in status.items()
+        },
         "record": str(config.record),
         "learned": story.learned,
     }
@@ -292,7 +322,9 @@ def missed(content: dict[str, Any]) -> list[str]:
     if forecasts["judged"] < FEWEST:
         return found
     if covered < COVERED:
-        found.append(f"{100 * covered:.3g} % of the tips are inside the 95 % circles {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised")
+        found.append(
+            f"{100 * covered:.3g} % of the tips are inside the 95 % circles {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised"
+        )
     if width is not None and width > NARROW.get(scene, math.inf) and forecasts["ahead_s"] <= 0.5:
         found.append(f"the half-width is {width:.3g} mm (median); in {scene} at most {NARROW[scene]:g} mm are promised")
     return found

@@ -82,7 +82,12 @@ class Twin(Worker):
         if kind == "series":
             for name, angle in message.fields.items():
                 if name in MEASURED and abs(angle) > MUCH:
-                    self.trouble("unit", f"{name} begins at {angle:g} rad, more than two turns: degrees?", message.time, message.seq)
+                    self.trouble(
+                        "unit",
+                        f"{name} begins at {angle:g} rad, more than two turns: degrees?",
+                        message.time,
+                        message.seq,
+                    )
         self.counts["taken"] += 1
         self.counts["late"] += kind == "late"
         jumps = follower.jumps
@@ -119,13 +124,23 @@ class Twin(Worker):
             if sentence := self.follower.allowed(message):
                 raise Refused(sentence)
             self.follower.param(message)
-            self._answer(message, "parameters set: " + ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()), now)
+            self._answer(
+                message,
+                "parameters set: " + ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()),
+                now,
+            )
         self.orders.taken(message)
 
     def _answer(self, order: Message, sentence: str, now: int) -> None:
         """Answers an order, for whoever gave it and for the record."""
         log.info("%s", sentence)
-        extra = {"state": "taken", "cause": "order", "from": self.name, "sentence": sentence[:1000], "order": order.time}
+        extra = {
+            "state": "taken",
+            "cause": "order",
+            "from": self.name,
+            "sentence": sentence[:1000],
+            "order": order.time,
+        }
         self.publish(Message("alarm", "", now, order.seq, {}, extra))
 
     def _store(self, time: int) -> None:

@@ -100,7 +100,9 @@ def stored(message: Message) -> Stored:
     extra = message.extra
     try:
         parameters = {str(name): float(value) for name, value in extra["parameters"].items()}
-        return Stored(base64.b64decode(extra["state"], validate=True), float(extra["clock"]), Book(**extra["book"]), parameters)
+        return Stored(
+            base64.b64decode(extra["state"], validate=True), float(extra["clock"]), Book(**extra["book"]), parameters
+        )
     except (KeyError, TypeError, ValueError, AttributeError):
         raise TwinError("a stored state is not as this version writes it") from None
 
@@ -173,7 +175,11 @@ class Follower(Rider):
         self.done: deque[_Done] = deque()
         self.reader = Reader(self.unit, ESTIMATED)
         self.learns = bool(setup.values.get("estimator.learn.enabled"))
-        variables = [library.variable(name) for kind in ("theta", "time") for name in (f"measured.{kind}[1]", f"measured.{kind}[2]")]
+        variables = [
+            library.variable(name)
+            for kind in ("theta", "time")
+            for name in (f"measured.{kind}[1]", f"measured.{kind}[2]")
+        ]
         self.measured = {name: v.valueReference for v, name in zip(variables[:2], MEASURED, strict=True)}
         self.stamps = {name: v.valueReference for v, name in zip(variables[2:], MEASURED, strict=True)}
 
@@ -222,7 +228,10 @@ class Follower(Rider):
             if variable.type != "Real":
                 return f"param {name} is of type {variable.type}, not Real"
             bounds = variable.declaredType if variable.min is None and variable.max is None else variable
-            lowest, highest = (None if b is None or b == "" else float(b) for b in (getattr(bounds, "min", None), getattr(bounds, "max", None)))
+            lowest, highest = (
+                None if b is None or b == "" else float(b)
+                for b in (getattr(bounds, "min", None), getattr(bounds, "max", None))
+            )
             if (lowest is not None and value < lowest) or (highest is not None and value > highest):
                 return f"param {name} is {value:g}; {'-inf' if lowest is None else lowest} to {'inf' if highest is None else highest} is allowed"
         return ""
@@ -261,7 +270,10 @@ class Follower(Rider):
             value, place = seen[name], name[-2:-1]
             if name.startswith("estimated.mass"):
                 factor = value / seen[f"link[{place}].mass"]
-                values |= {f"link[{place}].mass": value, f"link[{place}].inertia": factor * seen[f"link[{place}].inertia"]}
+                values |= {
+                    f"link[{place}].mass": value,
+                    f"link[{place}].inertia": factor * seen[f"link[{place}].inertia"],
+                }
             elif name.startswith("estimated.viscous"):
                 values[f"viscous.b[{place}]"] = value
             elif name == "estimated.payload":
@@ -314,13 +326,17 @@ class Follower(Rider):
             self.failure = f"a start needs both angles, and {missing[0]} is missing"
             return
         angles = [fields[name] for name in MEASURED]
-        values: dict[str, float | int | bool] = {f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
+        values: dict[str, float | int | bool] = {
+            f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)
+        }
         before = self.previous
         rates = [message.fields.get(f"servo.omega[{i}]", 0.0) for i in LEGS]
         if before is not None and 0 < message.seq - before.seq <= 5 and all(name in before.fields for name in MEASURED):
             span = (message.seq - before.seq) * self.setup.period
             rates = [(message.fields[name] - before.fields[name]) / span for name in MEASURED]
-        values |= {f"init.omega[{i}]": rate for i, rate in zip(LEGS, rates, strict=True)} | {"init.assembly": self.assembly}
+        values |= {f"init.omega[{i}]": rate for i, rate in zip(LEGS, rates, strict=True)} | {
+            "init.assembly": self.assembly
+        }
         held = {f"servo.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
         self.unit.start(held | self.setup.values | values | self.parameters)
         self.book = Book(message.time, message.time, message.seq, {}, False, self.assembly)
@@ -354,7 +370,9 @@ class Follower(Rider):
 
     def _late(self, message: Message) -> None:
         """Goes back to the sample's time, and forward again over all later inputs."""
-        places = [i for i, done in enumerate(self.done) if done.message.kind == "meas" and done.message.seq > message.seq]
+        places = [
+            i for i, done in enumerate(self.done) if done.message.kind == "meas" and done.message.seq > message.seq
+        ]
         if not places:
             return
         again = [message, *(done.message for done in list(self.done)[places[0] :])]

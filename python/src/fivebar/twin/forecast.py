@@ -99,7 +99,14 @@ class Forecaster(Rider):
         return Message("forecast", "", time, book.seq, fields, extra)
 
     def _meets(
-        self, singular: dict[str, Any], stop: dict[str, Any], before: dict[str, float], after: dict[str, float], now: float, span: float, book: Book
+        self,
+        singular: dict[str, Any],
+        stop: dict[str, Any],
+        before: dict[str, float],
+        after: dict[str, float],
+        now: float,
+        span: float,
+        book: Book,
     ) -> None:
         """Notes the first singularity and the first stop that the path meets."""
         origin = book.time + self.setup.step_ns

@@ -26,7 +26,14 @@ def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
     learned = {name: value for name, value in values.items() if name not in signals}
     switches = {SWITCHES[word]: True for word in (name.partition(".")[0] for name in learned) if word in SWITCHES}
     before = content[scene_file.DESCRIPTION].removesuffix(TOLD).rstrip()
-    turned = _turned(content, {i: values.get(key, 0.0) - content.get(key, 0.0) for i, key in enumerate(scene_file.OFFSETS, 1) if key in values})
+    turned = _turned(
+        content,
+        {
+            i: values.get(key, 0.0) - content.get(key, 0.0)
+            for i, key in enumerate(scene_file.OFFSETS, 1)
+            if key in values
+        },
+    )
     write_content(file, content | turned | switches | learned | {scene_file.DESCRIPTION: f"{before} {TOLD}"})
 
 

@@ -60,7 +60,11 @@ class Intake:
         if ahead <= 0:
             return self._behind(message, ahead, now)
         if not self._plausible(self.series, message):
-            return self._else(message, f"meas {message.seq} leaps by {ahead} samples and {1e-9 * (message.time - self.series.time):.3f} s", now)
+            return self._else(
+                message,
+                f"meas {message.seq} leaps by {ahead} samples and {1e-9 * (message.time - self.series.time):.3f} s",
+                now,
+            )
         self.missing += ahead - 1
         self._step(message, now)
         return "new"
@@ -87,7 +91,11 @@ class Intake:
             self.came.add(message.seq)
             self.missing -= 1
             return "late"
-        return self._else(message, f"meas {message.seq} is older than {self.series.seq if self.series else 0}, the newest, by {-ahead} samples", now)
+        return self._else(
+            message,
+            f"meas {message.seq} is older than {self.series.seq if self.series else 0}, the newest, by {-ahead} samples",
+            now,
+        )
 
     def _may_begin(self, message: Message, now: int) -> bool:
         """Whether a new series may have a sample of that time."""
@@ -107,7 +115,11 @@ class Intake:
         if not self._may_begin(message, now):
             raise Refused(sentence)
         candidate = self.candidate
-        if candidate is not None and message.seq == candidate.seq + 1 and 0 < message.time - candidate.time <= 2 * self.period_ns:
+        if (
+            candidate is not None
+            and message.seq == candidate.seq + 1
+            and 0 < message.time - candidate.time <= 2 * self.period_ns
+        ):
             self.candidate = _Series(message.seq, message.time, candidate.length + 1)
         else:
             self.candidate = _Series(message.seq, message.time)
@@ -117,7 +129,12 @@ class Intake:
         return "series"
 
     def _begin(self, message: Message, now: int) -> None:
-        self.series, self.candidate, self.newest_time, self.arrived = _Series(message.seq, message.time), None, message.time, now
+        self.series, self.candidate, self.newest_time, self.arrived = (
+            _Series(message.seq, message.time),
+            None,
+            message.time,
+            now,
+        )
         self.came = {message.seq}
 
     def _step(self, message: Message, now: int) -> None:
@@ -161,7 +178,9 @@ class Orders:
             )
         if message.time <= self.newest:
             by = 1e-9 * (self.newest - message.time)
-            raise Refused(f"{message.kind} is not newer than the last order that was taken, but {by:.3f} s older: its clock, or the other's, is wrong")
+            raise Refused(
+                f"{message.kind} is not newer than the last order that was taken, but {by:.3f} s older: its clock, or the other's, is wrong"
+            )
 
     def taken(self, message: Message) -> None:
         """The order was carried out."""

@@ -26,7 +26,9 @@ RATE: Final = 200.0
 LIMIT: Final = 5e-3
 """s: the latency (p99) up to which a number of machines counts as carried."""
 
-FIELDS: Final = {f"{name}[{i}]": 1.2345678901234567 for name in ("measured.theta", "servo.theta", "servo.omega") for i in (1, 2)}
+FIELDS: Final = {
+    f"{name}[{i}]": 1.2345678901234567 for name in ("measured.theta", "servo.theta", "servo.omega") for i in (1, 2)
+}
 
 
 def run(at: str | None, seconds: float, most: int) -> int:
@@ -39,7 +41,9 @@ def run(at: str | None, seconds: float, most: int) -> int:
         port = free_port()
         config = replace(Config(folder, "", ""), broker=Broker("127.0.0.1", port, True))
         configuration.write(config, Path(folder) / "twin.json")
-        broker = subprocess.Popen([sys.executable, "-m", "fivebar.twin", "broker", "--config", str(Path(folder) / "twin.json")])
+        broker = subprocess.Popen(
+            [sys.executable, "-m", "fivebar.twin", "broker", "--config", str(Path(folder) / "twin.json")]
+        )
         try:
             return _rise("127.0.0.1", port, psutil.Process(broker.pid), seconds, most)
         finally:
@@ -49,7 +53,9 @@ def run(at: str | None, seconds: float, most: int) -> int:
 
 def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, most: int) -> int:
     carried, machines = 0, 1
-    print(f"{'machines':>9} {'messages/s':>11} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'µs of the broker a message':>27}")
+    print(
+        f"{'machines':>9} {'messages/s':>11} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'µs of the broker a message':>27}"
+    )
     while machines <= most:
         before = _cpu(broker)
         sent, latencies = _measure(host, port, machines, seconds)
@@ -57,7 +63,10 @@ def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, m
             raise TwinError(f"no message came back from the broker at {host}:{port}")
         p50, p99 = (float(np.quantile(latencies, level)) for level in (0.5, 0.99))
         own = f"{1e6 * (_cpu(broker) - before) / sent:27.0f}" if broker else f"{'-':>27}"
-        print(f"{machines:9} {sent / seconds:11.0f} {sent - len(latencies):6} {1e3 * p50:8.2f} {1e3 * p99:8.2f} {own}", flush=True)
+        print(
+            f"{machines:9} {sent / seconds:11.0f} {sent - len(latencies):6} {1e3 * p50:8.2f} {1e3 * p99:8.2f} {own}",
+            flush=True,
+        )
         if len(latencies) < sent:
             break
         carried = machines if p99 <= LIMIT else carried
@@ -69,7 +78,11 @@ def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, m
 def _listening(port: int) -> psutil.Process | None:
     """The process of this machine that listens there, if the system tells."""
     try:
-        found = [c.pid for c in psutil.net_connections("tcp") if c.status == psutil.CONN_LISTEN and c.laddr and c.laddr.port == port and c.pid]
+        found = [
+            c.pid
+            for c in psutil.net_connections("tcp")
+            if c.status == psutil.CONN_LISTEN and c.laddr and c.laddr.port == port and c.pid
+        ]
     except psutil.AccessDenied:
         return None
     return psutil.Process(found[0]) if found else None

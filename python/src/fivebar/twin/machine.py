@@ -59,7 +59,9 @@ class StandIn:
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
         names = (name for name in self.scene.signals if name not in INPUTS)
         self.surroundings = {name: library.variable(name).valueReference for name in names}
-        self.continuous = {ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"}
+        self.continuous = {
+            ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"
+        }
         self.seq = 0
         self.start_ns = 0
         """When the first sample is taken, ns since 1970."""
@@ -87,14 +89,27 @@ class StandIn:
         now = self.rider.unit.time
         period = self.config.period
         true = {f"servo.theta[{i}]": offset for i, offset in enumerate(self.offsets, 1)}
-        book = Book(0, round(1e9 * period) * self.seq, self.seq, {name: value - true.get(name, 0.0) for name, value in told.items()}, True, 1)
+        book = Book(
+            0,
+            round(1e9 * period) * self.seq,
+            self.seq,
+            {name: value - true.get(name, 0.0) for name, value in told.items()},
+            True,
+            1,
+        )
         self.rider.hold(book)
         # The twin is not told of inputs beside those of the drives, such as a hand's force.
         if self.surroundings:
-            begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
+            begin, end = (
+                [self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1)
+            )
             references = list(self.surroundings.values())
             self.rider.unit.set_reals(references, begin)
-            sloping = [(ref, (b - a) / period) for ref, a, b in zip(references, begin, end, strict=True) if ref in self.continuous]
+            sloping = [
+                (ref, (b - a) / period)
+                for ref, a, b in zip(references, begin, end, strict=True)
+                if ref in self.continuous
+            ]
             if sloping:
                 self.rider.unit.set_slopes([ref for ref, _ in sloping], [slope for _, slope in sloping])
         self.seq += 1
@@ -105,7 +120,9 @@ class StandIn:
         stored = self.rider.unit.store()
         content = base64.b64encode(self.rider.unit.to_bytes(stored)).decode("ascii")
         self.rider.unit.free(stored)
-        return json.dumps({"seq": self.seq, "clock": self.rider.unit.time, "start": self.start_ns, "state": content}).encode()
+        return json.dumps(
+            {"seq": self.seq, "clock": self.rider.unit.time, "start": self.start_ns, "state": content}
+        ).encode()
 
     def go_on_from(self, file: Path) -> None:
         """Goes on from a stored state."""
@@ -140,7 +157,11 @@ class Recording:
             raise TwinError(f"{file} has no rows with time and measured.theta[1] or measured.theta[2]")
         try:
             self.samples = [
-                (float(row["time"]), {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")}) for row in rows
+                (
+                    float(row["time"]),
+                    {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")},
+                )
+                for row in rows
             ]
         except ValueError as error:
             raise TwinError(f"{file}: {error}") from None
@@ -161,7 +182,9 @@ class Recording:
             if not at > before:
                 raise TwinError(f"{file}: time of row {number} is {at!r} s after {before!r} s; times must rise")
         time = np.array(times) - times[0]
-        table = {name: np.array([fields.get(name, math.nan) for _, fields in self.samples]) for name in (*MEASURED, *INPUTS)}
+        table = {
+            name: np.array([fields.get(name, math.nan) for _, fields in self.samples]) for name in (*MEASURED, *INPUTS)
+        }
         data.check_units(file, time, table)
         series = data.split(time, table, [])
         if not series.series:

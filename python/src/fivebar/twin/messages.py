@@ -20,7 +20,20 @@ import fastjsonschema
 
 from fivebar.twin.errors import Refused
 
-KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "ahead", "learned", "whatif", "gap", "setup")
+KINDS: Final = (
+    "meas",
+    "est",
+    "forecast",
+    "alarm",
+    "param",
+    "cmd",
+    "state",
+    "ahead",
+    "learned",
+    "whatif",
+    "gap",
+    "setup",
+)
 """The last part of a topic. `state` has the twin's stored state, for replays; `ahead` has one that a forecast is to start from, and is
 not recorded. The last two are only in records: what is missing in them, and of which run they are."""
 
@@ -79,7 +92,10 @@ def decode(from_topic: str, payload: bytes) -> Message:
     """The message, or `Refused` with one sentence."""
     prefix, _, rest = from_topic.partition("/")
     unit, _, kind = rest.partition("/")
-    _require(prefix == "fivebar" and kind in KINDS and UNIT_NAME.fullmatch(unit) is not None, f"topic {from_topic[:100]!r} is not fivebar/UNIT/KIND")
+    _require(
+        prefix == "fivebar" and kind in KINDS and UNIT_NAME.fullmatch(unit) is not None,
+        f"topic {from_topic[:100]!r} is not fivebar/UNIT/KIND",
+    )
     most = LARGEST.get(kind, LARGEST_USUAL)
     _require(len(payload) <= most, f"{kind} of {len(payload)} bytes; at most {most} are taken")
     content = _parse(kind, payload)
@@ -89,7 +105,9 @@ def decode(from_topic: str, payload: bytes) -> Message:
         # JSON Schema takes 1.0 for an integer, the code that counts with it does not.
         _require(isinstance(content[name], int), f"{name} is {_show(content[name])}, not an integer")
     fields = {name: float(value) for name, value in content["fields"].items()}
-    extra = {name: value for name, value in content.items() if name not in ("measurement", "time", "seq", "tags", "fields")}
+    extra = {
+        name: value for name, value in content.items() if name not in ("measurement", "time", "seq", "tags", "fields")
+    }
     return Message(kind, unit, content["time"], content["seq"], fields, extra)
 
 
@@ -118,7 +136,9 @@ def _no_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 @cache
 def _validator(kind: str) -> Callable[[Any], Any]:
     """The schema of a kind as a function: fastjsonschema writes Python for it, which takes some 10 µs where an interpreter takes a ms."""
-    schema = {name: SCHEMA[name] for name in ("$schema", "definitions")} | {"allOf": [{"$ref": f"#/definitions/{kind}"}]}
+    schema = {name: SCHEMA[name] for name in ("$schema", "definitions")} | {
+        "allOf": [{"$ref": f"#/definitions/{kind}"}]
+    }
     return fastjsonschema.compile(schema)
 
 

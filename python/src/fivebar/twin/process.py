@@ -80,7 +80,16 @@ class Worker(ABC):
         with contextlib.suppress(OSError):
             # A starter that is gone hears nothing.
             print(sentence, flush=True)
-        self.publish(Message("alarm", "", now, seq, {}, {"state": "trouble", "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more))
+        self.publish(
+            Message(
+                "alarm",
+                "",
+                now,
+                seq,
+                {},
+                {"state": "trouble", "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more,
+            )
+        )
 
     def begin(self) -> None:
         """Before the first message; a stored state is read here."""
@@ -213,7 +222,9 @@ def serve(worker: Worker) -> int:
 
     def report() -> None:
         own = {"name": worker.name, "pid": os.getpid(), "ready": bus.ready(), "connections": bus.connections}
-        status.write(own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status())
+        status.write(
+            own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status()
+        )
 
     while not stop.wait(TICK) and not worker.finished():
         with lock:

@@ -16,15 +16,22 @@ import pyarrow.parquet as pq
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import Message, decode
 
-TYPES: Final[dict[str, pa.DataType]] = {"topic": pa.string(), "time": pa.int64(), "seq": pa.int64(), "payload": pa.binary()}
+TYPES: Final[dict[str, pa.DataType]] = {
+    "topic": pa.string(),
+    "time": pa.int64(),
+    "seq": pa.int64(),
+    "payload": pa.binary(),
+}
 SCHEMA: Final = pa.schema(TYPES)
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
 LARGEST_RECORD: Final = 64_000_000_000
 """Bytes of a record that is read at most."""
 
-COLUMNS: Final = {"topic": (pa.types.is_string, pa.types.is_large_string), "time": (pa.types.is_integer,), "seq": (pa.types.is_integer,)} | {
-    "payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)
-}
+COLUMNS: Final = {
+    "topic": (pa.types.is_string, pa.types.is_large_string),
+    "time": (pa.types.is_integer,),
+    "seq": (pa.types.is_integer,),
+} | {"payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)}
 """Types of Arrow that each column may have."""
 
 

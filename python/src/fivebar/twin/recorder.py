@@ -146,7 +146,9 @@ class Recorder(Worker):
         if self.failing:
             self.failing = False
             lost = ", ".join(f"{kind} {first} to {last}" for kind, (first, last) in self.lost.items())
-            self.trouble("record", f"recording again; {f'not recorded are {lost}' if lost else 'nothing is lost'}", self.now)
+            self.trouble(
+                "record", f"recording again; {f'not recorded are {lost}' if lost else 'nothing is lost'}", self.now
+            )
         self.parts.append((self.number, self.number, path))
         self.number += 1
         self.counts["written"] += len(rows)
@@ -176,7 +178,9 @@ class Recorder(Worker):
         self.failed = 0.0
         self.write()
         if self.taken:
-            self.trouble("record", f"{len(self.taken)} messages at the end are not recorded, {self.why}: {self.folder}", self.now)
+            self.trouble(
+                "record", f"{len(self.taken)} messages at the end are not recorded, {self.why}: {self.folder}", self.now
+            )
 
 
 def guid(fmu: Path) -> str:
@@ -191,5 +195,7 @@ def guid(fmu: Path) -> str:
 def run(file: Path) -> int:
     config = process.read_config(file)
     recorder = Recorder(config)
-    recorder.about = setup.of_run(config, scene.read(Path(config.scene)), guid(Path(config.fmu))).to_message(config.unit, time.time_ns())
+    recorder.about = setup.of_run(config, scene.read(Path(config.scene)), guid(Path(config.fmu))).to_message(
+        config.unit, time.time_ns()
+    )
     return process.serve(recorder)

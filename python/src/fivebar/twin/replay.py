@@ -191,13 +191,19 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
 def gap(message: Message) -> str:
     """A gap in words."""
     why = message.extra.get("why")
-    return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (f" ({why})" if why else "")
+    return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (
+        f" ({why})" if why else ""
+    )
 
 
 def run(file: Path, fmu: Path, since: float, until: float) -> int:
     """0 if every estimate is the same to the bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
     result = replay(file, fmu, since, until)
-    for what, sentences in (("", result.differing), ("the record lacks ", result.gaps), ("a row is no message: ", result.bad)):
+    for what, sentences in (
+        ("", result.differing),
+        ("the record lacks ", result.gaps),
+        ("a row is no message: ", result.bad),
+    ):
         for sentence in sentences[:TOLD]:
             print(what + sentence)
         if len(sentences) > TOLD:

@@ -17,7 +17,11 @@ SOURCE: Final = "source.json"
 """Copy of the scene's own file, in the folder of a run."""
 
 
-OFFSET_OF: Final = {f"{name}[{i}]": offset for i, offset in enumerate(scene_file.OFFSETS, 1) for name in ("measured.theta", "servo.theta", "init.theta")}
+OFFSET_OF: Final = {
+    f"{name}[{i}]": offset
+    for i, offset in enumerate(scene_file.OFFSETS, 1)
+    for name in ("measured.theta", "servo.theta", "init.theta")
+}
 """Mounting angle that is in a field or a start value, by its name."""
 
 

@@ -36,7 +36,11 @@ def learning(library: Library, values: dict[str, float | int | bool]) -> dict[st
     if values.get("viscous.enabled"):
         return told
     usual = float(library.variable("viscous.b[1]").start)
-    return told | {"viscous.enabled": True, "estimator.learn.viscous": values.get("estimator.learn.viscous", usual)} | {f"viscous.b[{i}]": 0.0 for i in range(1, 6)}
+    return (
+        told
+        | {"viscous.enabled": True, "estimator.learn.viscous": values.get("estimator.learn.viscous", usual)}
+        | {f"viscous.b[{i}]": 0.0 for i in range(1, 6)}
+    )
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,11 @@ class Setup:
 def of_run(config: Config, scene: Scene, guid: str) -> Setup:
     """The setup of a configured twin."""
     machine = config.machine
-    encoders = {f"estimator.{name}[{i}]": value for i in (1, 2) for name, value in (("quantum", machine.quantum), ("sigma", machine.sigma))}
+    encoders = {
+        f"estimator.{name}[{i}]": value
+        for i in (1, 2)
+        for name, value in (("quantum", machine.quantum), ("sigma", machine.sigma))
+    }
     values = MOTION | scene.values | CORRECTOR | encoders | {"estimator.horizon": config.horizon} | config.twin
     step = values.get("solver.stepSize", 1e-3)
     return Setup(guid, scene, values, config.period, float(step), config.horizon)
@@ -84,6 +92,9 @@ def of_message(message: Message) -> Setup:
         setup = Setup(scene=scene, **content)
     except (KeyError, TypeError, ValueError):
         raise TwinError("the setup of the record is not as this version writes it") from None
-    if not (isinstance(setup.guid, str) and all(math.isfinite(x) and x > 0 for x in (setup.period, setup.step, setup.horizon))):
+    if not (
+        isinstance(setup.guid, str)
+        and all(math.isfinite(x) and x > 0 for x in (setup.period, setup.step, setup.horizon))
+    ):
         raise TwinError("the setup of the record has no sensible periods")
     return setup

@@ -78,7 +78,9 @@ class Options:
     exact: bool
 
 
-def configured(folder: Path, fmu: Path, library: Library, given: str | Path, learn: bool = False, exact: bool = False) -> Config:
+def configured(
+    folder: Path, fmu: Path, library: Library, given: str | Path, learn: bool = False, exact: bool = False
+) -> Config:
     """A configuration in which the stand-in differs from its twin as in a run of `fivebar twin` with those switches."""
     folder.mkdir(parents=True, exist_ok=True)
     file = scene.resolve(given, library.known, folder)
@@ -105,9 +107,18 @@ def run(options: Options) -> int:
         with tempfile.TemporaryDirectory() as folder:
             config = configured(Path(folder), options.fmu, library, options.scene, options.learn, options.exact)
             starter.check_followed(config, True)
-            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
+            twin, ahead, watch, recorder = (
+                Twin(config, library),
+                Ahead(config, library, at_once=True),
+                Watch(config),
+                Recorder(config),
+            )
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
-            wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
+            wire, source, mangler = (
+                Wire(config, twin, ahead, watch, recorder),
+                machine(config, library),
+                Mangler(faults, 1),
+            )
             samples = round(options.hours * 3600 / config.period)
             memory = []
             begin = time.perf_counter()
@@ -119,7 +130,11 @@ def run(options: Options) -> int:
                 if i % max(1, samples // LOOKS) == 0:
                     memory.append(process.memory_kb() / 1024)
                     speed = config.period * i / max(time.perf_counter() - begin, 1e-9)
-                    print(f"{i:8d} of {samples} samples, {memory[-1]:.1f} MB, {speed:.1f} x real time", file=sys.stderr, flush=True)
+                    print(
+                        f"{i:8d} of {samples} samples, {memory[-1]:.1f} MB, {speed:.1f} x real time",
+                        file=sys.stderr,
+                        flush=True,
+                    )
             wire.end()
             source.close()
             story = figures.read(config.record)
@@ -130,14 +145,20 @@ def run(options: Options) -> int:
     # After a half everything that is kept for a while has been kept, and parts have been joined.
     half = memory[len(memory) // 2]
     growth = memory[-1] - half
-    print(f"{samples} samples, {counts['taken']} taken, {counts['late']} late, {counts['estimated']} estimated, {recorder.counts['written']} rows")
+    print(
+        f"{samples} samples, {counts['taken']} taken, {counts['late']} late, {counts['estimated']} estimated, {recorder.counts['written']} rows"
+    )
     print(f"memory {half:.1f} MB after a half, {memory[-1]:.1f} MB at the end; {watch.alarms} alarms")
     forecasts = content["forecasts"]
     width, covered = forecasts["halfwidth_mm"]["median"], forecasts["coverage95"]
     if covered is not None:
         off = forecasts["by_ahead"][f"{config.horizon:g}"]
-        print(f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off['error_median_mm']:.2g} mm (median), {off['error_mm']:.2g} mm (rms)")
-        print("error of the estimated tip {median:.2g} mm (median), {rms:.2g} mm (rms)".format(**content["tip_error_mm"]))
+        print(
+            f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off['error_median_mm']:.2g} mm (median), {off['error_mm']:.2g} mm (rms)"
+        )
+        print(
+            "error of the estimated tip {median:.2g} mm (median), {rms:.2g} mm (rms)".format(**content["tip_error_mm"])
+        )
     for sentence in content["missed"]:
         print(sentence)
     lost = 0 if options.faults else samples - counts["estimated"]

@@ -118,7 +118,9 @@ class Child:
         # cores among sessions first: who is patient could not let others of this run go first.
         group = 0 if os.name == "posix" else None
         with open(self.log, "ab", opener=private) as log:
-            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, process_group=group)
+            self.process = subprocess.Popen(
+                self.command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, process_group=group
+            )
         priority.hurry(self.process.pid)
         threading.Thread(target=self._listen, args=(self.process,), name=self.name, daemon=True).start()
 
@@ -139,7 +141,9 @@ class Child:
         now = time.monotonic()
         self.recent = (*(t for t in self.recent if now - t < 60), now)
         if len(self.recent) > MOST_RESTARTS:
-            raise TwinError(f"`{self.name}` dies again and again, last with {code}; the end of {self.log}:\n{self.tail()}")
+            raise TwinError(
+                f"`{self.name}` dies again and again, last with {code}; the end of {self.log}:\n{self.tail()}"
+            )
         self.restarts += 1
         self.start()
         return False
@@ -184,7 +188,11 @@ class Run:
         logs.mkdir(mode=0o700, exist_ok=True)
         command = [sys.executable, "-m", "fivebar.twin"]
         self.troubles: deque[str] = deque(maxlen=TROUBLES)
-        self.children = {n: Child(n, [*command, n, "--config", str(self.file)], logs / f"{n}.log", self.say) for n in ORDER if n in names}
+        self.children = {
+            n: Child(n, [*command, n, "--config", str(self.file)], logs / f"{n}.log", self.say)
+            for n in ORDER
+            if n in names
+        }
 
     def start(self) -> None:
         """Starts all, the machine last, when the others listen."""
@@ -225,7 +233,9 @@ class Run:
             if count != before:
                 before, changed = count, time.monotonic()
             # A recorder that was killed has not counted all that it recorded.
-            behind = len(lives.get("record", [])) == 1 and count < sum(total(lives.get("follow", []), n) for n in ("taken", "estimated"))
+            behind = len(lives.get("record", [])) == 1 and count < sum(
+                total(lives.get("follow", []), n) for n in ("taken", "estimated")
+            )
             if not behind and time.monotonic() - changed > 1.5 * STATUS_EVERY:
                 return
             time.sleep(0.05)
@@ -259,7 +269,9 @@ def total(lives: list[dict[str, Any]], name: str) -> int:
     return sum(int(life.get(name, 0)) for life in lives)
 
 
-def hidden(library: Library, values: dict[str, float | int | bool], exact: bool = False) -> dict[str, float | int | bool]:
+def hidden(
+    library: Library, values: dict[str, float | int | bool], exact: bool = False
+) -> dict[str, float | int | bool]:
     """Properties of the stand-in that the twin does not know, as those of machines are.
 
     Masses are up to 5 % off, the payload is a fifth heavier, bearings have friction; lengths are 0.1 % off and encoders 1 mrad, unless
@@ -302,7 +314,9 @@ def parse_faults(text: str) -> Faults:
         except ValueError:
             given[name] = math.nan
         if name not in known or not math.isfinite(given[name]) or (name != "clock_jump" and not 0 <= given[name] <= 1):
-            raise TwinError(f"fault {part!r:.60}; NAME=SHARE is expected with a share from 0 to 1, and {', '.join(known)} as names")
+            raise TwinError(
+                f"fault {part!r:.60}; NAME=SHARE is expected with a share from 0 to 1, and {', '.join(known)} as names"
+            )
     return Faults(**given)
 
 
@@ -368,7 +382,10 @@ def check_followed(config: Config, stand_in: bool) -> None:
     library = Library(Path(config.fmu))
     try:
         known = scene.read(Path(config.scene))
-        begin = {name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start)) for i, name in enumerate(MEASURED, 1)}
+        begin = {
+            name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start))
+            for i, name in enumerate(MEASURED, 1)
+        }
         sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.told(0.0)))
         if stand_in:
             machine: Recording | StandIn
@@ -415,13 +432,18 @@ def run(options: Options) -> int:
         check_followed(config, options.machine != "none")
     folder = run_folder(options.out)
     config = configure(options, folder)
-    names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.machine != "none"))
+    names = tuple(
+        n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.machine != "none")
+    )
     run = Run(config, names)
     asked = Asked()
     try:
         run.start()
         address = f"http://127.0.0.1:{config.dashboard_port}/"
-        print(f"broker at {config.broker.host}:{config.broker.port}, dashboard at {address}, record in {config.record}", flush=True)
+        print(
+            f"broker at {config.broker.host}:{config.broker.port}, dashboard at {address}, record in {config.record}",
+            flush=True,
+        )
         if options.open:
             webbrowser.open(address)
         _watch(run, asked, math.inf if options.open else options.seconds)
@@ -433,7 +455,13 @@ def run(options: Options) -> int:
     # Packages that draw are loaded when no message is urgent any more.
     from fivebar.twin import summary
 
-    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, options.out, list(run.troubles))
+    return summary.write(
+        run.config,
+        run.status(),
+        {n: child.restarts for n, child in run.children.items()},
+        options.out,
+        list(run.troubles),
+    )
 
 
 class Asked:

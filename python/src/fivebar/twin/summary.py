@@ -40,10 +40,23 @@ USUAL, SHOWN = 0.95, 1.5
 TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
 
-plt.rcParams |= {"svg.hashsalt": "fivebar", "font.size": 9.5, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
+plt.rcParams |= {
+    "svg.hashsalt": "fivebar",
+    "font.size": 9.5,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 
 
-def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path, troubles: Sequence[str] = ()) -> int:
+def write(
+    config: Config,
+    status: dict[str, list[dict[str, Any]]],
+    restarts: dict[str, int],
+    out: Path,
+    troubles: Sequence[str] = (),
+) -> int:
     """Writes everything to the run's folder and to `out`; 0 if the twin followed and its forecasts are as good as promised, 3 if they are not."""
     try:
         story = figures.read(config.record)
@@ -96,7 +109,9 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
 
 
 def _tell(content: dict[str, Any], out: Path) -> None:
-    samples, latency, error, forecasts = (content[name] for name in ("samples", "latency_ms", "tip_error_mm", "forecasts"))
+    samples, latency, error, forecasts = (
+        content[name] for name in ("samples", "latency_ms", "tip_error_mm", "forecasts")
+    )
 
     def figure(value: float | None, unit: str, factor: float = 1.0) -> str:
         return "not known" if value is None else f"{factor * value:.3g} {unit}"
@@ -113,11 +128,24 @@ def _tell(content: dict[str, Any], out: Path) -> None:
                 f"{figure(forecasts['coverage95'], '%', 100)} inside"
             ),
         ),
-        ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
+        (
+            "promises",
+            "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged"),
+        ),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
         ("causes of alarms", ", ".join(content["causes"]) or "none"),
-        ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
-        ("learned", f"{len(learned['values'])} start values, in {out / LEARNED}" if (learned := content["learned"]) else "nothing"),
+        (
+            "troubles",
+            f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}"
+            if content["troubles"]["last"]
+            else "none",
+        ),
+        (
+            "learned",
+            f"{len(learned['values'])} start values, in {out / LEARNED}"
+            if (learned := content["learned"])
+            else "nothing",
+        ),
         ("not recorded", _gaps(content["gaps"])),
         ("restarts", ", ".join(f"{name} {count}" for name, count in content["restarts"].items() if count) or "none"),
         ("record", content["record"]),
@@ -191,10 +219,22 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     _bound(time, at, np.fmax(widths, np.nan_to_num(error)))
     steps = np.unique(np.round(table["ahead"], 6))
     where = [np.isclose(table["ahead"], step) for step in steps]
-    ahead.plot(steps, [1e3 * np.median(table["half_width"][w]) for w in where], color=BAND, marker="o", markersize=3, label="half-width, median")
+    ahead.plot(
+        steps,
+        [1e3 * np.median(table["half_width"][w]) for w in where],
+        color=BAND,
+        marker="o",
+        markersize=3,
+        label="half-width, median",
+    )
     errors = [judged.ahead_error[w] for w in where]
     ahead.plot(
-        steps, [1e3 * np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in errors], color=TWIN, marker="o", markersize=3, label="error, median"
+        steps,
+        [1e3 * np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in errors],
+        color=TWIN,
+        marker="o",
+        markersize=3,
+        label="error, median",
     )
     ahead.set(xlabel="ahead (s)", ylabel="mm")
     _legend(ahead)
@@ -202,7 +242,13 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     if not any(np.isfinite(h).any() for h in hits):
         return figure
     share = ahead.twinx()
-    share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
+    share.plot(
+        steps,
+        [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits],
+        color=MACHINE,
+        linestyle=":",
+        label="inside",
+    )
     share.axhline(95, color=MACHINE, linewidth=0.6)
     share.set(ylim=(0, 105), ylabel="inside the 95 % circle (%, dotted; line: 95)")
     share.grid(visible=False)
@@ -217,7 +263,14 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
             total[int(place)] = total.get(int(place), 0) + count
     if total:
         edges = [1e3 * Histogram.LOWEST * Histogram.RATIO ** (place - 1) for place in total]
-        axes.bar(edges, list(total.values()), width=[(Histogram.RATIO - 1) * edge for edge in edges], align="edge", color=TWIN, linewidth=0)
+        axes.bar(
+            edges,
+            list(total.values()),
+            width=[(Histogram.RATIO - 1) * edge for edge in edges],
+            align="edge",
+            color=TWIN,
+            linewidth=0,
+        )
     axes.set(xscale="log", xlabel="ms from sample to estimate", ylabel="estimates")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
@@ -227,10 +280,19 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
 
 def _legend(axes: Axes) -> None:
     """Above the picture, where nothing is drawn, of what is there: a machine that no tracker sees has no line."""
-    known = [(handle, label) for handle, label in zip(*axes.get_legend_handles_labels(), strict=True) if _is_there(handle)]
+    known = [
+        (handle, label) for handle, label in zip(*axes.get_legend_handles_labels(), strict=True) if _is_there(handle)
+    ]
     if not known:
         return
-    axes.legend(*zip(*known, strict=True), loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+    axes.legend(
+        *zip(*known, strict=True),
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=3,
+        frameon=False,
+        borderaxespad=0.2,
+    )
 
 
 def _is_there(drawn: Artist) -> bool:
@@ -256,7 +318,15 @@ def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
     axes.plot(at[beyond], np.full(len(beyond), 0.98 * top), "^", color=MACHINE, markersize=5, clip_on=False)
     most = beyond[np.argmax(values[beyond])]
     left = at[most] < np.mean(axes.get_xlim())
-    axes.annotate(f"{len(beyond)} beyond, up to {values[most]:.3g} mm", (at[most], 0.98 * top), xytext=(8 if left else -8, -3), textcoords="offset points", color=MACHINE, ha="left" if left else "right", va="center")
+    axes.annotate(
+        f"{len(beyond)} beyond, up to {values[most]:.3g} mm",
+        (at[most], 0.98 * top),
+        xytext=(8 if left else -8, -3),
+        textcoords="offset points",
+        color=MACHINE,
+        ha="left" if left else "right",
+        va="center",
+    )
 
 
 def _mark_alarms(axes: Axes, story: Story) -> None:
@@ -279,9 +349,14 @@ def _svg(figure: Figure) -> str:
 def _page(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]]) -> str:
     about = scene.read(Path(config.scene))
     rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>" for name, value in _flat(content) if not name.startswith("gaps")
+        f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>"
+        for name, value in _flat(content)
+        if not name.startswith("gaps")
     )
-    shown = "".join(f"<figure>{_svg(figure)}<figcaption>{html.escape(text)}.</figcaption></figure>" for figure, text in pictures.values())
+    shown = "".join(
+        f"<figure>{_svg(figure)}<figcaption>{html.escape(text)}.</figcaption></figure>"
+        for figure, text in pictures.values()
+    )
     page = TEMPLATE.read_text(encoding="utf-8")
     for name, value in (
         ("{{title}}", html.escape(about.name)),

@@ -18,13 +18,28 @@ from fivebar.twin.intake import Newest, Orders
 from fivebar.twin.messages import Message
 from fivebar.twin.process import AGAIN, Worker
 
-CAUSES: Final = ("nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing")
+CAUSES: Final = (
+    "nothing",
+    "torque at motor 1",
+    "torque at motor 2",
+    "force at the tip",
+    "encoder 1",
+    "encoder 2",
+    "parameters",
+    "timing",
+)
 """Names of the values of `estimated.cause`."""
 
 FAULTS: Final = ("encoder 1", "encoder 2", "timing")
 """Those of `CAUSES` that are wrong whether or not the alarm is on: an alarm is for forces only."""
 
-FORCE_FIGURES: Final = ("estimated.nis", "estimated.tau[1]", "estimated.tau[2]", "estimated.tau.sigma[1]", "estimated.tau.sigma[2]")
+FORCE_FIGURES: Final = (
+    "estimated.nis",
+    "estimated.tau[1]",
+    "estimated.tau[2]",
+    "estimated.tau.sigma[1]",
+    "estimated.tau.sigma[2]",
+)
 """Told with a force; with a fault, the status."""
 
 STARTING: Final = 2.0
@@ -122,7 +137,9 @@ class Anomalies:
         self.last = now
         wrong = self._wrong(fields)
         for name in ("force", *FAULTS):
-            self.causes[name].see(name == wrong, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off)
+            self.causes[name].see(
+                name == wrong, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off
+            )
         self.causes["silence"].see(False, 0.0, now, 0.0, 0.0)
         for cause in self.causes.values():
             cause.told &= abs(now - cause.last) <= self.settings.cooling
@@ -194,7 +211,9 @@ class Anomalies:
         if number := int(fields.get("estimated.cause", 0)):
             self.named = {"named": CAUSES[number], "probability": fields["estimated.cause.probability"]}
 
-    def _raise(self, cause: str, now: float, figures: dict[str, float], fields: dict[str, float]) -> list[dict[str, Any]]:
+    def _raise(
+        self, cause: str, now: float, figures: dict[str, float], fields: dict[str, float]
+    ) -> list[dict[str, Any]]:
         self.cause, self.named = cause, {}
         self.causes[cause].told = True
         self._name(fields)
@@ -266,7 +285,9 @@ class Watch(Worker):
             self.orders.check(message, now)
             self.orders.taken(message)
             if message.extra["command"] == "acknowledge":
-                self._tell([each | {"order": message.time} for each in self.anomalies.acknowledge(self.anomalies.last)], now)
+                self._tell(
+                    [each | {"order": message.time} for each in self.anomalies.acknowledge(self.anomalies.last)], now
+                )
             return
         self.order.admit(message, now)
         self.newest, self.arrived = message, now
@@ -286,7 +307,13 @@ class Watch(Worker):
         behind = took - self.soonest
         if behind > BEHIND and abs(now - self.told_behind) >= 1e9 * AGAIN:
             self.told_behind = now
-            self.trouble("behind", f"estimates are {behind:.1f} s behind: the samples are not kept up with, or a clock was set", now, seq, every=0.0)
+            self.trouble(
+                "behind",
+                f"estimates are {behind:.1f} s behind: the samples are not kept up with, or a clock was set",
+                now,
+                seq,
+                every=0.0,
+            )
 
     def tick(self, now: int) -> None:
         if self.newest is not None:
@@ -295,7 +322,10 @@ class Watch(Worker):
         # A machine may take its time to begin; one whose samples come is waited for no longer.
         self.waiting = self.waiting or (now + NO_SAMPLE, now)
         since, at = self.waiting
-        self._tell(self.anomalies.never(1e-9 * (since + now - at) if self.samples else 1e-9 * now, 1e-9 * since, self.samples), now)
+        self._tell(
+            self.anomalies.never(1e-9 * (since + now - at) if self.samples else 1e-9 * now, 1e-9 * since, self.samples),
+            now,
+        )
 
     def _tell(self, alarms: list[dict[str, Any]], now: int) -> None:
         for alarm in alarms:
@@ -307,9 +337,12 @@ class Watch(Worker):
 
     def status(self) -> dict[str, Any]:
         quantiles = {f"p{share}": 1e3 * self.latency.quantile(share / 100) for share in (50, 90, 99)}
-        return {"estimates": self.estimates, "alarms": self.alarms, "state": self.anomalies.state, "latency_ms": quantiles} | {
-            "latency_bins": {str(place): count for place, count in enumerate(self.latency.bins) if count}
-        }
+        return {
+            "estimates": self.estimates,
+            "alarms": self.alarms,
+            "state": self.anomalies.state,
+            "latency_ms": quantiles,
+        } | {"latency_bins": {str(place): count for place, count in enumerate(self.latency.bins) if count}}
 
 
 def run(file: Path) -> int:

@@ -1,6 +1,6 @@
 """Makes reference trajectories of scenes by two independent programs and keeps what they agree on; README.md says how to run it.
 
-    python make.py [SCENE ...]
+python make.py [SCENE ...]
 """
 
 import argparse
@@ -60,7 +60,9 @@ COLUMNS = "t,Qx,Qy,th1,th2,th3,th4,w1,w2,w3,w4"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Makes reference trajectories.")
-    parser.add_argument("scenes", nargs="*", default=[*SCENES, *STICKING], help="scenes of the tables in this file; all of them")
+    parser.add_argument(
+        "scenes", nargs="*", default=[*SCENES, *STICKING], help="scenes of the tables in this file; all of them"
+    )
     mpmath.mp.dps = 80  # so that a signal at its last knot is the nearest double, too, and not round-off
     with tempfile.TemporaryDirectory() as folder:
         midpoint = Path(folder) / "midpoint"
@@ -100,7 +102,9 @@ def scene_text(scene: str, tenths: int) -> str:
     own = own_values(scene)
     signals = own.get("signals", {})
     items = enumeration_items()
-    values = start_values() | {name: items[name][value] if name in items else value for name, value in own.items() if name != "signals"}
+    values = start_values() | {
+        name: items[name][value] if name in items else value for name, value in own.items() if name != "signals"
+    }
     lines = [*values.items(), ("signals", len(signals))]
     for point in range(100 * tenths if signals else 0):
         lines += [(name, signal_at(signals, name, mpmath.mpf(point) / 1000)) for name in signals]
@@ -109,10 +113,14 @@ def scene_text(scene: str, tenths: int) -> str:
 
 def agreed_digits(scene: str, first: list, second: list, wanted: mpmath.mpf) -> int:
     """To how many digits all rows agree; refuses too few."""
-    difference = max(abs(a - b) / (1 + abs(a)) for x, y in zip(first, second, strict=True) for a, b in zip(x, y, strict=True))
+    difference = max(
+        abs(a - b) / (1 + abs(a)) for x, y in zip(first, second, strict=True) for a, b in zip(x, y, strict=True)
+    )
     print(f"{scene}: largest difference {mpmath.nstr(difference, 2)} of 1 + |value|", flush=True)
     if not difference < wanted:
-        raise SystemExit(f"{scene}: two runs differ by {mpmath.nstr(difference, 2)}, and {mpmath.nstr(wanted, 2)} is wanted.")
+        raise SystemExit(
+            f"{scene}: two runs differ by {mpmath.nstr(difference, 2)}, and {mpmath.nstr(wanted, 2)} is wanted."
+        )
     return int(-mpmath.log10(difference))
 
 
@@ -122,8 +130,16 @@ def write(scene: str, how: str, rows: list) -> None:
     head = [
         f"scene {scene}, set below, everything else as in modelDescription.xml; each number is the double nearest to what is written.",
         f"Quadruple precision: {how}",
-        *(["Mass at rest joins in an inelastic impact, mass that leaves goes on with the tip."] if "payload.mass" in own.get("signals", {}) else []),
-        *(["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."] if "signals" in own else []),
+        *(
+            ["Mass at rest joins in an inelastic impact, mass that leaves goes on with the tip."]
+            if "payload.mass" in own.get("signals", {})
+            else []
+        ),
+        *(
+            ["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."]
+            if "signals" in own
+            else []
+        ),
         "th: absolute link angles, ccw from +x: 1 left proximal, 2 left distal (elbow to Q), 3 right distal, 4 right proximal; w: rates. SI units.",
         *(f"{name} = {json.dumps(value)}" for name, value in own.items()),
     ]
@@ -146,7 +162,8 @@ def enumeration_items() -> dict[str, dict[str, int]]:
     """Of every variable that is an enumeration: names of its items to their values."""
     model = ET.parse(MODEL)
     types = {
-        kind.get("name"): {item.get("name"): int(item.get("value")) for item in kind.iter("Item")} for kind in model.iter("SimpleType")
+        kind.get("name"): {item.get("name"): int(item.get("value")) for item in kind.iter("Item")}
+        for kind in model.iter("SimpleType")
     }
     used = {variable.get("name"): variable[0].get("declaredType") for variable in model.iter("ScalarVariable")}
     return {name: types[kind] for name, kind in used.items() if types.get(kind)}
@@ -159,7 +176,9 @@ def own_values(scene: str) -> dict[str, float | bool | str | dict]:
     items = enumeration_items()
     for name, value in own.items():
         if value not in items.get(name, ()) and name != "signals" and not isinstance(value, (bool, int, float)):
-            raise SystemExit(f"{scene}: {name} is neither a constant nor the signals; only such scenes can have a reference.")
+            raise SystemExit(
+                f"{scene}: {name} is neither a constant nor the signals; only such scenes can have a reference."
+            )
     if "signals" in own and content["experiment"]["stepSize"] != 0.001:
         raise SystemExit(f"{scene}: stepSize is not 0.001; inputs that change are held for 1 ms.")
     return own
@@ -172,7 +191,9 @@ def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.m
     if rate:
         ((kind, value),) = signals[value].items()
     if kind == "steps":  # a nanosecond early, as there
-        return next((mpmath.mpf(knot[1]) for knot in reversed(value) if knot[0] - 1e-9 <= time), mpmath.mpf(value[0][1]))
+        return next(
+            (mpmath.mpf(knot[1]) for knot in reversed(value) if knot[0] - 1e-9 <= time), mpmath.mpf(value[0][1])
+        )
     shape = {"linear": [0, 1], "minimumJerk": [0, 0, 0, 10, -15, 6]}[kind]  # a polynomial in u, rising powers
     knots = [tuple(map(mpmath.mpf, knot)) for knot in value]
     if not knots[0][0] <= time < knots[-1][0]:

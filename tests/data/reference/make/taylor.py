@@ -64,7 +64,11 @@ def start(scene: Scene) -> list[mpmath.mpf]:
     first, second = mpmath.arg(tip - left), mpmath.arg(tip - right)
     # i (w1 left + w2 (tip - left)) = i (w4 (right - base) + w3 (tip - right)); at rest without dividing, as at a direct singularity
     a, b, c = tip - left, right - tip, rates[1] * (right - base) - rates[0] * left
-    solution = mpmath.lu_solve(mpmath.matrix([[a.real, b.real], [a.imag, b.imag]]), mpmath.matrix([c.real, c.imag])) if c else (0, 0)
+    solution = (
+        mpmath.lu_solve(mpmath.matrix([[a.real, b.real], [a.imag, b.imag]]), mpmath.matrix([c.real, c.imag]))
+        if c
+        else (0, 0)
+    )
     return [proximal[0], first, second, proximal[1], rates[0], solution[0], solution[1], rates[1]]
 
 
@@ -162,9 +166,15 @@ class Machine:
             if scene.on("viscous"):
                 torque = torque + quad(scene[f"viscous.b[{j + 1}]"]) * w
             if scene.on("friction"):
-                dry, rest, rate = (scene[f"friction.{x}"] for x in (f"coulomb[{j + 1}]", f"breakaway[{j + 1}]", "breakawayVelocity"))
+                dry, rest, rate = (
+                    scene[f"friction.{x}"] for x in (f"coulomb[{j + 1}]", f"breakaway[{j + 1}]", "breakawayVelocity")
+                )
                 u = w / quad(mpmath.sqrt(2) * rate)
-                torque = torque + quad(mpmath.sqrt(2 * mpmath.e) * (rest - dry)) * u * hy.exp(-u * u) + quad(dry) * hy.tanh(w / quad(rate / 10))
+                torque = (
+                    torque
+                    + quad(mpmath.sqrt(2 * mpmath.e) * (rest - dry)) * u * hy.exp(-u * u)
+                    + quad(dry) * hy.tanh(w / quad(rate / 10))
+                )
             q[first] = q[first] - torque
             if second is not None:
                 q[second] = q[second] + torque
@@ -178,7 +188,11 @@ class Machine:
                 aim = name("servo.kp") * (at("servo.theta") - th) + name("servo.kd") * (at("servo.omega") - w)
                 q[link] = q[link] + name("servo.limit") * hy.tanh(aim / name("servo.limit"))
             if scene.on("stop"):
-                q[link] = q[link] + self.buffer("stop", name("stop.lower") - th, -w) - self.buffer("stop", th - name("stop.upper"), w)
+                q[link] = (
+                    q[link]
+                    + self.buffer("stop", name("stop.lower") - th, -w)
+                    - self.buffer("stop", th - name("stop.upper"), w)
+                )
         fx, fy = scene.input("tip.fx"), scene.input("tip.fy")
         if scene.on("contact"):
             norm = mpmath.hypot(scene["contact.nx"], scene["contact.ny"])
@@ -199,7 +213,10 @@ class Machine:
         sign = (FP(1), FP(1), FP(-1), FP(-1))
         jx = [-s * l * sin for s, l, sin in zip(sign, self.lengths, self.sin)]
         jy = [s * l * cos for s, l, cos in zip(sign, self.lengths, self.cos)]
-        inverse = lambda leg, f, g: ((leg[2] * f - leg[1] * g) / (leg[0] * leg[2] - leg[1] * leg[1]), (leg[0] * g - leg[1] * f) / (leg[0] * leg[2] - leg[1] * leg[1]))
+        inverse = lambda leg, f, g: (
+            (leg[2] * f - leg[1] * g) / (leg[0] * leg[2] - leg[1] * leg[1]),
+            (leg[0] * g - leg[1] * f) / (leg[0] * leg[2] - leg[1] * leg[1]),
+        )
 
         def by_mass(vector):
             """M^-1 times a vector of the angles."""
@@ -211,8 +228,12 @@ class Machine:
         free = by_mass([a + b for a, b in zip(q, weight)])
         dot = lambda a, b: hy.sum([x * y for x, y in zip(a, b)])
         # J a = -(dJ/dt) w
-        cx = dot([s * l * cos for s, l, cos in zip(sign, self.lengths, self.cos)], [w * w for w in self.omega]) - dot(jx, free)
-        cy = dot([s * l * sin for s, l, sin in zip(sign, self.lengths, self.sin)], [w * w for w in self.omega]) - dot(jy, free)
+        cx = dot([s * l * cos for s, l, cos in zip(sign, self.lengths, self.cos)], [w * w for w in self.omega]) - dot(
+            jx, free
+        )
+        cy = dot([s * l * sin for s, l, sin in zip(sign, self.lengths, self.sin)], [w * w for w in self.omega]) - dot(
+            jy, free
+        )
         by_x, by_y = by_mass(jx), by_mass(jy)
         xx, xy, yy = dot(jx, by_x), dot(jx, by_y), dot(jy, by_y)
         det = xx * yy - xy * xy
@@ -240,10 +261,15 @@ def integrator(scene: Scene, state: list[mpmath.mpf], held: list, time):
     system = list(zip(machine.theta, machine.omega)) + list(zip(machine.omega, accelerations))
     # Side of each switch in double precision: no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
-    sides = [float(hy.cfunc([g], [*machine.theta, *machine.omega])(np.array(list(names.values())))[0]) for g in machine.switches]
+    sides = [
+        float(hy.cfunc([g], [*machine.theta, *machine.omega])(np.array(list(names.values())))[0])
+        for g in machine.switches
+    ]
     inputs = len(scene.changing)
     pars = np.array([*held, *(FP(1 if g > 0 else 0) for g in sides)], dtype=FP)
-    kwargs = ({"pars": pars} if len(pars) else {}) | ({"t_events": events(machine.switches, inputs)} if machine.switches else {})
+    kwargs = ({"pars": pars} if len(pars) else {}) | (
+        {"t_events": events(machine.switches, inputs)} if machine.switches else {}
+    )
     start = np.array([quad(x) for x in state], dtype=FP)
     ta = hy.taylor_adaptive(system, start, time=time, fp_type=FP, tol=FP("1e-30"), compact_mode=True, **kwargs)
     return ta, hy.cfunc(list(machine.tip()[0]), [*machine.theta, *machine.omega], fp_type=FP)

@@ -95,7 +95,9 @@ class Result:
         return [k for k, known in enumerate(self.judgement.identified) if not known]
 
 
-def calibrate(machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf) -> Result:
+def calibrate(
+    machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf
+) -> Result:
     """Fits; then once more with the unknowns that are not identified held at the scene's values."""
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
@@ -129,11 +131,17 @@ def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
     residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
     text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
     if residual > WRONG and fit.rms_before < SMALL:
-        return f"refused: the fit failed: {text}, and were {1e3 * fit.rms_before:.2g} mrad before it, with the scene's values over short pieces; nothing that was found is believed", ""
+        return (
+            f"refused: the fit failed: {text}, and were {1e3 * fit.rms_before:.2g} mrad before it, with the scene's values over short pieces; nothing that was found is believed",
+            "",
+        )
     if residual > WRONG:
         return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
     if residual > max(ODD * shown, SMALL):
-        return "", f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars"
+        return (
+            "",
+            f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars",
+        )
     return "", ""
 
 
@@ -202,23 +210,39 @@ def usual(scene: Values) -> list[str]:
 
 def fitted_values(result: Result, scene: Values, library: Library) -> Values:
     """Start values with the estimates; unknowns that are not identified alone keep the scene's values."""
-    kept = [k for k, parameter in enumerate(result.sought) if result.judgement.identified[k] or abs(result.fit.x[k] - parameter.origin) > 1e-3]
+    kept = [
+        k
+        for k, parameter in enumerate(result.sought)
+        if result.judgement.identified[k] or abs(result.fit.x[k] - parameter.origin) > 1e-3
+    ]
     return assemble(scene, library, [result.sought[k] for k in kept], [float(result.fit.x[k]) for k in kept])
 
 
-def _write_scene(file: Path, result: Result, scene: Values, options: Options, given: data.Data, library: Library) -> None:
+def _write_scene(
+    file: Path, result: Result, scene: Values, options: Options, given: data.Data, library: Library
+) -> None:
     known = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if identified]
-    unknown = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if not identified]
+    unknown = [
+        p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if not identified
+    ]
     text = f"Calibrated from {options.file.name}: {scenes.series(known)}."
     if unknown:
         text += f" Not identified: {scenes.series(unknown)}."
     first = result.fit.pieces[0].start
     values = fitted_values(result, scene, library)
-    values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
+    values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {
+        f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)
+    }
     values["init.assembly"] = first.assembly
     # First commands of the drives as start values: without a master the machine stays there.
-    values |= {name: value for name, value in result.fit.pieces[0].path.first(result.fit.machine.offsets(result.fit.x)).items() if not name.startswith("servo.omega")}
-    write_scene(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library.known)
+    values |= {
+        name: value
+        for name, value in result.fit.pieces[0].path.first(result.fit.machine.offsets(result.fit.x)).items()
+        if not name.startswith("servo.omega")
+    }
+    write_scene(
+        file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library.known
+    )
 
 
 def _write_proposal(file: Path, result: Result, motion: Motion, scene: Values, library: Library) -> None:
@@ -228,7 +252,9 @@ def _write_proposal(file: Path, result: Result, motion: Motion, scene: Values, l
     write_scene(file, text, values, SECONDS, 1e-3, library.known, motion.signals())
 
 
-def _report(result: Result, given: data.Data, source: str, options: Options, seconds: float, motion: Motion | None) -> dict[str, Any]:
+def _report(
+    result: Result, given: data.Data, source: str, options: Options, seconds: float, motion: Motion | None
+) -> dict[str, Any]:
     fit, judgement = result.fit, result.judgement
     unknowns = {}
     for k, p in enumerate(result.sought):
@@ -248,7 +274,9 @@ def _report(result: Result, given: data.Data, source: str, options: Options, sec
         told = motion.told(result.refused())
         proposal = {
             "scene": str(options.out / "proposal.json"),
-            "tells": {result.sought[k].name: float(result.sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
+            "tells": {
+                result.sought[k].name: float(result.sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told
+            },
         }
     return {
         "file": str(options.file),
@@ -264,7 +292,9 @@ def _report(result: Result, given: data.Data, source: str, options: Options, sec
         "samples_as_one": judgement.together.time_scale,
         "unknowns": unknowns,
         "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
-        "not_identified": list(dict.fromkeys(combination.sentence(result.sought) for combination in judgement.combinations)),
+        "not_identified": list(
+            dict.fromkeys(combination.sentence(result.sought) for combination in judgement.combinations)
+        ),
         "proposal": proposal,
         "cpu_seconds": seconds,
         "runs": fit.machine.runs,
@@ -275,7 +305,9 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
     judgement = result.judgement
     if result.wrong or result.odd:
         print(result.wrong or result.odd)
-    print(f"{report['samples']} samples in {report['series']} series, every {1e3 * report['period']:.3g} ms; begun from {report['begins_from']}")
+    print(
+        f"{report['samples']} samples in {report['series']} series, every {1e3 * report['period']:.3g} ms; begun from {report['begins_from']}"
+    )
     for note in report["notes"]:
         print(f"  {note}")
     sigma = ", ".join(f"{1e3 * value:.3g}" for value in report["residuals_rad"]["encoder"])
@@ -286,17 +318,21 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
     for k, p in enumerate(result.sought):
         if judgement.identified[k]:
             bar, bound = (p.bar(interval(float(sigma)))[0] for sigma in (judgement.sigma[k], judgement.bound[k]))
-            print(f"  {p.name:28} {p.base[0]:12.6g} {p.value(float(result.fit.x[k]))[0]:14.7g} {bar:11.2g} {bound:11.2g}  {p.unit}")
+            print(
+                f"  {p.name:28} {p.base[0]:12.6g} {p.value(float(result.fit.x[k]))[0]:14.7g} {bar:11.2g} {bound:11.2g}  {p.unit}"
+            )
         else:
             print(f"  {p.name:28} {p.base[0]:12.6g} {'not identified':>14}")
     for sentence in report["not_identified"]:
         print(f"not identified: {sentence}")
     worst = max(range(len(result.sought)), key=lambda k: judgement.doubt[k] if judgement.identified[k] else 0.0)
-    print(f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({result.sought[worst].name})")
+    print(
+        f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({result.sought[worst].name})"
+    )
     if report["proposal"]:
-        print(f"a motion that would tell {', '.join(f'{n} to ±{b:.2g}' for n, b in report['proposal']['tells'].items())}: {report['proposal']['scene']}")
+        print(
+            f"a motion that would tell {', '.join(f'{n} to ±{b:.2g}' for n, b in report['proposal']['tells'].items())}: {report['proposal']['scene']}"
+        )
     elif not all(judgement.identified) and not result.wrong:
         print("no motion of those that were tried would tell what is not identified")
     print(f"{report['runs']} runs, {report['cpu_seconds']:.1f} s of CPU; written: {', '.join(map(str, files))}")
-
-

@@ -53,7 +53,9 @@ class Samples:
 
     def part(self, first: int, last: int) -> "Samples":
         """Samples first to last - 1; times stay."""
-        return replace(self, time=self.time[first:last], angles=self.angles[first:last], commands=self.commands[first:last])
+        return replace(
+            self, time=self.time[first:last], angles=self.angles[first:last], commands=self.commands[first:last]
+        )
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,9 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
     check_units(file, time, table)
     chosen = (time >= begin) & (time <= begin + seconds)
     if not chosen.any():
-        raise TwinError(f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {time[-1]:.3f} s")
+        raise TwinError(
+            f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {time[-1]:.3f} s"
+        )
     if chosen.sum() < len(time):
         notes.append(f"used are {chosen.sum()} of {len(time)} samples: {seconds:g} s from {begin:g} s on")
     data = split(time[chosen], {name: column[chosen] for name, column in table.items()}, notes)
@@ -92,7 +96,9 @@ def check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if step >= SLOW:
         what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
-        raise TwinError(f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?")
+        raise TwinError(
+            f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?"
+        )
     for name, column in table.items():
         known = np.abs(column[np.isfinite(column)])
         if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * math.pi:
@@ -143,7 +149,9 @@ def split(time: Array, table: dict[str, Array], notes: list[str]) -> Data:
     parts = [samples.part(a, b) for a, b in zip([0, *ends], [*ends, len(time)], strict=True)]
     series = [part for part in parts if np.isfinite(part.angles).any(axis=1).sum() >= 20]
     if len(parts) > 1:
-        notes.append(f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out")
+        notes.append(
+            f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
+        )
     return Data(series, notes)
 
 
@@ -185,7 +193,15 @@ def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
     time = 1e-9 * np.array([found[number][0] - found[numbers[0]][0] for number in numbers])
     rows = [found[number][1] for number in numbers]
     table = {name: np.array([row.get(name, np.nan) for row in rows]) for name in (*MEASURED, *INPUTS)}
-    notes = [f"{count} {what}" for count, what in ((refused, "malformed messages left out"), (doubled, "doubled samples"), (restarts, "restarts of the machine")) if count]
+    notes = [
+        f"{count} {what}"
+        for count, what in (
+            (refused, "malformed messages left out"),
+            (doubled, "doubled samples"),
+            (restarts, "restarts of the machine"),
+        )
+        if count
+    ]
     return time, table, notes
 
 
@@ -203,8 +219,13 @@ def _csv(file: Path) -> tuple[Array, dict[str, Array], list[str]]:
     try:
         read_ = pa.csv.read_csv(file, convert_options=pa.csv.ConvertOptions(column_types={"time": pa.string()}))
         if twice := [name for name in read_.column_names if read_.column_names.count(name) > 1]:
-            raise TwinError(f"{file} has {read_.column_names.count(twice[0])} columns {twice[0]}; each name may stand in the head once")
-        columns = {name.strip(): _times(column) if name == "time" else column.cast(pa.float64()).to_numpy() for name, column in zip(read_.column_names, read_.columns, strict=True)}
+            raise TwinError(
+                f"{file} has {read_.column_names.count(twice[0])} columns {twice[0]}; each name may stand in the head once"
+            )
+        columns = {
+            name.strip(): _times(column) if name == "time" else column.cast(pa.float64()).to_numpy()
+            for name, column in zip(read_.column_names, read_.columns, strict=True)
+        }
     except InvalidOperation:
         raise TwinError(f"{file} has a time that is no number; times in s are expected") from None
     except (pa.ArrowException, OSError) as error:
@@ -219,6 +240,8 @@ def _csv(file: Path) -> tuple[Array, dict[str, Array], list[str]]:
     order = np.flatnonzero(usable)[np.argsort(columns["time"][usable], kind="stable")]
     time = columns["time"][order]
     first = np.concatenate([[True], np.diff(time) > 0])
-    notes = [f"{len(usable) - first.sum()} rows without a time of their own left out"] if first.sum() < len(usable) else []
+    notes = (
+        [f"{len(usable) - first.sum()} rows without a time of their own left out"] if first.sum() < len(usable) else []
+    )
     kept = order[first]
     return time[first], {name: columns[name][kept] for name in (*MEASURED, *INPUTS) if name in columns}, notes

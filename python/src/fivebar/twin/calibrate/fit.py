@@ -110,7 +110,9 @@ class Fit:
 class Fitter:
     """Runs the levels."""
 
-    def __init__(self, machine: Machine, data: Data, between: Between, longest: float, show: Show, patience: float = math.inf):
+    def __init__(
+        self, machine: Machine, data: Data, between: Between, longest: float, show: Show, patience: float = math.inf
+    ):
         self.machine, self.data, self.between, self.longest, self.show = machine, data, between, longest, show
         self.period = data.period
         self.sought = machine.sought
@@ -132,7 +134,9 @@ class Fitter:
             for level in (self.longest, *reversed(LEVELS)):
                 if level >= length:
                     count *= max(1, math.ceil(span / count / max(level, FEWEST * self.period) - 0.2))
-            edges = np.searchsorted(series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * self.period)
+            edges = np.searchsorted(
+                series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * self.period
+            )
             for a, b in zip([0, *edges], [*edges, len(series)], strict=True):
                 # Pieces share a sample, but compare it once.
                 part = series.part(a, min(b + 1, len(series)))
@@ -181,7 +185,9 @@ class Fitter:
     def sound(self, pieces: list[Piece], x: Array) -> list[Piece]:
         """Pieces whose starts were found: others, as at a singularity, would outweigh all."""
         off = np.array([self.off(piece, x) for piece in pieces])
-        return [piece for piece, residual in zip(pieces, off, strict=True) if residual <= UNSOUND * float(np.median(off))]
+        return [
+            piece for piece, residual in zip(pieces, off, strict=True) if residual <= UNSOUND * float(np.median(off))
+        ]
 
     def joined(self, pieces: list[Piece], x: Array, length: float) -> list[Piece]:
         """Longer pieces, which begin where the motion of the shorter ones is then; shorter ones stay where it is lost over the longer one."""
@@ -260,7 +266,9 @@ class Fitter:
         p = len(self.sought)
         if self.known is not None and self.known[0] == (len(pieces), final):
             moves = z - self.known[1]
-            parts = [d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(self.known[2])]
+            parts = [
+                d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(self.known[2])
+            ]
             if max(float(np.max(np.abs(part))) for part in parts) < STILL * (1 if final else 10):
                 return self.known[2]
         found = self.derivatives(pieces, z, central=final)
@@ -289,13 +297,17 @@ class Fitter:
         prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if pinned is not None else np.eye(p) / BELIEVED
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
         z = np.maximum(z, lowest + 1e-9)
+
         def residuals(z: Array) -> Array:
             self.evaluations += 1
             rows = [(gap / sigma)[piece.mask] for piece, gap in zip(pieces, self.gaps(pieces, z), strict=True)]
             return np.concatenate([*rows, prior @ (z[:p] - origin)])
 
         def jacobian(z: Array) -> Array:
-            blocks = [-(d / sigma[:, None])[piece.mask] for piece, d in zip(pieces, self.recent(pieces, z, final), strict=True)]
+            blocks = [
+                -(d / sigma[:, None])[piece.mask]
+                for piece, d in zip(pieces, self.recent(pieces, z, final), strict=True)
+            ]
             full = np.zeros((sum(map(len, blocks)) + len(prior), len(z)))
             row = 0
             for number, block in enumerate(blocks):
@@ -350,7 +362,9 @@ class Fitter:
             sigma = np.maximum(spread(self.gaps(longer, begin), longer), self.noise)
             # The shortest pieces show little, for each has a start of its own.
             before = before if length > max(lengths[:2]) else float(np.mean(sigma))
-            self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
+            self.show(
+                f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit"
+            )
             end, _ = self.settle(longer, begin, False, pinned)
             found = spread(self.gaps(longer, end), longer)
             if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
@@ -366,7 +380,11 @@ class Fitter:
         """Residuals, derivatives and their doubt at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        one, two, four = self.recent(pieces, z, True), self.derivatives(pieces, z, 2.0), self.derivatives(pieces, z, 4.0)
+        one, two, four = (
+            self.recent(pieces, z, True),
+            self.derivatives(pieces, z, 2.0),
+            self.derivatives(pieces, z, 4.0),
+        )
         size = sum(int(piece.mask.sum()) for piece in pieces)
         jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
         rows = np.zeros((size, 3), dtype=int)
@@ -386,7 +404,19 @@ class Fitter:
         free = max(1 - len(z) / max(size, 1), 0.05)
         sigma = np.sqrt(squares / np.maximum(counts, 1) / free)
         fitted = unpack(z, pieces, p)
-        return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before)
+        return Fit(
+            self.machine,
+            fitted,
+            z[:p],
+            np.maximum(sigma, 1e-12),
+            gaps,
+            jacobian,
+            doubt,
+            rows,
+            outliers,
+            self.evaluations,
+            rms_before,
+        )
 
     def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
         """Outliers are not compared; how many there are: residuals that leap from those around them, and such as are far off at all.
@@ -448,7 +478,9 @@ def guess(samples: Samples) -> Array:
     for i in (0, 1):
         known = np.flatnonzero(np.isfinite(samples.angles[:, i]))[:9]
         if len(known) < 3:
-            raise TwinError(f"a series has {len(known)} angles of encoder {i + 1}; both encoders are needed to begin with")
+            raise TwinError(
+                f"a series has {len(known)} angles of encoder {i + 1}; both encoders are needed to begin with"
+            )
         time, angle = samples.time[known] - samples.time[0], np.unwrap(samples.angles[known, i])
         while True:
             fitted = np.polynomial.polynomial.polyfit(time, angle, min(2, len(time) - 1))
@@ -469,7 +501,8 @@ def pack(x: Array, pieces: list[Piece]) -> Array:
 def unpack(z: Array, pieces: list[Piece], p: int) -> list[Piece]:
     """The pieces with the starts of a vector."""
     return [
-        Piece(piece.path, Start(z[p + 4 * k : p + 4 * k + 4], piece.start.assembly), piece.mask) for k, piece in enumerate(pieces)
+        Piece(piece.path, Start(z[p + 4 * k : p + 4 * k + 4], piece.start.assembly), piece.mask)
+        for k, piece in enumerate(pieces)
     ]
 
 

@@ -54,11 +54,17 @@ class Combination:
             terms = [sought[order[0]].name]
             for k in order[1:]:
                 ratio = float(weights[k]) / lead
-                terms.append(f"{'-' if ratio < 0 else '+'} {'' if abs(abs(ratio) - 1) < 0.05 else f'{abs(ratio):.2g} '}{sought[k].name}")
+                terms.append(
+                    f"{'-' if ratio < 0 else '+'} {'' if abs(abs(ratio) - 1) < 0.05 else f'{abs(ratio):.2g} '}{sought[k].name}"
+                )
             same = all(sought[k].factor and abs(float(weights[k]) / lead - 1) < 0.05 for k in order)
             what = f"a common factor of {', '.join(sought[k].name for k in order)}" if same else " ".join(terms)
             what += "" if same else " (in relative changes)" if all(sought[k].factor for k in order) else " (in sizes)"
-        return f"{what}: the record says nothing of it" if self.sigma > 1e3 else f"{what}: known to ±{1.96 * self.sigma:.2g} only"
+        return (
+            f"{what}: the record says nothing of it"
+            if self.sigma > 1e3
+            else f"{what}: known to ±{1.96 * self.sigma:.2g} only"
+        )
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,12 @@ def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
     weights = 1 / fit.sigma[fit.rows[:, 2]]
     jacobian = fit.jacobian * weights[:, None]
     projected = without_starts(jacobian, p)
-    scores = np.concatenate([gap[tuple(fit.rows[fit.rows[:, 0] == number, 1:].T)] for number, gap in enumerate(fit.residuals)]) * weights
+    scores = (
+        np.concatenate(
+            [gap[tuple(fit.rows[fit.rows[:, 0] == number, 1:].T)] for number, gap in enumerate(fit.residuals)]
+        )
+        * weights
+    )
     found = together(fit, scores)
     bread = projected.T @ projected
     prior = np.eye(p) / WEAK**2
@@ -90,10 +101,13 @@ def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
     if found.lag or found.period:
         covariance = inverse @ (between(fit, projected, scores, found) + prior) @ inverse
     sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse)))
-    doubts = np.linalg.norm(fit.doubt[:, :p] * weights[:, None], axis=0) / np.maximum(np.linalg.norm(jacobian[:, :p], axis=0), 1e-300)
+    doubts = np.linalg.norm(fit.doubt[:, :p] * weights[:, None], axis=0) / np.maximum(
+        np.linalg.norm(jacobian[:, :p], axis=0), 1e-300
+    )
     combinations = _unknown(jacobian, projected, fit.doubt * weights[:, None], covariance, fit.x)
     identified = [
-        bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations)) for k in range(p)
+        bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations))
+        for k in range(p)
     ]
     scale = np.sqrt(np.diag(covariance))
     bound = np.sqrt(np.diag(np.linalg.inv(bread + prior)))

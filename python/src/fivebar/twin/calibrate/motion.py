@@ -42,7 +42,9 @@ class Path:
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
         self.time = samples.time - samples.time[0]
-        self.references = (fmi2.fmi2ValueReference * len(samples.names))(*(library.variable(name).valueReference for name in samples.names))
+        self.references = (fmi2.fmi2ValueReference * len(samples.names))(
+            *(library.variable(name).valueReference for name in samples.names)
+        )
         self.knots, self.rows = with_lost(self.time, period)
         commands = told(self.time, samples.commands, samples.names, self.knots)
         steps = np.diff(self.knots)
@@ -80,7 +82,11 @@ def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> 
     """Commands at other times: angles of servos on cubics through angles and rates, all else on straight lines."""
     if len(knots) == len(time):
         return commands
-    found = np.column_stack([np.interp(knots, time, column) for column in commands.T]) if len(names) else np.empty((len(knots), 0))
+    found = (
+        np.column_stack([np.interp(knots, time, column) for column in commands.T])
+        if len(names)
+        else np.empty((len(knots), 0))
+    )
     for j, name in enumerate(names):
         rate = name.replace("theta", "omega")
         if name.startswith("servo.theta") and rate in names:
@@ -126,7 +132,9 @@ class Machine:
                     if count:
                         slave.fmi2SetReal(slave.component, path.references, count, commands[k])
                         if path.slopes[k] is not None:
-                            slave.fmi2SetRealInputDerivatives(slave.component, path.references, count, path.orders, path.slopes[k])
+                            slave.fmi2SetRealInputDerivatives(
+                                slave.component, path.references, count, path.orders, path.slopes[k]
+                            )
                     slave.fmi2DoStep(slave.component, time, times[k + 1] - time, 1)
             assembly = int(unit.get(["mode.assembly"])["mode.assembly"])
         except (FMICallException, UnitError) as error:

@@ -23,7 +23,13 @@ ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
 MUCH_ANGLE: Final = 0.2
 """rad; a size that would be much for an angle that is not known."""
 
-SWITCHES: Final = {"payload": "payload.enabled", "viscous": "viscous.enabled", "friction": "friction.enabled", "spring": "spring.enabled", "rotor": "rotor.enabled"}
+SWITCHES: Final = {
+    "payload": "payload.enabled",
+    "viscous": "viscous.enabled",
+    "friction": "friction.enabled",
+    "spring": "spring.enabled",
+    "rotor": "rotor.enabled",
+}
 """Switch that has to be on, by the first word of a parameter's name."""
 
 USUAL: Final = (
@@ -129,15 +135,24 @@ def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
     """The variables that a name means: with a list in brackets, or all indices if there are no brackets."""
     found = BRACKETS.search(name)
     if found:
-        members = tuple(name[: found.start()] + f"[{index}]" + name[found.end() :] for index in found[1].split(",") if index)
+        members = tuple(
+            name[: found.start()] + f"[{index}]" + name[found.end() :] for index in found[1].split(",") if index
+        )
     elif name in library.variables:
         members = (name,)
     else:
         members = tuple(other for other in library.variables if BRACKETS.sub("", other) == name)
     for member in members or (name,):
         variable = library.variables.get(member)
-        if variable is None or variable.causality != "parameter" or variable.type != "Real" or member.startswith(("solver.", "estimator.", "init.")):
-            raise TwinError(f"{name} cannot be {asked.done}: {member} is no parameter of the machine; {', '.join(asked.examples)} are examples")
+        if (
+            variable is None
+            or variable.causality != "parameter"
+            or variable.type != "Real"
+            or member.startswith(("solver.", "estimator.", "init."))
+        ):
+            raise TwinError(
+                f"{name} cannot be {asked.done}: {member} is no parameter of the machine; {', '.join(asked.examples)} are examples"
+            )
     return members
 
 

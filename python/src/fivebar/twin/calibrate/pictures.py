@@ -16,7 +16,10 @@ from fivebar.twin.calibrate.parameters import Parameter
 def draw(out: Path, fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> list[Path]:
     """Draws all into a folder; the files written."""
     with plt.rc_context(STYLE):
-        return [save(_residuals(fit), out / "residuals.png"), save(_unknowns(fit, judgement, sought), out / "unknowns.png")]
+        return [
+            save(_residuals(fit), out / "residuals.png"),
+            save(_unknowns(fit, judgement, sought), out / "unknowns.png"),
+        ]
 
 
 def _residuals(fit: Fit) -> Figure:
@@ -59,10 +62,21 @@ def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Fi
         if not judgement.identified[k]:
             # On a ground of its own, or lines of the grid would strike it through.
             ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-            left.text(0.01, k, "not identified", transform=left.get_yaxis_transform(), color=WRONG, va="center", fontsize=8, bbox=ground)
+            left.text(
+                0.01,
+                k,
+                "not identified",
+                transform=left.get_yaxis_transform(),
+                color=WRONG,
+                va="center",
+                fontsize=8,
+                bbox=ground,
+            )
             continue
         left.errorbar(change, k, xerr=100 * interval(judgement.sigma[k]), fmt="o", color=LEFT, capsize=4, markersize=4)
-        left.errorbar(change, k + 0.22, xerr=100 * interval(judgement.bound[k]), fmt="none", color=TIP, capsize=2, linewidth=1)
+        left.errorbar(
+            change, k + 0.22, xerr=100 * interval(judgement.bound[k]), fmt="none", color=TIP, capsize=2, linewidth=1
+        )
     left.axvline(0, color=INK, linewidth=0.8)
     left.set_yticks(rows, [p.name for p in sought])
     left.set_ylim(count - 0.4, -0.6)

@@ -23,7 +23,9 @@ STEP: Final = 0.01
 MOTIONS: Final = tuple((amplitude, frequency) for amplitude in (0.25, 0.5) for frequency in (0.5, 1.0, 2.0))
 """Of the larger sine of a motor, rad and Hz; its smaller one has 0.4 of the amplitude and 2.3 times the frequency."""
 
-SOFT: Final[Values] = {"servo.enabled": True} | {f"servo.{name}[{i}]": value for name, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)}
+SOFT: Final[Values] = {"servo.enabled": True} | {
+    f"servo.{name}[{i}]": value for name, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)
+}
 NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
 
 
@@ -46,7 +48,12 @@ class Motion:
     def signals(self) -> dict[str, Any]:
         """As scenes have them."""
         time, angles = references(self)
-        knots = {f"servo.theta[{i + 1}]": {"linear": [[round(float(t), 4), float(a)] for t, a in zip(time, angles[:, i], strict=True)]} for i in (0, 1)}
+        knots = {
+            f"servo.theta[{i + 1}]": {
+                "linear": [[round(float(t), 4), float(a)] for t, a in zip(time, angles[:, i], strict=True)]
+            }
+            for i in (0, 1)
+        }
         return knots | {f"servo.omega[{i}]": {"rateOf": f"servo.theta[{i}]"} for i in (1, 2)}
 
 
@@ -84,10 +91,14 @@ def _merit(motion: Motion, refused: Sequence[int]) -> tuple[int, float]:
     return len(motion.told(refused)), -float(np.sum(np.log(motion.sigma[list(refused)])))
 
 
-def _tried(machine: Machine, fit: Fit, sought: list[Parameter], information: Array, amplitude: float, frequency: float) -> Motion | None:
+def _tried(
+    machine: Machine, fit: Fit, sought: list[Parameter], information: Array, amplitude: float, frequency: float
+) -> Motion | None:
     first = fit.pieces[0]
     servo = {} if machine.scene.get("servo.enabled") else SOFT
-    begin = {f"init.theta[{i + 1}]": float(first.start.state[i]) for i in (0, 1)} | {"init.assembly": first.start.assembly}
+    begin = {f"init.theta[{i + 1}]": float(first.start.state[i]) for i in (0, 1)} | {
+        "init.assembly": first.start.assembly
+    }
     motion = Motion(amplitude, frequency, dict(servo) | begin, np.empty(0))
     time, angles = references(motion)
     commands = np.column_stack([angles + machine.offsets(fit.x), np.gradient(angles, time, axis=0)])
@@ -95,7 +106,11 @@ def _tried(machine: Machine, fit: Fit, sought: list[Parameter], information: Arr
     other = Machine(machine.library, machine.scene | servo, sought)
     try:
         fitter = Fitter(other, Data([samples], []), "linear", 2 * SECONDS, lambda _: None)
-        piece = Piece(Path(samples, "linear", machine.library, STEP), Start(np.array([*first.start.state[:2], 0.0, 0.0]), first.start.assembly), np.ones_like(angles, dtype=bool))
+        piece = Piece(
+            Path(samples, "linear", machine.library, STEP),
+            Start(np.array([*first.start.state[:2], 0.0, 0.0]), first.start.assembly),
+            np.ones_like(angles, dtype=bool),
+        )
         z = pack(fit.x, [piece])
         if not np.all(np.abs(fitter.motion(piece, fit.x, piece.start.state)) < 0.5 * LOST):
             return None

@@ -39,4 +39,8 @@ def _of_machine(given: Values) -> Values:
 
 def series(description: Sequence[str]) -> str:
     """Names in a sentence."""
-    return ", ".join(description[:-1]) + (" and " if len(description) > 1 else "") + description[-1] if description else "nothing"
+    return (
+        ", ".join(description[:-1]) + (" and " if len(description) > 1 else "") + description[-1]
+        if description
+        else "nothing"
+    )

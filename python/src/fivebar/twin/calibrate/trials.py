@@ -89,12 +89,28 @@ def any_bench(chance: np.random.Generator, library: Library) -> Bench:
             length = f"link[{i}].length"
             stretched = around(length, 1.2) / float(library.variable(length).start)
             heavier = around(f"link[{i}].mass", 2.0) / float(library.variable(f"link[{i}].mass").start)
-            for name, factor in (("length", stretched), ("com", stretched), ("mass", heavier), ("inertia", heavier * stretched**2)):
+            for name, factor in (
+                ("length", stretched),
+                ("com", stretched),
+                ("mass", heavier),
+                ("inertia", heavier * stretched**2),
+            ):
                 values[f"link[{i}].{name}"] = float(library.variable(f"link[{i}].{name}").start) * factor
-        for name, factor in (("payload.mass", 2.5), *((f"servo.{gain}[{i}]", 2.0) for gain in ("kp", "kd") for i in (1, 2))):
+        for name, factor in (
+            ("payload.mass", 2.5),
+            *((f"servo.{gain}[{i}]", 2.0) for gain in ("kp", "kd") for i in (1, 2)),
+        ):
             values[name] = around(name, factor)
-        values |= {name: around(name, 2.0) for name in library.variables if name.startswith(("viscous.b[", "friction.coulomb["))}
-        values |= {name.replace("coulomb", "breakaway"): value for name, value in list(values.items()) if name.startswith("friction.coulomb[")}
+        values |= {
+            name: around(name, 2.0)
+            for name in library.variables
+            if name.startswith(("viscous.b[", "friction.coulomb["))
+        }
+        values |= {
+            name.replace("coulomb", "breakaway"): value
+            for name, value in list(values.items())
+            if name.startswith("friction.coulomb[")
+        }
         begin = float(chance.uniform(1.6, 2.4)), float(chance.uniform(0.8, 1.6))
         values |= {"init.theta[1]": begin[0], "init.theta[2]": begin[1]}
         count = 2 * math.pi / float(chance.choice((4096, 13824, 65536)))
@@ -115,8 +131,13 @@ def away(bench: Bench) -> bool:
     if apart.max() > 0.85 or apart.min() < 0.25:
         return False
     along = (np.abs(last - first) ** 2 + lengths[1] ** 2 - lengths[2] ** 2) / (2 * np.abs(last - first))
-    tip = first + (last - first) / np.abs(last - first) * (along + 1j * np.sqrt(np.maximum(lengths[1] ** 2 - along**2, 0.0)))
-    inner = [np.abs(np.sin(np.angle((tip - elbow) / (elbow - motor)))) for elbow, motor in ((first, 0.0), (last, float(values["base.distance"])))]
+    tip = first + (last - first) / np.abs(last - first) * (
+        along + 1j * np.sqrt(np.maximum(lengths[1] ** 2 - along**2, 0.0))
+    )
+    inner = [
+        np.abs(np.sin(np.angle((tip - elbow) / (elbow - motor))))
+        for elbow, motor in ((first, 0.0), (last, float(values["base.distance"])))
+    ]
     return float(min(x.min() for x in inner)) > 0.3
 
 
@@ -135,8 +156,12 @@ def made(machine: Machine, x: Array, chance: np.random.Generator, seconds: float
     """The record of a machine with those unknowns."""
     time, commands = path(seconds, bench)
     samples = Samples(time, np.zeros((len(time), 2)), commands, NAMES)
-    motion, _ = machine.run(Path(samples, "rate", machine.library, PERIOD), x, Start(np.array([*bench.begin, 0.0, 0.0]), 1))
-    angles = np.round((motion[:, :2] + bench.noise * chance.standard_normal((len(time), 2))) / bench.count) * bench.count
+    motion, _ = machine.run(
+        Path(samples, "rate", machine.library, PERIOD), x, Start(np.array([*bench.begin, 0.0, 0.0]), 1)
+    )
+    angles = (
+        np.round((motion[:, :2] + bench.noise * chance.standard_normal((len(time), 2))) / bench.count) * bench.count
+    )
     table = {f"measured.theta[{i + 1}]": angles[:, i] for i in (0, 1)} | dict(zip(NAMES, commands.T, strict=True))
     return split(time, table, [])
 
@@ -190,7 +215,12 @@ def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) ->
             rows.append(one(library, key, machines))
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(rows[-1]) + "\n")
-            print(f"\r{len(rows)} of {len(keys)} trials, {np.nanmean(inside(rows)):.1%} inside", end="", file=sys.stderr, flush=True)
+            print(
+                f"\r{len(rows)} of {len(keys)} trials, {np.nanmean(inside(rows)):.1%} inside",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
     finally:
         library.close()
     print(file=sys.stderr)
@@ -214,13 +244,27 @@ def _report(rows: list[dict[str, Any]], keys: range, machines: str, out: FilePat
     cover = np.nanmean(inside(rows), axis=0)
     every = float(np.nanmean(inside(rows)))
     seconds = [row["cpu_seconds"] for row in rows]
-    print(f"{len(keys)} trials ({'one machine' if machines == 'one' else 'any machine'}) of 5 s at 200 Hz, numbers {keys[0]} to {keys[-1]}; {np.median(seconds):.1f} s of CPU each (median), {max(seconds):.1f} at most\n")
+    print(
+        f"{len(keys)} trials ({'one machine' if machines == 'one' else 'any machine'}) of 5 s at 200 Hz, numbers {keys[0]} to {keys[-1]}; {np.median(seconds):.1f} s of CPU each (median), {max(seconds):.1f} at most\n"
+    )
     print(f"  {'':20} {'inside 95 % bars':>17} {'error / bound':>14} {'bound, % of value':>18}")
     for k, name in enumerate(SOUGHT):
-        print(f"  {name:20} {cover[k]:17.1%} {ratio[k]:14.2f} {100 * float(np.median(column(rows, 'bound')[:, k])):18.3f}")
+        print(
+            f"  {name:20} {cover[k]:17.1%} {ratio[k]:14.2f} {100 * float(np.median(column(rows, 'bound')[:, k])):18.3f}"
+        )
     print(f"  {'all':20} {every:17.1%} {float(np.sqrt(np.mean(ratio**2))):14.2f}")
-    figures = {"trials": len(keys), "machines": machines, "first": keys[0], "inside": dict(zip(SOUGHT, cover.tolist(), strict=True)), "error_by_bound": dict(zip(SOUGHT, ratio.tolist(), strict=True))}
-    (out / "trials.json").write_text(json.dumps(figures | {"cpu_seconds": {"median": float(np.median(seconds)), "max": max(seconds)}}, indent=2) + "\n", encoding="utf-8")
+    figures = {
+        "trials": len(keys),
+        "machines": machines,
+        "first": keys[0],
+        "inside": dict(zip(SOUGHT, cover.tolist(), strict=True)),
+        "error_by_bound": dict(zip(SOUGHT, ratio.tolist(), strict=True)),
+    }
+    (out / "trials.json").write_text(
+        json.dumps(figures | {"cpu_seconds": {"median": float(np.median(seconds)), "max": max(seconds)}}, indent=2)
+        + "\n",
+        encoding="utf-8",
+    )
     # 200 trials have to be between 90 and 98 %, which is some three standard deviations; fewer may be further off.
     allowed = 3 * math.sqrt(0.95 * 0.05 / (len(keys) * len(SOUGHT)))
     if machines == "any":

@@ -75,14 +75,22 @@ def client(scheduler: str | None, workers: int) -> tuple[Client, LocalCluster | 
         # Its scheduler, which takes no folder of its own, finds it in the configuration.
         with dask.config.set({"temporary-directory": scratch}):
             cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0, local_directory=scratch
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                memory_limit=0,
+                local_directory=scratch,
             )
         weakref.finalize(cluster, shutil.rmtree, scratch, ignore_errors=True)
         return Client(cluster, direct_to_workers=True), cluster
     kind, _, rest = scheduler.rpartition("://")
     host = rest.rpartition(":")[0].strip("[]") or rest
     if kind != "tls" and not is_loopback(host):
-        raise TwinError(f"scheduler {scheduler} is not on this machine: TLS is required there (tls://HOST:PORT, certificates as docs/ensembles.md says)")
+        raise TwinError(
+            f"scheduler {scheduler} is not on this machine: TLS is required there (tls://HOST:PORT, certificates as docs/ensembles.md says)"
+        )
     try:
         return Client(scheduler, timeout=10), None
     except (OSError, ValueError) as error:
@@ -111,7 +119,9 @@ def _in_order(of: Client, members: int, name: str) -> Iterator[pa.Table]:
             most = WINDOW * max(1, len(of.scheduler_info(n_workers=-1)["workers"]))
         while submitted < chunks and submitted - written < most:
             first = submitted * CHUNK
-            future = of.submit(chunk, name, first, min(CHUNK, members - first), key=f"{name}-{submitted}", pure=False, retries=3)
+            future = of.submit(
+                chunk, name, first, min(CHUNK, members - first), key=f"{name}-{submitted}", pure=False, retries=3
+            )
             numbers[future.key] = submitted
             done.add(future)
             submitted += 1

@@ -85,7 +85,14 @@ def run(options: Options) -> int:
             }
     story = results.read(file, plan)
     raised = results.raised(file, lowest)
-    summary = story.summary() | {"raised": raised, "seed": plan.seed, "seconds": plan.seconds, "spreads": plan.spreads, "measured": measured, "results": str(file)}
+    summary = story.summary() | {
+        "raised": raised,
+        "seed": plan.seed,
+        "seconds": plan.seconds,
+        "spreads": plan.spreads,
+        "measured": measured,
+        "results": str(file),
+    }
     (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     files = [file, options.out / "summary.json", *results.draw(options.out, story)]
     _print(summary, files)
@@ -132,14 +139,18 @@ def from_state(file: Path, library: Library, spread: dict[str, float] | None, co
     return of_state(state, clock, library, spread, common)
 
 
-def of_state(state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]) -> Plan:
+def of_state(
+    state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
+) -> Plan:
     """Members that begin at a stored state."""
     unit = Unit(library)
     try:
         unit.from_bytes(state, clock)
         values = everything(unit)
         if spread is None:
-            spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {n: v for n, v in USUAL.items() if n in STATE}
+            spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {
+                n: v for n, v in USUAL.items() if n in STATE
+            }
     finally:
         unit.close()
     # Members look ahead: they correct nothing, and the method is the ensemble's.
@@ -168,7 +179,11 @@ def everything(unit: Unit) -> Values:
     for name, variable in unit.library.variables.items():
         if variable.causality not in ("parameter", "input") or name.startswith(("init.", "measured.")):
             continue
-        value = unit.get([name])[name] if variable.type != "Boolean" else bool(unit.slave.getBoolean([variable.valueReference])[0])
+        value = (
+            unit.get([name])[name]
+            if variable.type != "Boolean"
+            else bool(unit.slave.getBoolean([variable.valueReference])[0])
+        )
         found[name] = int(value) if variable.type in ("Integer", "Enumeration") else value
     return found
 
@@ -190,12 +205,19 @@ def _on_workers(options: Options, fmu: bytes, plan: Plan, file: Path) -> dict[st
         client.wait_for_workers(1, timeout=60)
         ready, cpu, before = time.perf_counter(), time.process_time(), client.run(time.process_time)
         show = Progress("workers", options.members)
-        results.write(file, plan, cluster.tables(client, fmu, plan, options.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show)
+        results.write(
+            file, plan, cluster.tables(client, fmu, plan, options.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show
+        )
         wall = time.perf_counter() - ready
         after = client.run(time.process_time)
         # A worker that came later began with 0.
         spent = sum(seconds - before.get(address, 0.0) for address, seconds in after.items())
-        return {"workers": len(after), "start_s": ready - begun, "wall_s": wall, "cpu_s": spent + time.process_time() - cpu}
+        return {
+            "workers": len(after),
+            "start_s": ready - begun,
+            "wall_s": wall,
+            "cpu_s": spent + time.process_time() - cpu,
+        }
     finally:
         client.close()
         if own is not None:
@@ -230,7 +252,9 @@ def _interval(levels: dict[str, float], digits: int) -> str:
 
 def _print(summary: dict[str, Any], files: list[Path]) -> None:
     singular, measured = summary["singular"], summary["measured"]
-    print(f"{summary['members']} member{'s' * (summary['members'] != 1)} of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed")
+    print(
+        f"{summary['members']} member{'s' * (summary['members'] != 1)} of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed"
+    )
     print(f"  a singularity within that time: {singular['probability']:.1%}", end="")
     if singular["time_s"]:
         times = singular["time_s"]
@@ -239,7 +263,9 @@ def _print(summary: dict[str, Any], files: list[Path]) -> None:
     for name, band in summary["end"].items():
         print(f"  {name:9} in the end {band['0.5']:10.5f} {_interval(band, 5)}")
     for name, (count, least) in summary["raised"].items():
-        print(f"  {name}: {count} of {summary['members']} draws were below {least:g} of the value, and are {least:g} of it")
+        print(
+            f"  {name}: {count} of {summary['members']} draws were below {least:g} of the value, and are {least:g} of it"
+        )
     from fivebar.twin.ensemble.results import FEWEST
 
     if summary["members"] - summary["failed"] < FEWEST:
@@ -248,10 +274,12 @@ def _print(summary: dict[str, Any], files: list[Path]) -> None:
         if name in measured:
             part = measured[name]
             extra = f", {part['workers']} of them, ready after {part['start_s']:.1f} s" if name == "workers" else ""
-            print(f"  {label}: {part['wall_s']:.2f} s, {part['cpu_s']:.2f} s of CPU, {summary['members'] / part['wall_s']:.0f} members/s{extra}")
+            print(
+                f"  {label}: {part['wall_s']:.2f} s, {part['cpu_s']:.2f} s of CPU, {summary['members'] / part['wall_s']:.0f} members/s{extra}"
+            )
     if "efficiency" in measured:
         part = measured["efficiency"]
-        print(f"  efficiency {part['wall']:.2f} by the clock, {part['cpu']:.2f} by CPU; {'the same bytes' if part['same_bytes'] else 'OTHER BYTES'}")
+        print(
+            f"  efficiency {part['wall']:.2f} by the clock, {part['cpu']:.2f} by CPU; {'the same bytes' if part['same_bytes'] else 'OTHER BYTES'}"
+        )
     print(f"written: {', '.join(map(str, files))}")
-
-

@@ -89,13 +89,21 @@ class Runner:
         self.base = self.unit.store()
         self.begin = self.unit.get([*STATE, "mode.assembly"])
         self.shown, self.passes = Reader(self.unit, SHOWN), Reader(self.unit, PASSES)
-        self.inputs = (fmi2.fmi2ValueReference * len(plan.names))(*(library.variable(name).valueReference for name in plan.names))
+        self.inputs = (fmi2.fmi2ValueReference * len(plan.names))(
+            *(library.variable(name).valueReference for name in plan.names)
+        )
         self.orders = (fmi2.fmi2Integer * len(plan.names))(*([1] * len(plan.names)))
         self.times = self._times()
 
     def _switches(self) -> bool:
         """Whether an uncertain parameter switches an effect on."""
-        return any(self.values.get(name) != value for name, value in assemble(self.plan.values, self.library, self.sought, [p.origin for p in self.sought]).items() if name.endswith(".enabled"))
+        return any(
+            self.values.get(name) != value
+            for name, value in assemble(
+                self.plan.values, self.library, self.sought, [p.origin for p in self.sought]
+            ).items()
+            if name.endswith(".enabled")
+        )
 
     def _times(self) -> list[tuple[float, float, bool]]:
         """Steps: from, to, whether a point ends there; s after the begin."""
@@ -128,7 +136,9 @@ class Runner:
             if self.begin["mode.assembly"] in (1, 2):
                 values["init.assembly"] = int(self.begin["mode.assembly"])
             unit.start(values | self._held(0), self.base[1])
-        return {name: float(number) for name, number in zip(self.of_machine, x, strict=True)} | {n: self.begin[n] + offs[n] for n in self.of_state}
+        return {name: float(number) for name, number in zip(self.of_machine, x, strict=True)} | {
+            n: self.begin[n] + offs[n] for n in self.of_state
+        }
 
     def _held(self, row: int) -> Values:
         return dict(zip(self.plan.names, self.plan.commands[row], strict=True)) if self.plan.names else {}
@@ -137,7 +147,13 @@ class Runner:
         """A member from its begin to its end."""
         plan, unit = self.plan, self.unit
         shown = np.full((plan.points, len(SHOWN)), np.nan, dtype=np.float32)
-        result: dict[str, Any] = {"member": member, "failed": "", "singular.time": math.nan, "singular.kind": 0, "shown": shown}
+        result: dict[str, Any] = {
+            "member": member,
+            "failed": "",
+            "singular.time": math.nan,
+            "singular.kind": 0,
+            "shown": shown,
+        }
         begin, row = self.base[1], 0
         try:
             result["drawn"] = self.start(member)
@@ -187,9 +203,16 @@ class Runner:
         here, there = plan.commands[row], plan.commands[min(row + 1, len(plan.commands) - 1)]
         slopes = [(b - a) / plan.period for a, b in zip(here, there, strict=True)]
         since = now - row * plan.period
-        slave.fmi2SetReal(slave.component, self.inputs, count, (c_double * count)(*(a + s * since for a, s in zip(here, slopes, strict=True))))
+        slave.fmi2SetReal(
+            slave.component,
+            self.inputs,
+            count,
+            (c_double * count)(*(a + s * since for a, s in zip(here, slopes, strict=True))),
+        )
         if any(slopes):
-            slave.fmi2SetRealInputDerivatives(slave.component, self.inputs, count, self.orders, (c_double * count)(*slopes))
+            slave.fmi2SetRealInputDerivatives(
+                slave.component, self.inputs, count, self.orders, (c_double * count)(*slopes)
+            )
 
     def close(self) -> None:
         """Frees the unit."""

@@ -52,10 +52,16 @@ class Story:
             "singular": {
                 "probability": met / max(1, self.members - self.failed),
                 "kinds": {kind: len(times) for kind, times in self.singular_times.items()},
-                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS if level in told(met)} if met else {},
+                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS if level in told(met)}
+                if met
+                else {},
             },
             "end": {
-                name: {str(level): float(value) for level, value in zip(LEVELS, band[-1], strict=True) if level in told(self.members - self.failed)}
+                name: {
+                    str(level): float(value)
+                    for level, value in zip(LEVELS, band[-1], strict=True)
+                    if level in told(self.members - self.failed)
+                }
                 for name, band in self.bands.items()
             },
         }
@@ -97,7 +103,12 @@ def read(file: Path, plan: Plan) -> Story:
     times = narrow["singular.time"].to_numpy()
     failed = sum(bool(text) for text in narrow["failed"].to_pylist())
     at_once = max(1, IN_MEMORY // max(1, members))
-    bands = {name: np.concatenate([_quantiles(parquet, name, a, min(a + at_once, plan.points)) for a in range(0, plan.points, at_once)]) for name in SHOWN}
+    bands = {
+        name: np.concatenate(
+            [_quantiles(parquet, name, a, min(a + at_once, plan.points)) for a in range(0, plan.points, at_once)]
+        )
+        for name in SHOWN
+    }
     time = plan.seconds * np.arange(1, plan.points + 1) / plan.points
     return Story(time, bands, {kind: times[kinds == kind] for kind in KINDS[1:]}, members, failed)
 
@@ -128,7 +139,9 @@ def draw(out: Path, story: Story) -> list[Path]:
 
 def _bands(story: Story) -> Figure:
     figure, rows = plt.subplots(2, 2, figsize=(11, 6), sharex=True)
-    for axes, name, colour, factor, unit in zip(rows.T.flat, SHOWN, (TIP, TIP, LEFT, RIGHT), (1e3, 1e3, 1.0, 1.0), ("mm", "mm", "rad", "rad"), strict=True):
+    for axes, name, colour, factor, unit in zip(
+        rows.T.flat, SHOWN, (TIP, TIP, LEFT, RIGHT), (1e3, 1e3, 1.0, 1.0), ("mm", "mm", "rad", "rad"), strict=True
+    ):
         band = factor * story.bands[name]
         if len(told(story.members - story.failed)) > 1:
             axes.fill_between(story.time, band[:, 0], band[:, 4], color=colour, alpha=0.18, linewidth=0, label="95 %")
@@ -153,17 +166,30 @@ def _singular(story: Story) -> Figure:
     below = np.zeros(80)
     for (kind, times), colour in zip(story.singular_times.items(), (WRONG, LEFT, RIGHT), strict=True):
         share = 100 * np.histogram(times, edges)[0] / running
-        axes.bar(edges[:-1], share, width=edges[1], bottom=below, align="edge", color=colour, alpha=0.75, label=f"{kind}: {100 * len(times) / running:.1f} %")
+        axes.bar(
+            edges[:-1],
+            share,
+            width=edges[1],
+            bottom=below,
+            align="edge",
+            color=colour,
+            alpha=0.75,
+            label=f"{kind}: {100 * len(times) / running:.1f} %",
+        )
         below += share
     axes.set_xlabel("time of the first singularity  (s)")
     axes.set_ylabel("members  (%)")
     other = axes.twinx()
     every = np.sort(np.concatenate(list(story.singular_times.values())))
-    other.step([0, *every, end], 100 * np.array([0, *range(1, len(every) + 1), len(every)]) / running, where="post", color=INK)
+    other.step(
+        [0, *every, end], 100 * np.array([0, *range(1, len(every) + 1), len(every)]) / running, where="post", color=INK
+    )
     other.set_ylim(0, 102)
     other.set_ylabel("have met one  (%)")
     other.grid(False)
     axes.axvline(end, color=FAINT, linewidth=0.8)
     axes.legend(loc="upper left")
-    axes.set_title(f"The next singularity of {story.members} members; {100 - 100 * len(every) / running:.1f} % meet none")
+    axes.set_title(
+        f"The next singularity of {story.members} members; {100 - 100 * len(every) / running:.1f} % meet none"
+    )
     return figure

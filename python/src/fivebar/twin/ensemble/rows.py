@@ -15,11 +15,12 @@ CHUNK: Final = 200
 """Members in one task: a row group of the results, whatever the number of workers."""
 
 
-
 def table(plan: Plan, results: list[dict[str, Any]]) -> pa.Table:
     """Members as rows."""
     shown = {
-        name: pa.FixedSizeListArray.from_arrays(pa.array([x for r in results for x in r["shown"][:, k].tolist()], pa.float32()), plan.points)
+        name: pa.FixedSizeListArray.from_arrays(
+            pa.array([x for r in results for x in r["shown"][:, k].tolist()], pa.float32()), plan.points
+        )
         for k, name in enumerate(SHOWN)
     }
     drawn = {f"drawn.{name}": pa.array([r["drawn"].get(name) for r in results], pa.float64()) for name in plan.spreads}

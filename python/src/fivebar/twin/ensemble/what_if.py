@@ -76,7 +76,11 @@ class Candidate:
             if name in self.knots:
                 columns.append(way(times, self.knots[name], told.get(name, 0.0)))
             elif name.startswith("servo.omega"):
-                columns.append(np.gradient(way(times, self.knots[angle], told.get(angle, 0.0)), PERIOD) if angle in self.knots else np.zeros(len(times)))
+                columns.append(
+                    np.gradient(way(times, self.knots[angle], told.get(angle, 0.0)), PERIOD)
+                    if angle in self.knots
+                    else np.zeros(len(times))
+                )
             else:
                 columns.append(np.full(len(times), told.get(name, 0.0)))
         return tuple(tuple(row) for row in np.column_stack(columns).tolist())
@@ -101,7 +105,9 @@ def usual(told: dict[str, float], seconds: float) -> list[Candidate]:
     for i in (1, 2):
         for sign, word in ((1, "+"), (-1, "-")):
             name = f"{kind}[{i}]"
-            found.append(Candidate(f"{name} {word}{step:g}", {name: [(0.8 * seconds, told.get(name, 0.0) + sign * step)]}))
+            found.append(
+                Candidate(f"{name} {word}{step:g}", {name: [(0.8 * seconds, told.get(name, 0.0) + sign * step)]})
+            )
     return found
 
 
@@ -111,18 +117,29 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
     try:
         goal = [float(x) for x in content["goal"]] if content.get("goal") is not None else None
         found = [
-            Candidate(str(c["name"]), {str(name): [(float(t), float(v)) for t, v in knots] for name, knots in c["knots"].items()})
+            Candidate(
+                str(c["name"]),
+                {str(name): [(float(t), float(v)) for t, v in knots] for name, knots in c["knots"].items()},
+            )
             for c in content["candidates"]
         ]
     except (KeyError, TypeError, ValueError, AttributeError):
         raise TwinError(f"{file} does not list candidates as docs/ensembles.md says") from None
     if not 0 < len(found) <= MOST_CANDIDATES or (goal is not None and len(goal) != 2):
-        raise TwinError(f"{file} has {len(found)} candidates and a goal of {len(goal or [0, 0])} numbers; 1 to {MOST_CANDIDATES} and 2 are allowed")
+        raise TwinError(
+            f"{file} has {len(found)} candidates and a goal of {len(goal or [0, 0])} numbers; 1 to {MOST_CANDIDATES} and 2 are allowed"
+        )
     for candidate in found:
         for name, knots in candidate.knots.items():
             times = [t for t, _ in knots]
-            if name not in INPUTS or not all(math.isfinite(x) for knot in knots for x in knot) or times != sorted(times):
-                raise TwinError(f"{file}: candidate {candidate.name!r:.60} has no rising, finite knots of {name!r:.40}; {', '.join(INPUTS)} are allowed")
+            if (
+                name not in INPUTS
+                or not all(math.isfinite(x) for knot in knots for x in knot)
+                or times != sorted(times)
+            ):
+                raise TwinError(
+                    f"{file}: candidate {candidate.name!r:.60} has no rising, finite knots of {name!r:.40}; {', '.join(INPUTS)} are allowed"
+                )
     return found, goal
 
 
@@ -134,12 +151,20 @@ def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list
     times = content["singular.time"].to_numpy(zero_copy_only=False)
     met = times[np.isfinite(times)]
     if not ended.any():
-        return {"name": candidate.name, "failed": len(x), "singular": {"probability": 1.0, "time": None}, "score": math.inf}
+        return {
+            "name": candidate.name,
+            "failed": len(x),
+            "singular": {"probability": 1.0, "time": None},
+            "score": math.inf,
+        }
     x, y = x[ended], y[ended]
     centre = np.array([np.median(x[:, -1]), np.median(y[:, -1])])
     aim = np.array(goal) if goal is not None else centre
     far = float(np.quantile(np.hypot(x[:, -1] - aim[0], y[:, -1] - aim[1]), 0.95))
-    bands = {name: np.quantile(values, (0.025, 0.5, 0.975), axis=0).T.round(7).tolist() for name, values in (("tip.x", x), ("tip.y", y))}
+    bands = {
+        name: np.quantile(values, (0.025, 0.5, 0.975), axis=0).T.round(7).tolist()
+        for name, values in (("tip.x", x), ("tip.y", y))
+    }
     return {
         "name": candidate.name,
         "failed": int(len(ended) - ended.sum()),
@@ -156,7 +181,9 @@ def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{"rank": rank} | {k: v for k, v in one.items() if k != "score"} for rank, one in enumerate(order, 1)]
 
 
-def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, options: Options) -> dict[str, Any]:
+def compare(
+    fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, options: Options
+) -> dict[str, Any]:
     """The ranked outcomes from a stored state of the twin."""
     begun, spent = time.perf_counter(), time.process_time()
     library = Library(fmu)
@@ -166,8 +193,14 @@ def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal:
         common = {"seconds": options.seconds, "points": POINTS, "seed": options.seed}
         plan = of_state(snapshot, float(state.extra["clock"]), library, None, common)
         chosen = candidates or usual(told, options.seconds)
-        names = tuple(name for name in INPUTS if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen))
-        plans = [replace(plan, names=names, commands=c.rows(told, names, options.seconds), period=PERIOD) for c in chosen]
+        names = tuple(
+            name
+            for name in INPUTS
+            if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen)
+        )
+        plans = [
+            replace(plan, names=names, commands=c.rows(told, names, options.seconds), period=PERIOD) for c in chosen
+        ]
         results = _all(fmu, library, plans, options)
         found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, results, strict=True)]
     except TwinError:
@@ -176,7 +209,14 @@ def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal:
         raise TwinError("the twin's state is not as this version writes it") from None
     finally:
         library.close()
-    return {"ahead": options.seconds, "members": options.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "cpu_s": round(time.process_time() - spent, 4), "candidates": ranked(found)}
+    return {
+        "ahead": options.seconds,
+        "members": options.members,
+        "goal": goal,
+        "took_s": round(time.perf_counter() - begun, 4),
+        "cpu_s": round(time.process_time() - spent, 4),
+        "candidates": ranked(found),
+    }
 
 
 def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> Iterator[list[pa.Table]]:
@@ -190,7 +230,9 @@ def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> It
     client, _ = cluster.client(options.scheduler, 0)
     try:
         for plan in plans:
-            yield list(cluster.tables(client, fmu.read_bytes(), plan, options.members, f"what-if-{uuid.uuid4().hex[:12]}"))
+            yield list(
+                cluster.tables(client, fmu.read_bytes(), plan, options.members, f"what-if-{uuid.uuid4().hex[:12]}")
+            )
     finally:
         client.close()
 
@@ -198,7 +240,9 @@ def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> It
 def run(options: Options) -> int:
     """0 if at least one snapshot was answered."""
     if not (math.isfinite(options.seconds) and 0 < options.seconds <= 10) or not 1 <= options.members <= 10000:
-        raise TwinError(f"{options.seconds:g} s and {options.members} members; up to 10 s and 1 to 10000 members are allowed")
+        raise TwinError(
+            f"{options.seconds:g} s and {options.members} members; up to 10 s and 1 to 10000 members are allowed"
+        )
     config = process.read_config(options.config)
     candidates, goal = read(options.candidates) if options.candidates else (None, None)
     newest: list[Message] = []
@@ -219,10 +263,14 @@ def run(options: Options) -> int:
     try:
         while (options.times == 0 or answered < options.times) and not stop.event.is_set():
             if not arrived.wait(10.0):
-                raise TwinError(f"no state of {config.unit} came from {config.broker.host}:{config.broker.port} within 10 s: is the twin running?")
+                raise TwinError(
+                    f"no state of {config.unit} came from {config.broker.host}:{config.broker.port} within 10 s: is the twin running?"
+                )
             arrived.clear()
             state = newest[0]
-            answer = compare(Path(config.fmu) if Path(config.fmu).is_file() else shipped.unit(), state, candidates, goal, options)
+            answer = compare(
+                Path(config.fmu) if Path(config.fmu).is_file() else shipped.unit(), state, candidates, goal, options
+            )
             bus.publish("whatif", encode(Message("whatif", config.unit, state.time, state.seq, {}, answer)))
             answered += 1
             _print(answer)
@@ -232,8 +280,17 @@ def run(options: Options) -> int:
 
 
 def _print(answer: dict[str, Any]) -> None:
-    print(f"{answer['ahead']:g} s ahead, {answer['members']} members each, in {answer['took_s']:.2f} s ({answer['cpu_s']:.2f} s of CPU):")
+    print(
+        f"{answer['ahead']:g} s ahead, {answer['members']} members each, in {answer['took_s']:.2f} s ({answer['cpu_s']:.2f} s of CPU):"
+    )
     for one in answer["candidates"]:
         end = one.get("end")
-        where = f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.2f} mm" if end else "no member came to its end"
-        print(f"  {one['rank']:2}. {one['name']:24} singularity {one['singular']['probability']:4.0%}  {where}", flush=True)
+        where = (
+            f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.2f} mm"
+            if end
+            else "no member came to its end"
+        )
+        print(
+            f"  {one['rank']:2}. {one['name']:24} singularity {one['singular']['probability']:4.0%}  {where}",
+            flush=True,
+        )
