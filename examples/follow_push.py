@@ -13,22 +13,12 @@ from fivebar.kinematics import Machine
 from unit import Unit
 
 STEP, COUNT = 1e-3, 2 * pi / 2**16
-MACHINE = {
-    "base.distance": 0.1,
-    "gravity.enabled": False,
-    "servo.enabled": True,
-    "init.theta[1]": 2.7567,
-    "init.theta[2]": 1.345,
-}
-MACHINE |= {"servo.kp[1]": 20.0, "servo.kp[2]": 20.0, "servo.kd[1]": 0.5, "servo.kd[2]": 0.5}
+MACHINE = {"base.distance": 0.1, "gravity.enabled": False, "init.theta[1]": 2.7567, "init.theta[2]": 1.345}
+MACHINE |= {"servo.enabled": True, "servo.kp[1]": 20.0, "servo.kp[2]": 20.0, "servo.kd[1]": 0.5, "servo.kd[2]": 0.5}
 PAYLOAD = {"payload.enabled": True, "payload.mass": 0.02}
-ENCODERS = {
-    "estimator.enabled": True,
-    "estimator.quantum[1]": COUNT,
-    "estimator.quantum[2]": COUNT,
-    "estimator.sigma0.theta": 0.01,
-}
-ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
+ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator.quantum[2]": COUNT}
+ENCODERS |= {"estimator.sigma0.theta": 0.01, "estimator.sigma0.length": 0.0}
+ENCODERS |= {"estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
 """The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
 PUSH, FROM, TO = 0.5, 0.75, 0.85
 GEOMETRY = Machine(0.1, (0.21, 0.21, 0.21, 0.21))
@@ -57,17 +47,11 @@ with Unit(**MACHINE, **PAYLOAD) as machine, Unit(**MACHINE, **ENCODERS) as twin:
         force = PUSH if FROM <= machine.time < TO else 0.0
         machine.set(drive | {"tip.fy": force})
         machine.step(STEP), twin.step(STEP)
-        names = (
-            "tip.x",
-            "tip.y",
-            "estimated.tip.cov[3]",
-            "estimated.tau[1]",
-            "estimated.tau.sigma[1]",
-            "estimated.alarm",
-        )
+        tip = ("tip.x", "tip.y")
+        names = (*tip, "estimated.tip.cov[3]", "estimated.tau[1]", "estimated.tau.sigma[1]", "estimated.alarm")
         # By virtual work the push is a torque of d tip.y / d theta[1] times its force.
         lever = GEOMETRY.jacobian(GEOMETRY.forward(machine.get("theta[1]", "theta[2]")).theta)[1, 0]
-        rows.append((machine.time, *machine.get("tip.x", "tip.y"), *twin.get(*names), force * lever))
+        rows.append((machine.time, *machine.get(*tip), *twin.get(*names), force * lever))
 
 time, x, y, ex, ey, variance, tau, sigma, alarm, push = (list(column) for column in zip(*rows))
 sigma = [min(value, 1.0) for value in sigma]
@@ -80,13 +64,8 @@ band = [2e6 * sqrt(value) for value in variance]
 error.fill_between(time, [-value for value in band], band, alpha=0.3, label="two standard deviations")
 error.set_ylabel("tip.y (µm)"), error.set_ylim(-60, 60)
 force.plot(time, tau, label="estimated.tau[1]")
-force.fill_between(
-    time,
-    [t - 2 * s for t, s in zip(tau, sigma)],
-    [t + 2 * s for t, s in zip(tau, sigma)],
-    alpha=0.3,
-    label="two standard deviations",
-)
+low, high = ([t + k * s for t, s in zip(tau, sigma)] for k in (-2, 2))
+force.fill_between(time, low, high, alpha=0.3, label="two standard deviations")
 force.plot(time, push, "--", color="black", lw=1, label="torque of the push")
 force.fill_between(time, -0.2, 0.2, where=[value > 0.5 for value in alarm], color="tab:red", alpha=0.2, label="alarm")
 force.axvspan(FROM, TO, color="grey", alpha=0.2, label="push of 0.5 N")

@@ -65,14 +65,11 @@ if __name__ == "__main__":
     f = dae.create("f", ["x", "u"], ["ode", "y"])
     planned, tau = swing(piece(f))
     states = played_back(tau)
-    lifted, (free, left, right) = (
-        f(GOAL, 0)[1][1] - f(REST, 0)[1][1],
-        (f(GOAL, u)[0][2:] for u in (0, np.eye(8)[0], np.eye(8)[1])),
-    )
+    lifted = f(GOAL, 0)[1][1] - f(REST, 0)[1][1]
+    free, left, right = (f(GOAL, u)[0][2:] for u in (0, np.eye(8)[0], np.eye(8)[1]))
     holding = ca.norm_inf(ca.solve(ca.horzcat(left - free, right - free), free))
-    print(
-        f"lifted by {float(lifted):.3f} m; largest torque {abs(tau).max():.4f} N.m, to hold it {float(holding):.4f} N.m"
-    )
+    largest = abs(tau).max()
+    print(f"lifted by {float(lifted):.3f} m; largest torque {largest:.4f} N.m, to hold it {float(holding):.4f} N.m")
     print(f"played back: the goal is missed by {np.degrees(abs(states - planned)[:2, -1].max()):.1e} deg")
     time = np.linspace(0, SECONDS, PIECES + 1)
     figure, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 5), layout="constrained")

@@ -246,7 +246,7 @@ def test_extras_that_are_too_old_are_one_sentence(
     )
     with pytest.raises(
         FiveBarError,
-        match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13 is needed: pip",
+        match=f"^psutil is needed and not installed; {sentence}; websockets 12.0 is installed, and >= 13.1 is needed: pip",
     ):
         extras.need("twin")
 
