@@ -5,7 +5,7 @@ take to hold it there: the machine swings up. Multiple shooting: the states at 2
 unknowns. Then the torques are played back through the co-simulation side.
 
 `cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/optimal_control.py
-It needs CasADi: target/venv/bin/pip install casadi. The picture is target/optimal_control.svg.
+It needs CasADi: target/uv/bin/uv pip install --python target/venv casadi. The picture is target/optimal_control.svg.
 """
 
 import casadi as ca

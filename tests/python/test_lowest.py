@@ -19,13 +19,29 @@ def test_the_twin_runs_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Pat
     programs = environment / ("Scripts" if sys.platform == "win32" else "bin")
 
     def run(*command: str | Path) -> None:
-        done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"UV_SYSTEM_CERTS": "1"}, capture_output=True, text=True, check=False, timeout=PATIENCE)
+        done = subprocess.run(
+            command,
+            cwd=tmp_path,
+            env=os.environ | {"UV_SYSTEM_CERTS": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        )
         # 3: busy machines forecast late.
         assert done.returncode in ((0, 3) if command[0] == programs / "fivebar" else (0,)), done.stdout + done.stderr
 
     uv = REPOSITORY / "target" / "uv" / "bin" / "uv"
     run(uv, "venv", "--python", sys.executable, environment)
     install = (uv, "pip", "install", "--only-binary", ":all:", "--python", programs / "python")
-    run(*install, "--resolution", "lowest-direct", "--requirement", REPOSITORY / "python" / "pyproject.toml", "--extra", "twin")
+    run(
+        *install,
+        "--resolution",
+        "lowest-direct",
+        "--requirement",
+        REPOSITORY / "python" / "pyproject.toml",
+        "--extra",
+        "twin",
+    )
     run(*install, "--no-deps", build(fmu, tmp_path))
     run(programs / "fivebar", "twin", "--seconds", "5")
