@@ -92,10 +92,9 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// Constraint or reaction by which friction holds the system.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
         if self.stick_slip().at_rest() {
-            let constraints = self.friction_constraints((q, pose, v), all);
-            let able = constraints.iter().filter(|constraint| is_able(self.stick_slip(), constraint));
-            let parts = able.zip(FrictionProblem::new(self, q, v, &|_| true).resting_torques());
-            let force = parts.fold(Vector::ZERO, |sum, (constraint, torque)| sum + torque * constraint.row);
+            let (constraints, holding) = (self.friction_constraints((q, pose, v), all), self.holding((q, pose, v)));
+            let force =
+                constraints.iter().fold(Vector::ZERO, |sum, constraint| sum + holding[constraint.at.place] * constraint.row);
             return StickingConstraint::All { force };
         }
         let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
@@ -217,6 +216,24 @@ fn is_able<const N: usize>(stick_slip: &StickSlips, constraint: &FrictionConstra
     constraint.at.bound > 0.0 && !stick_slip.is_still(constraint.at.place)
 }
 
+/// Accelerations r per unit of friction at a place with a row, and M r, the part of the row on the motions that the closure admits; `None`
+/// where the closure keeps the place from moving, as an elbow at its turning point.
+///
+/// By the regularisation e of the saddle-point system r has a part of order e across the closure. The row responds to that part, as if the
+/// place could move; M r responds to it in the order of e². A mobility is one of the mechanism if nearly all of it remains.
+fn admissible_direction<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    (pose, mass): (&S::Pose, &S::Mass),
+    row: &Vector<N>,
+) -> Option<[Vector<N>; 2]> {
+    /// Least part of a mobility that the closure has to admit: directions of rows are then right to a tenth of √e, relative to 1 over masses.
+    const LEAST_PART: f64 = 0.99;
+    let (response, _) = mass.solve(row, &Vector::ZERO);
+    let admissible_row = system.mass_times(pose, &response);
+    let is_mobile = admissible_row.dot(&response) > LEAST_PART * row.dot(&response).abs();
+    is_mobile.then_some([response, admissible_row])
+}
+
 /// Constraint on the motion by places that all hold one direction of it.
 fn held_direction<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickingConstraint<N> {
     let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
@@ -330,7 +347,10 @@ const RIDGE: f64 = 1e-12;
 type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
-    /// Problem of a system at q and q̇ of the places that may stick and satisfy `rests`, while the others slip.
+    /// Problem of a system at q and q̇ of the places that may stick, can move and satisfy `rests`, while the others slip.
+    ///
+    /// Rows are those on the motions that the closure admits: with coaxial motors the inner joints share one motion, and a remainder of
+    /// the regularisation between their rows would hold the other one.
     fn new<const N: usize, const M: usize>(
         system: &impl Frictional<N, M>,
         q: &Vector<N>,
@@ -338,24 +358,29 @@ impl FrictionProblem {
         rests: &dyn Fn(&FrictionConstraint<N>) -> bool,
     ) -> Self {
         let pose = system.pose(q);
-        let constraints = system.friction_constraints((q, &pose, v), all);
-        let is_resting = |constraint: &&FrictionConstraint<N>| is_able(system.stick_slip(), constraint) && rests(constraint);
-        let resting: FrictionConstraints<N> = constraints.iter().filter(is_resting).copied().collect();
-        let mut stick_slip = slipping(system.stick_slip(), &constraints);
-        for constraint in &resting {
-            stick_slip.set(constraint.at.place, StickSlip::Sticks(SlipDirection::Forward));
-        }
         let mass = system.factor_mass(&pose, system.regularization());
+        let constraints = system.friction_constraints((q, &pose, v), all);
+        let mut stick_slip = slipping(system.stick_slip(), &constraints);
+        let mut resting = ArrayVec::<_, FRICTION_PLACES>::new();
+        for constraint in constraints.iter().filter(|constraint| is_able(system.stick_slip(), constraint) && rests(constraint)) {
+            if let Some(direction) = admissible_direction(system, (&pose, &mass), &constraint.row) {
+                stick_slip.set(constraint.at.place, StickSlip::Sticks(SlipDirection::Forward));
+                resting.push((constraint, direction));
+            }
+        }
         let forces = system.with_stick_slip(stick_slip).forces(q, &pose, v).0;
-        let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
+        let (by_forces, _) = mass.solve(&forces, &Vector::ZERO);
+        // The regularisation leaves a part of order e of the closure's accelerations; corrected twice, one of order e².
+        let by_closure = -system.phi_q_dot_times(&pose, v);
+        let once = mass.correction(&by_closure);
+        let by_rates = once + mass.correction(&(by_closure - system.phi_q_times(&pose, &once)));
         let mut friction_problem = Self::default();
-        for (i, constraint) in resting.iter().enumerate() {
-            let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
+        for (i, (constraint, [_, row])) in resting.iter().enumerate() {
             friction_problem.places.push(constraint.at.place);
             friction_problem.bounds[i] = constraint.at.bound;
-            friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
-            for (j, other) in resting.iter().enumerate() {
-                friction_problem.mobility[j][i] = other.row.dot(&by_torque);
+            friction_problem.change[i] = row.dot(&by_forces) + constraint.row.dot(&by_rates) + constraint.drift;
+            for (j, (_, [response, _])) in resting.iter().enumerate() {
+                friction_problem.mobility[i][j] = row.dot(response);
             }
         }
         friction_problem
@@ -365,10 +390,9 @@ impl FrictionProblem {
         self.places.len()
     }
 
-    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s². The mobility of a place that the linkage keeps from
-    /// moving is round-off, of either sign.
+    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s².
     fn scale(&self, i: usize) -> f64 {
-        self.mobility[i][i].max(0.0) * self.bounds[i]
+        self.mobility[i][i] * self.bounds[i]
     }
 
     /// Whether friction can keep all places at rest, and that stops the whole mechanism.
@@ -464,8 +488,11 @@ impl FrictionProblem {
             let violation = (0..n).fold(0.0, |most: f64, i| {
                 most.max(match candidate[i] {
                     StickSlip::Sticks(_) => torques[i].abs() / self.bounds[i] - 1.0,
-                    StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
-                    StickSlip::Inactive | StickSlip::Still => 0.0,
+                    StickSlip::Slips(slip_direction) if sticking.len() < 2 => {
+                        quotient(-slip_direction.sign() * left[i], self.scale(i))
+                    }
+                    // Two places that stick hold the machine: accelerations left at others are round-off.
+                    StickSlip::Slips(_) | StickSlip::Inactive | StickSlip::Still => 0.0,
                 })
             });
             if least_violating.is_none_or(|(least, _)| violation < least) {

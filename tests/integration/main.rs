@@ -20,6 +20,7 @@ mod payload; // mass that joins the tip during a run, or leaves it
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 mod step_orders; // steps of each kind on problems with known solutions: orders of step and interpolant, stiffness, changes of kind
 mod stick; // dry friction that holds
+mod stick_coaxial; // dry friction that sticks, on coaxial motors
 
 // The FMI rooms, through the C functions.
 mod fmi_derivatives; // derivatives of outputs against inputs and states, of inputs and outputs against time
