@@ -14,7 +14,7 @@
 
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{angles_by_leg, centres, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, largest, sum};
 use crate::mechanism::placement::{ByLink, by_links};
 use crate::mechanism::{ClosureBranch, ClosureTerms, Coordinates, Mechanism, Pose};
 use crate::vector::Vector;
@@ -163,40 +163,57 @@ impl Weight {
 /// The two equations that hold the motion: the closure of the tip, or the branch of the closure on which the motion stays.
 #[derive(Clone, Copy, Debug)]
 pub struct Closure {
-    /// Signed link lengths in Φ_q, m; 0 on a closure branch.
+    /// Signed link lengths in Φ_q, m; 0 on a closure branch of opposite pairs.
     sigma_length: [Legs; 2],
     /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
     constant: &'static [Legs2; 2],
+    /// On a closure branch of mirrored pairs, weights of the proximal and distal directions whose sum is normal to the axis.
+    normal: Option<[Legs; 2]>,
 }
 
 impl Closure {
     /// Closure of the tip, or of a branch.
     #[inline(always)]
     pub fn new(mechanism: &Mechanism, branch: Option<ClosureBranch>) -> Self {
-        let ClosureTerms { open, constant } = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
+        let ClosureTerms { open, constant, mirrored } = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
         let &Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
-        Self { sigma_length: [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)], constant }
+        let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
+        // The longer links are never parallel to the axis.
+        let normal = mirrored.map(|[one, other]| {
+            let length = |[p, d]: [Legs; 2]| largest((p * sigma_length[0]).abs().max((d * sigma_length[1]).abs()));
+            if length(one) > length(other) { one } else { other }
+        });
+        Self { sigma_length, constant, normal }
     }
 
-    /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch.
+    /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch of opposite pairs.
     #[inline(always)]
     fn links(&self, pose: &Pose) -> [Legs2; 2] {
         let [p, d] = self.sigma_length;
         [pose.u_p.scaled(p), pose.u_d.scaled(d)]
     }
 
-    /// Gap Φ of the tip, m.
+    /// Rows of the equations out of components x and y at the tip, by links.
+    #[inline(always)]
+    fn rows(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
+        match self.normal {
+            None => at_tip,
+            Some(normal) => along_axis(normal, [pose.u_p, pose.u_d], at_tip),
+        }
+    }
+
+    /// Gap Φ of the tip, m; on a closure branch of mirrored pairs only its component along the axis, as the second one.
     #[inline(always)]
     pub fn gap(&self, mechanism: &Mechanism, pose: &Pose) -> AtTip {
-        let [p, d] = self.links(pose);
+        let [p, d] = self.rows(pose, self.links(pose));
         [sum(SIGMA * mechanism.ground_x + p.x + d.x), sum(p.y + d.y)].into()
     }
 
     /// Φ_q by links, m.
     #[inline(always)]
     pub fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let ([p, d], [on_p, on_d]) = (self.links(pose), *self.constant);
-        [on_p + p.turned(), on_d + d.turned()]
+        let ([p, d], [on_p, on_d]) = (self.rows(pose, self.links(pose).map(Legs2::turned)), *self.constant);
+        [on_p + p, on_d + d]
     }
 
     /// Φ_q v.
@@ -205,12 +222,23 @@ impl Closure {
         at_tip(&self.phi_q(pose), legs(v)).to_array().into()
     }
 
-    /// Φ̇_q ω: the derivative of n̂ is a centripetal acceleration −l ω².
+    /// Φ̇_q ω: the derivative of n̂ is a centripetal acceleration −l ω². The turning of a mirror axis adds nothing where the loop is closed.
     #[inline(always)]
     pub fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> AtTip {
         let squares = legs(v).map(|w| w * w);
-        (-at_tip(&self.links(pose), squares)).to_array().into()
+        (-at_tip(&self.rows(pose, self.links(pose)), squares)).to_array().into()
     }
+}
+
+/// Component along a mirror axis, as the second row, of vectors by links.
+#[cold]
+#[inline(never)]
+fn along_axis([on_p, on_d]: [Legs; 2], [u_p, u_d]: [Legs2; 2], vectors: [Legs2; 2]) -> [Legs2; 2] {
+    let normal = u_p.scaled(on_p) + u_d.scaled(on_d);
+    let [x, y] = [sum(normal.x), sum(normal.y)];
+    let length = (x * x + y * y).sqrt();
+    let [x, y] = [-y / length, x / length].map(both);
+    vectors.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
 }
 
 /// Factorised saddle-point matrix. The proximal angle is eliminated first, then the distal one, which leaves with the columns p and d of Φ_q,
@@ -328,7 +356,7 @@ impl<'a> Equations<'a> {
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
         let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
         let arms = closure.links(pose);
-        let [along_p, along_d] = arms.map(|r| (r.x * both(lambda[0]) + r.y * both(lambda[1])).to_array());
+        let [along_p, along_d] = closure.rows(pose, arms).map(|r| (r.x * both(lambda[0]) + r.y * both(lambda[1])).to_array());
         for leg in 0..2 {
             let (p, d) = (2 * PROXIMAL + leg, 2 * DISTAL + leg);
             by_q[p][p] += along_p[leg] - on_p[leg];
@@ -339,8 +367,9 @@ impl<'a> Equations<'a> {
             by_v[p][d] -= turn_d[leg];
         }
         let (mut closure_by_q, mut closure_by_v) = ([AtTip::ZERO; ANGLES], [AtTip::ZERO; ANGLES]);
-        for (place, r) in [PROXIMAL, DISTAL].into_iter().zip(arms) {
-            let (n, w, a) = (r.turned(), legs_of(rates, place), legs_of(a, place));
+        let rows = closure.rows(pose, arms).into_iter().zip(closure.rows(pose, arms.map(Legs2::turned)));
+        for (place, (r, n)) in [PROXIMAL, DISTAL].into_iter().zip(rows) {
+            let (w, a) = (legs_of(rates, place), legs_of(a, place));
             let turned = [r.x * a + n.x * w * w, r.y * a + n.y * w * w].map(|x| x.to_array());
             let quickened = [both(2.0) * r.x * w, both(2.0) * r.y * w].map(|x| x.to_array());
             for leg in 0..2 {

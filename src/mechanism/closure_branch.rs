@@ -1,8 +1,14 @@
-//! Branches of a reducible closure: with coaxial motors and links of equal lengths, the configuration space is a union of branches on which
-//! pairs of links stay parallel; the branches intersect where all links are in line.
+//! Branches of a reducible closure: with coaxial motors and links of pairwise equal lengths, the configuration space is a union of branches
+//! that intersect where all links are in line.
+//!
+//! Closed, the four links are vectors with the sum zero. Say two of them have the length a and two the length b. Then the vectors of each
+//! pair are either opposite, or mirror images in an axis that both pairs share, with equal and opposite components along it. Opposite pairs are
+//! parallel or antiparallel links. If a = b, a mirrored posture is an opposite one of another pairing, so that there are three branches of
+//! opposite pairs; if a ≠ b, there is one of either kind.
 //!
 //! At an intersection the closure of the tip loses rank, and the force that keeps a motion on its branch is unbounded. A single branch is
-//! regular: two linear equations in the angles with constant derivatives. So a motion on a branch keeps to these equations instead.
+//! regular. With opposite pairs it is two linear equations in the angles. With mirrored pairs it is one, for the common axis, and the
+//! closure of the tip along this axis. So a motion on a branch keeps to these equations instead.
 
 use std::f64::consts::{PI, TAU};
 
@@ -21,10 +27,16 @@ pub enum ClosureBranch {
     Coincident,
     /// Folded legs: each distal link lies back along its proximal link, and the tip is on the motor axes.
     Folded,
+    /// A crossed parallelogram: each proximal link is as long as the distal link of the other leg, to which it is not parallel.
+    CrossedParallelogram,
+    /// A kite with equal legs, which are mirror images in the line from the motors to the tip.
+    Kite,
+    /// A kite with legs of two equal links each, whose axis is the line through both elbows.
+    ElbowKite,
 }
 
-/// Angles of both proximal and both distal links, rad, or their rates, rad/s.
-type Pairs = [Legs; 2];
+/// Angles of both proximal and both distal links, rad, their rates, rad/s, or their weights.
+pub(crate) type Pairs = [Legs; 2];
 
 /// Largest deviation from a branch of a motion that is on it, rad, and of its rates relative to the fastest of them: above the drift of a
 /// coarse step, below any motion to be seen.
@@ -35,15 +47,16 @@ const LEAST_SEPARATION: f64 = 1e-4;
 const TIMES: f64 = 100.0;
 
 impl ClosureBranch {
-    const ALL: [Self; 3] = [Self::Parallelogram, Self::Coincident, Self::Folded];
+    const ALL: [Self; 6] =
+        [Self::Parallelogram, Self::Coincident, Self::Folded, Self::CrossedParallelogram, Self::Kite, Self::ElbowKite];
 
-    /// The branch of a motion; `None` where the motors are not coaxial or the lengths not equal, or where branches intersect.
+    /// The branch of a motion; `None` if the motors are not coaxial or the lengths not equal in pairs, or next to an intersection.
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
         let [proximal, distal] = v.map(Legs::to_array);
         let fastest = proximal.into_iter().chain(distal).fold(1.0, |most: f64, rate| most.max(rate.abs()));
         let off = |of: [f64; 2]| of[0].abs().max(of[1].abs());
         let branches = Self::ALL.into_iter().filter(|branch| branch.is_of(geometry));
-        let near: ArrayVec<(Self, f64), 3> = branches
+        let near: ArrayVec<(Self, f64), { Self::ALL.len() }> = branches
             .filter(|branch| off(branch.apart(q)) <= LEAST_SEPARATION)
             .map(|branch| (branch, off(branch.rates(v))))
             .collect();
@@ -63,23 +76,29 @@ impl ClosureBranch {
     pub fn is_of(self, geometry: &Geometry) -> bool {
         let [left, distal_left, distal_right, right] = geometry.lengths();
         let pairs = match self {
-            Self::Parallelogram => [[left, distal_right], [right, distal_left]],
-            Self::Coincident => [[left, right], [distal_left, distal_right]],
-            Self::Folded => [[left, distal_left], [right, distal_right]],
+            Self::Parallelogram | Self::CrossedParallelogram => [[left, distal_right], [right, distal_left]],
+            Self::Coincident | Self::Kite => [[left, right], [distal_left, distal_right]],
+            Self::Folded | Self::ElbowKite => [[left, distal_left], [right, distal_right]],
         };
-        geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y)
+        let [[one, _], [other, _]] = pairs;
+        geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y) && (!self.is_mirrored() || one != other)
+    }
+
+    /// Whether the links of a pair are mirror images in an axis.
+    fn is_mirrored(self) -> bool {
+        matches!(self, Self::CrossedParallelogram | Self::Kite | Self::ElbowKite)
     }
 
     /// Indices of the joints that do not turn on the branch, counted from the left base joint to the right one.
     pub fn still_joints(self) -> &'static [usize] {
         match self {
-            Self::Parallelogram => &[],
+            Self::Parallelogram | Self::CrossedParallelogram | Self::Kite | Self::ElbowKite => &[],
             Self::Coincident => &[2],
             Self::Folded => &[1, 3],
         }
     }
 
-    /// Deviations of the branch's two pairs from parallel, rad.
+    /// Deviations from the linear equations of the branch, rad: of its two pairs from parallel, or of their axes from each other, twice.
     pub fn apart(self, q: Pairs) -> [f64; 2] {
         let straight = if self == Self::Folded { PI } else { 0.0 };
         self.rates(q).map(|angle| {
@@ -88,13 +107,16 @@ impl ClosureBranch {
         })
     }
 
-    /// Relative rates of the branch's two pairs, rad/s.
+    /// Rates of these deviations, rad/s.
     pub fn rates(self, [proximal, distal]: Pairs) -> [f64; 2] {
         let ([pl, pr], [dl, dr]) = (proximal.to_array(), distal.to_array());
         match self {
             Self::Parallelogram => [pl - dr, dl - pr],
             Self::Coincident => [pl - pr, dl - dr],
             Self::Folded => [dl - pl, dr - pr],
+            Self::CrossedParallelogram => [(pl + dr) - (dl + pr), 0.0],
+            Self::Kite => [(pl + pr) - (dl + dr), 0.0],
+            Self::ElbowKite => [(pl + dl) - (pr + dr), 0.0],
         }
     }
 
@@ -104,6 +126,9 @@ impl ClosureBranch {
             Self::Parallelogram => &PARALLELOGRAM,
             Self::Coincident => &COINCIDENT,
             Self::Folded => &FOLDED,
+            Self::CrossedParallelogram => &CROSSED_PARALLELOGRAM,
+            Self::Kite => &KITE,
+            Self::ElbowKite => &ELBOW_KITE,
         }
     }
 }
@@ -114,15 +139,19 @@ pub const BRANCH_ARM: f64 = 0.25;
 /// Rows of Φ_q for the tip's closure or a branch, as a weighted sum: code without a conditional keeps the factorisation in registers.
 #[derive(Debug)]
 pub struct ClosureTerms {
-    /// Weight of the closure of the tip: 1, or 0 on a branch.
+    /// Weight of the closure of the tip: 1, or 0 on a branch of opposite pairs.
     pub open: Legs,
-    /// Derivatives of both branch equations by the proximal and by the distal angles, m/rad; 0 without a branch.
+    /// Derivatives of the linear equations of a branch by the proximal and by the distal angles, m/rad; 0 without a branch.
     pub constant: [Legs2; 2],
+    /// Weights of both mirrored pairs of a branch, whose closure of the tip counts along the axis only: the weighted sum of the proximal and
+    /// distal directions is normal to the axis, whichever pair is taken.
+    pub mirrored: Option<[Pairs; 2]>,
 }
+
 
 impl ClosureTerms {
     /// Terms of the tip's closure, without a branch.
-    pub const OPEN: &'static Self = &Self { open: Legs::new([1.0; 2]), constant: [NOTHING; 2] };
+    pub const OPEN: &'static Self = &Self { open: Legs::new([1.0; 2]), constant: [NOTHING; 2], mirrored: None };
 }
 
 const NOTHING: Legs2 = Legs2 { x: Legs::new([0.0; 2]), y: Legs::new([0.0; 2]) };
@@ -132,10 +161,21 @@ const fn arms(x: [f64; 2], y: [f64; 2]) -> Legs2 {
     Legs2 { x: Legs::new([x[0] * BRANCH_ARM, x[1] * BRANCH_ARM]), y: Legs::new([y[0] * BRANCH_ARM, y[1] * BRANCH_ARM]) }
 }
 
-static PARALLELOGRAM: ClosureTerms = branch(arms([1.0, 0.0], [0.0, -1.0]), arms([0.0, -1.0], [1.0, 0.0]));
-static COINCIDENT: ClosureTerms = branch(arms([1.0, -1.0], [0.0, 0.0]), arms([0.0, 0.0], [1.0, -1.0]));
-static FOLDED: ClosureTerms = branch(arms([-1.0, 0.0], [0.0, -1.0]), arms([1.0, 0.0], [0.0, 1.0]));
+static PARALLELOGRAM: ClosureTerms = opposite(arms([1.0, 0.0], [0.0, -1.0]), arms([0.0, -1.0], [1.0, 0.0]));
+static COINCIDENT: ClosureTerms = opposite(arms([1.0, -1.0], [0.0, 0.0]), arms([0.0, 0.0], [1.0, -1.0]));
+static FOLDED: ClosureTerms = opposite(arms([-1.0, 0.0], [0.0, -1.0]), arms([1.0, 0.0], [0.0, 1.0]));
 
-const fn branch(proximal: Legs2, distal: Legs2) -> ClosureTerms {
-    ClosureTerms { open: Legs::new([0.0; 2]), constant: [proximal, distal] }
+const fn opposite(proximal: Legs2, distal: Legs2) -> ClosureTerms {
+    ClosureTerms { open: Legs::new([0.0; 2]), constant: [proximal, distal], mirrored: None }
+}
+
+static CROSSED_PARALLELOGRAM: ClosureTerms =
+    mirrored([1.0, -1.0], [-1.0, 1.0], [[[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]]);
+static KITE: ClosureTerms = mirrored([1.0, 1.0], [-1.0, -1.0], [[[1.0, 1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, 1.0]]]);
+static ELBOW_KITE: ClosureTerms = mirrored([1.0, -1.0], [1.0, -1.0], [[[1.0, 0.0], [-1.0, 0.0]], [[0.0, 1.0], [0.0, -1.0]]]);
+
+const fn mirrored(proximal: [f64; 2], distal: [f64; 2], [[ap, ad], [bp, bd]]: [[[f64; 2]; 2]; 2]) -> ClosureTerms {
+    let pairs = [[Legs::new(ap), Legs::new(ad)], [Legs::new(bp), Legs::new(bd)]];
+    let constant = [arms(proximal, [0.0; 2]), arms(distal, [0.0; 2])];
+    ClosureTerms { open: Legs::new([1.0; 2]), constant, mirrored: Some(pairs) }
 }

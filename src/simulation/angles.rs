@@ -63,7 +63,7 @@ impl<'a> AngleSystem<'a> {
         &self.model().inertia
     }
 
-    /// Deviation of angles from a closure branch, m.
+    /// Deviation of angles from the linear equations of a closure branch, m.
     #[cold]
     #[inline(never)]
     fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> AtTip {
@@ -151,10 +151,11 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
-        if let Some(closure_branch) = self.five_bar.mode.closure_branch {
-            return self.off_branch(closure_branch, *q);
+        let gap = self.closure.gap(self.mechanism(), pose);
+        match self.five_bar.mode.closure_branch {
+            None => gap,
+            Some(closure_branch) => gap + self.off_branch(closure_branch, *q),
         }
-        self.closure.gap(self.mechanism(), pose)
     }
 
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
