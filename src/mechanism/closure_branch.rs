@@ -38,41 +38,47 @@ pub enum ClosureBranch {
 /// Angles of both proximal and both distal links, rad, their rates, rad/s, or their weights.
 pub(crate) type Pairs = [Legs; 2];
 
+/// Deviations of a motion from the branches of a mechanism: of its posture, rad, or of its rates, rad/s.
+type Deviations = ArrayVec<(ClosureBranch, f64), { ClosureBranch::ALL.len() }>;
+
 /// Largest deviation from a branch of a motion that is on it, rad, and of its rates relative to the fastest of them: above the drift of a
 /// coarse step, below any motion to be seen.
 const LARGEST_DEVIATION: f64 = 1e-6;
-/// Least deviation from every other branch of a motion that is on one, rad or rad/s: nearer to an intersection the choice is open.
-const LEAST_SEPARATION: f64 = 1e-4;
-/// Least ratio of the rates' deviation from another branch to that from the chosen one.
+/// Least deviation from every other branch of a posture that is on one, rad: nearer to an intersection, a closed loop no longer tells the
+/// branches apart, for its round-off is divided by the distance.
+const LEAST_SEPARATION: f64 = 1e-6;
+/// Least deviation of the rates from every other branch, rad/s, where the rates decide.
+const LEAST_RATE: f64 = 1e-4;
+/// Least ratio of the deviations from another branch to those from the chosen one.
 const TIMES: f64 = 100.0;
 
 impl ClosureBranch {
     const ALL: [Self; 6] =
         [Self::Parallelogram, Self::Coincident, Self::Folded, Self::CrossedParallelogram, Self::Kite, Self::ElbowKite];
 
-    /// The branch of a motion; `None` if the motors are not coaxial or the lengths not equal in pairs, or next to an intersection.
+    /// The branch of a motion; `None` if the motors are not coaxial or the lengths not equal in pairs, and at an intersection if the rates
+    /// do not tell either. The posture decides wherever it can.
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
-        let [proximal, distal] = v.map(Legs::to_array);
-        let fastest = proximal.into_iter().chain(distal).fold(1.0, |most: f64, rate| most.max(rate.abs()));
-        let off = |of: [f64; 2]| of[0].abs().max(of[1].abs());
+        let largest = |of: [f64; 2]| of[0].abs().max(of[1].abs());
         let branches = Self::ALL.into_iter().filter(|branch| branch.is_of(geometry));
-        let near: ArrayVec<(Self, f64), { Self::ALL.len() }> = branches
-            .filter(|branch| off(branch.apart(q)) <= LEAST_SEPARATION)
-            .map(|branch| (branch, off(branch.rates(v))))
-            .collect();
-        let on = near
-            .iter()
-            .filter(|(branch, _)| off(branch.apart(q)) <= LARGEST_DEVIATION)
-            .min_by(|one, other| one.1.total_cmp(&other.1));
-        let &(on, strays) = on?;
-        // If no other branch is near, the closure itself keeps the rates on this one to the accuracy of the method.
-        let decided = near.len() == 1
-            || strays <= LARGEST_DEVIATION * fastest
-                && near.iter().all(|(branch, rates)| *branch == on || *rates > LEAST_SEPARATION.max(TIMES * strays));
-        decided.then_some(on)
+        let by_posture: Deviations = branches.map(|branch| (branch, largest(branch.apart(q)))).collect();
+        Self::nearest(&by_posture, LARGEST_DEVIATION, LEAST_SEPARATION).or_else(|| {
+            let [proximal, distal] = v.map(Legs::to_array);
+            let fastest = proximal.into_iter().chain(distal).fold(1.0, |most: f64, rate| most.max(rate.abs()));
+            let near = by_posture.iter().filter(|(_, deviation)| *deviation <= LARGEST_DEVIATION);
+            let by_rates: Deviations = near.map(|(branch, _)| (*branch, largest(branch.rates(v)))).collect();
+            Self::nearest(&by_rates, LARGEST_DEVIATION * fastest, LEAST_RATE)
+        })
     }
 
-    /// Whether a mechanism has the branch.
+    /// The branch with the smallest deviation, if it is at most `largest` and every other one exceeds it `TIMES` and is more than `least`.
+    fn nearest(deviations: &Deviations, largest: f64, least: f64) -> Option<Self> {
+        let &(nearest, deviation) = deviations.iter().min_by(|(_, one), (_, other)| one.total_cmp(other))?;
+        let separate = |(branch, other): &(Self, f64)| *branch == nearest || *other > least.max(TIMES * deviation);
+        (deviation <= largest && deviations.iter().all(separate)).then_some(nearest)
+    }
+
+    /// Whether a mechanism has the branch, to the round-off of its lengths.
     pub fn is_of(self, geometry: &Geometry) -> bool {
         let [left, distal_left, distal_right, right] = geometry.lengths();
         let pairs = match self {
@@ -81,7 +87,8 @@ impl ClosureBranch {
             Self::Folded | Self::ElbowKite => [[left, distal_left], [right, distal_right]],
         };
         let [[one, _], [other, _]] = pairs;
-        geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y) && (!self.is_mirrored() || one != other)
+        let are_equal = |[x, y]: [f64; 2]| (x - y).abs() <= 4.0 * f64::EPSILON * x;
+        geometry.base_distance == 0.0 && pairs.into_iter().all(are_equal) && !(self.is_mirrored() && are_equal([one, other]))
     }
 
     /// Whether the links of a pair are mirror images in an axis.
@@ -147,7 +154,6 @@ pub struct ClosureTerms {
     /// distal directions is normal to the axis, whichever pair is taken.
     pub mirrored: Option<[Pairs; 2]>,
 }
-
 
 impl ClosureTerms {
     /// Terms of the tip's closure, without a branch.

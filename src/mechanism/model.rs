@@ -51,6 +51,14 @@ impl Geometry {
         self.base_distance + (arm(left_proximal) + arm(left_distal)).max(arm(right_proximal) + arm(right_distal))
     }
 
+    /// Whether the motors are coaxial and all links can be in line, to the round-off of their lengths.
+    pub fn turns_in_line(&self) -> bool {
+        let [first, others @ ..] = self.lengths();
+        let round_off = 2.0 * f64::EPSILON * self.lengths().iter().sum::<f64>();
+        let sum = |signs: u8| (0..3).map(|i| if signs >> i & 1 == 0 { others[i] } else { -others[i] }).sum::<f64>();
+        self.base_distance == 0.0 && (0..8).any(|signs| (first + sum(signs)).abs() <= round_off)
+    }
+
     /// Lengths of links 1 to 4, m.
     pub fn lengths(&self) -> [f64; LINKS] {
         self.links.map(|link| link.length)

@@ -82,7 +82,7 @@ impl Model {
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles =
-            if geometry.base_distance == 0.0 { COAXIAL_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
+            if geometry.turns_in_line() { IN_LINE_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
         let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism));
         let mut model = Self {
             typical_inertia: TypicalInertia::new(&geometry),
@@ -223,6 +223,7 @@ const BISECTIONS: usize = 40;
 /// e of the error-controlled methods in the link angles, relative to 1 over the mean mass: no more than the round-off of a singular Φ_q M⁻¹
 /// Φ_qᵀ, because 1e-14 already falsifies passages close to a vertex.
 const ANGLE_REGULARIZATION: f64 = 1e-20;
-/// e in the link angles for coaxial motors, relative to 1 over the mean mass: larger, because rank is lost along whole lines of
-/// configurations and a motion on none of the known closure branches needs bounded joint forces there.
-const COAXIAL_REGULARIZATION: f64 = 1e-10;
+/// e in the link angles where all links in line turn about coaxial motors, relative to 1 over the mean mass: larger, because rank is lost
+/// along whole lines of configurations and a motion on none of the known closure branches needs bounded joint forces there. Where the links
+/// only come close to being in line, it would carry a motion from one side to the other.
+const IN_LINE_REGULARIZATION: f64 = 1e-10;

@@ -5,6 +5,7 @@ mod accuracy; // orders, round-off floor, reference values in quadruple precisio
 mod allocation; // a counting allocator: a step allocates nothing
 mod automatic; // the method that chooses its scheme: choice, time, price; tangents of accelerations
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
+mod coaxial; // coaxial motors: branches of the closure, and machines that are close to having them
 mod conserving; // the strictly fixed step that conserves: energy, constraints, order, every effect, bounded work
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs
