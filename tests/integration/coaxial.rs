@@ -80,13 +80,12 @@ impl<'a> Branch<'a> {
                 -distal.mass * distal.com * G * angle_d.cos() + coupling * apart.sin() * rate_p.powi(2),
             ];
             for (row, one) in [p, d].into_iter().enumerate() {
-                for i in 0..2 {
-                    force[i] += chain[one].1[i] * torques[row];
+                for (i, by) in chain[one].1.into_iter().enumerate() {
+                    force[i] += by * torques[row];
                     for (column, two) in [p, d].into_iter().enumerate() {
-                        force[i] -= chain[one].1[i] * inertias[row][column] * chain[two].2;
-                        for j in 0..2 {
-                            mass[i][j] += chain[one].1[i] * inertias[row][column] * chain[two].1[j];
-                        }
+                        let (inertia, (_, by_two, drift)) = (by * inertias[row][column], chain[two]);
+                        force[i] -= inertia * drift;
+                        mass[i] = [0, 1].map(|j| mass[i][j] + inertia * by_two[j]);
                     }
                 }
             }
