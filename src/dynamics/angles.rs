@@ -230,9 +230,8 @@ impl Closure {
     }
 }
 
-/// Component along a mirror axis, as the second row, of vectors by links.
-#[cold]
-#[inline(never)]
+/// Component along a mirror axis, as the second row, of vectors by links. Inline, because a call would save all registers.
+#[inline(always)]
 fn along_axis([on_p, on_d]: [Legs; 2], [u_p, u_d]: [Legs2; 2], vectors: [Legs2; 2]) -> [Legs2; 2] {
     let normal = u_p.scaled(on_p) + u_d.scaled(on_d);
     let [x, y] = [sum(normal.x), sum(normal.y)];
