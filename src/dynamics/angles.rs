@@ -165,25 +165,17 @@ impl Weight {
 pub struct Closure {
     /// Signed link lengths in Φ_q, m; 0 on a closure branch of opposite pairs.
     sigma_length: [Legs; 2],
-    /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
-    constant: &'static [Legs2; 2],
-    /// On a closure branch of mirrored pairs, weights of the proximal and distal directions whose sum is normal to the axis.
-    normal: Option<[Legs; 2]>,
+    /// What a closure branch has in the place of the closure of the tip.
+    terms: &'static ClosureTerms,
 }
 
 impl Closure {
     /// Closure of the tip, or of a branch.
     #[inline(always)]
     pub fn new(mechanism: &Mechanism, branch: Option<ClosureBranch>) -> Self {
-        let ClosureTerms { open, constant, mirrored } = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
+        let terms = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
         let &Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
-        let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
-        // The longer links are never parallel to the axis.
-        let normal = mirrored.map(|[one, other]| {
-            let length = |[p, d]: [Legs; 2]| largest((p * sigma_length[0]).abs().max((d * sigma_length[1]).abs()));
-            if length(one) > length(other) { one } else { other }
-        });
-        Self { sigma_length, constant, normal }
+        Self { sigma_length: [terms.open * (SIGMA * (a_p + b_p)), terms.open * (SIGMA * a_d + sigma_b_d)], terms }
     }
 
     /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch of opposite pairs.
@@ -196,10 +188,23 @@ impl Closure {
     /// Rows of the equations out of components x and y at the tip, by links.
     #[inline(always)]
     fn rows(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
-        match self.normal {
+        match &self.terms.mirrored {
             None => at_tip,
-            Some(normal) => along_axis(normal, [pose.u_p, pose.u_d], at_tip),
+            Some(pairs) => self.along_axis(pairs, pose, at_tip),
         }
+    }
+
+    /// Component along the axis of mirrored pairs, as the second row, of vectors by links. Inline, because a call would save all registers.
+    #[inline(always)]
+    fn along_axis(&self, &[one, other]: &[[Legs; 2]; 2], pose: &Pose, vectors: [Legs2; 2]) -> [Legs2; 2] {
+        // The longer links are never parallel to the axis.
+        let length = |[p, d]: [Legs; 2]| largest((p * self.sigma_length[0]).abs().max((d * self.sigma_length[1]).abs()));
+        let [on_p, on_d] = if length(one) > length(other) { one } else { other };
+        let normal = pose.u_p.scaled(on_p) + pose.u_d.scaled(on_d);
+        let [x, y] = [sum(normal.x), sum(normal.y)];
+        let length = (x * x + y * y).sqrt();
+        let [x, y] = [-y / length, x / length].map(both);
+        vectors.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
     }
 
     /// Gap Φ of the tip, m; on a closure branch of mirrored pairs only its component along the axis, as the second one.
@@ -212,7 +217,7 @@ impl Closure {
     /// Φ_q by links, m.
     #[inline(always)]
     pub fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let ([p, d], [on_p, on_d]) = (self.rows(pose, self.links(pose).map(Legs2::turned)), *self.constant);
+        let ([p, d], [on_p, on_d]) = (self.rows(pose, self.links(pose).map(Legs2::turned)), self.terms.constant);
         [on_p + p, on_d + d]
     }
 
@@ -228,16 +233,6 @@ impl Closure {
         let squares = legs(v).map(|w| w * w);
         (-at_tip(&self.rows(pose, self.links(pose)), squares)).to_array().into()
     }
-}
-
-/// Component along a mirror axis, as the second row, of vectors by links. Inline, because a call would save all registers.
-#[inline(always)]
-fn along_axis([on_p, on_d]: [Legs; 2], [u_p, u_d]: [Legs2; 2], vectors: [Legs2; 2]) -> [Legs2; 2] {
-    let normal = u_p.scaled(on_p) + u_d.scaled(on_d);
-    let [x, y] = [sum(normal.x), sum(normal.y)];
-    let length = (x * x + y * y).sqrt();
-    let [x, y] = [-y / length, x / length].map(both);
-    vectors.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
 }
 
 /// Factorised saddle-point matrix. The proximal angle is eliminated first, then the distal one, which leaves with the columns p and d of Φ_q,
