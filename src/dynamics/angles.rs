@@ -160,22 +160,32 @@ impl Weight {
     }
 }
 
-/// The two equations that hold the motion: the closure of the tip, or the branch of the closure on which the motion stays.
+/// The two equations that hold the motion: the closure of the tip, or the branch of the closure on which the motion stays. What follows
+/// from them is compiled for branches of mirrored pairs, `MIRRORED`, and for all others: these need no more than directions.
 #[derive(Clone, Copy, Debug)]
 pub struct Closure {
     /// Signed link lengths in Φ_q, m; 0 on a closure branch of opposite pairs.
     sigma_length: [Legs; 2],
-    /// What a closure branch has in the place of the closure of the tip.
-    terms: &'static ClosureTerms,
+    /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
+    constant: &'static [Legs2; 2],
+    /// On a closure branch, weights of both mirrored pairs.
+    mirrored: Option<&'static [[Legs; 2]; 2]>,
 }
 
 impl Closure {
     /// Closure of the tip, or of a branch.
     #[inline(always)]
     pub fn new(mechanism: &Mechanism, branch: Option<ClosureBranch>) -> Self {
-        let terms = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
+        let ClosureTerms { open, constant, mirrored } = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
         let &Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
-        Self { sigma_length: [terms.open * (SIGMA * (a_p + b_p)), terms.open * (SIGMA * a_d + sigma_b_d)], terms }
+        let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
+        Self { sigma_length, constant, mirrored: mirrored.as_ref() }
+    }
+
+    /// Whether the rows are those of a closure branch of mirrored pairs.
+    #[inline(always)]
+    pub fn is_mirrored(&self) -> bool {
+        self.mirrored.is_some()
     }
 
     /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch of opposite pairs.
@@ -185,18 +195,11 @@ impl Closure {
         [pose.u_p.scaled(p), pose.u_d.scaled(d)]
     }
 
-    /// Rows of the equations out of components x and y at the tip, by links.
+    /// Rows of the equations out of components x and y at the tip, by links: with mirrored pairs the component along their axis, as the
+    /// second row.
     #[inline(always)]
-    fn rows(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
-        match &self.terms.mirrored {
-            None => at_tip,
-            Some(pairs) => self.along_axis(pairs, pose, at_tip),
-        }
-    }
-
-    /// Component along the axis of mirrored pairs, as the second row, of vectors by links. Inline, because a call would save all registers.
-    #[inline(always)]
-    fn along_axis(&self, &[one, other]: &[[Legs; 2]; 2], pose: &Pose, vectors: [Legs2; 2]) -> [Legs2; 2] {
+    fn rows<const MIRRORED: bool>(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
+        let Some(&[one, other]) = self.mirrored.filter(|_| MIRRORED) else { return at_tip };
         // The longer links are never parallel to the axis.
         let length = |[p, d]: [Legs; 2]| largest((p * self.sigma_length[0]).abs().max((d * self.sigma_length[1]).abs()));
         let [on_p, on_d] = if length(one) > length(other) { one } else { other };
@@ -204,34 +207,34 @@ impl Closure {
         let [x, y] = [sum(normal.x), sum(normal.y)];
         let length = (x * x + y * y).sqrt();
         let [x, y] = [-y / length, x / length].map(both);
-        vectors.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
+        at_tip.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
     }
 
     /// Gap Φ of the tip, m; on a closure branch of mirrored pairs only its component along the axis, as the second one.
     #[inline(always)]
-    pub fn gap(&self, mechanism: &Mechanism, pose: &Pose) -> AtTip {
-        let [p, d] = self.rows(pose, self.links(pose));
+    pub fn gap<const MIRRORED: bool>(&self, mechanism: &Mechanism, pose: &Pose) -> AtTip {
+        let [p, d] = self.rows::<MIRRORED>(pose, self.links(pose));
         [sum(SIGMA * mechanism.ground_x + p.x + d.x), sum(p.y + d.y)].into()
     }
 
     /// Φ_q by links, m.
     #[inline(always)]
-    pub fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let ([p, d], [on_p, on_d]) = (self.rows(pose, self.links(pose).map(Legs2::turned)), self.terms.constant);
+    pub fn phi_q<const MIRRORED: bool>(&self, pose: &Pose) -> [Legs2; 2] {
+        let ([p, d], [on_p, on_d]) = (self.rows::<MIRRORED>(pose, self.links(pose).map(Legs2::turned)), *self.constant);
         [on_p + p, on_d + d]
     }
 
     /// Φ_q v.
     #[inline(always)]
-    pub fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
-        at_tip(&self.phi_q(pose), legs(v)).to_array().into()
+    pub fn phi_q_times<const MIRRORED: bool>(&self, pose: &Pose, v: &Angles) -> AtTip {
+        at_tip(&self.phi_q::<MIRRORED>(pose), legs(v)).to_array().into()
     }
 
     /// Φ̇_q ω: the derivative of n̂ is a centripetal acceleration −l ω². The turning of a mirror axis adds nothing where the loop is closed.
     #[inline(always)]
-    pub fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> AtTip {
+    pub fn phi_q_dot_times<const MIRRORED: bool>(&self, pose: &Pose, v: &Angles) -> AtTip {
         let squares = legs(v).map(|w| w * w);
-        (-at_tip(&self.rows(pose, self.links(pose)), squares)).to_array().into()
+        (-at_tip(&self.rows::<MIRRORED>(pose, self.links(pose)), squares)).to_array().into()
     }
 }
 
@@ -252,8 +255,8 @@ pub struct Factor {
 impl Factor {
     /// Factorises for a pose with e, 1/kg.
     #[inline(always)]
-    pub fn new(inertia: &Inertia, closure: &Closure, pose: &Pose, regularization: f64) -> Self {
-        let ([p, d], across) = (closure.phi_q(pose), inertia.centripetal(pose));
+    pub fn new<const MIRRORED: bool>(inertia: &Inertia, closure: &Closure, pose: &Pose, regularization: f64) -> Self {
+        let ([p, d], across) = (closure.phi_q::<MIRRORED>(pose), inertia.centripetal(pose));
         let (per_p, chi) = (inertia.mobility, inertia.carried_per_p * pose.u_p.dot(pose.u_d));
         let per_r = both(1.0) / (inertia.stretched + per_p * across * across);
         let r = d - p.scaled(chi);
@@ -301,13 +304,13 @@ impl Kkt<ANGLES, CLOSURES> for Factor {
 ///
 /// ```text
 /// let pose = mechanism.pose_at(legs(&angles));
-/// let at = Equations::new((&inertia, &closure), &pose, &rates, e);
+/// let at = Equations::<false>::new((&inertia, &closure), &pose, &rates, e);
 /// let (accelerations, tip_force) = at.solve(torques);                  // Q on the links, by legs
 /// let near = at.linearised((&accelerations, &tip_force), [K, C]);      // slopes of Q
 /// let change = near.change([&d_angles, &d_rates], &d_torques);         // δα and δλ
 /// ```
 #[derive(Clone, Copy, Debug)]
-pub struct Equations<'a> {
+pub struct Equations<'a, const MIRRORED: bool = false> {
     inertia: &'a Inertia,
     closure: &'a Closure,
     pose: &'a Pose,
@@ -315,16 +318,16 @@ pub struct Equations<'a> {
     factor: Factor,
 }
 
-impl<'a> Equations<'a> {
+impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
     /// Equations at a pose and link rates, rad/s, with e of the saddle-point system, 1/kg.
     pub fn new((inertia, closure): (&'a Inertia, &'a Closure), pose: &'a Pose, rates: &'a Angles, regularization: f64) -> Self {
-        Self { inertia, closure, pose, rates, factor: Factor::new(inertia, closure, pose, regularization) }
+        Self { inertia, closure, pose, rates, factor: Factor::new::<MIRRORED>(inertia, closure, pose, regularization) }
     }
 
     /// Accelerations, rad/s², and force of the tip's closure, N, under torques on the links by legs, N·m.
     pub fn solve(&self, torques: [Legs; 2]) -> (Angles, AtTip) {
         let &Self { inertia, closure, pose, rates, factor } = self;
-        factor.solve(&inertia.with_centripetal(torques, pose, rates), &-closure.phi_q_dot_times(pose, rates))
+        factor.solve(&inertia.with_centripetal(torques, pose, rates), &-closure.phi_q_dot_times::<MIRRORED>(pose, rates))
     }
 
     /// Change of the accelerations, rad/s², by torques on the links, N·m, in addition.
@@ -350,7 +353,8 @@ impl<'a> Equations<'a> {
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
         let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
         let arms = closure.links(pose);
-        let [along_p, along_d] = closure.rows(pose, arms).map(|r| (r.x * both(lambda[0]) + r.y * both(lambda[1])).to_array());
+        let [along_p, along_d] =
+            closure.rows::<MIRRORED>(pose, arms).map(|r| (r.x * both(lambda[0]) + r.y * both(lambda[1])).to_array());
         for leg in 0..2 {
             let (p, d) = (2 * PROXIMAL + leg, 2 * DISTAL + leg);
             by_q[p][p] += along_p[leg] - on_p[leg];
@@ -361,7 +365,7 @@ impl<'a> Equations<'a> {
             by_v[p][d] -= turn_d[leg];
         }
         let (mut closure_by_q, mut closure_by_v) = ([AtTip::ZERO; ANGLES], [AtTip::ZERO; ANGLES]);
-        let rows = closure.rows(pose, arms).into_iter().zip(closure.rows(pose, arms.map(Legs2::turned)));
+        let rows = closure.rows::<MIRRORED>(pose, arms).into_iter().zip(closure.rows::<MIRRORED>(pose, arms.map(Legs2::turned)));
         for (place, (r, n)) in [PROXIMAL, DISTAL].into_iter().zip(rows) {
             let (w, a) = (legs_of(rates, place), legs_of(a, place));
             let turned = [r.x * a + n.x * w * w, r.y * a + n.y * w * w].map(|x| x.to_array());

@@ -25,7 +25,7 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    if system.stuck() != Stuck::Nothing {
+    if system.stuck() != Stuck::Nothing || system.features().special_constraints {
         let (q, v) = (*from.0 + *by, Vector::ZERO + *v);
         let (a, _, power) = equilibrium(system, (&q, &system.pose(&q), &v), regularization);
         return (a, power);

@@ -80,14 +80,23 @@ pub struct Features {
     pub may_stick: bool,
     /// Whether any force has sharp nonlinearities without an event.
     pub sharp: bool,
+    /// Whether the constraints are of a kind that is compiled apart from the others, so that evaluations leave the regular path.
+    pub special_constraints: bool,
     /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
     pub regularization_velocity: f64,
 }
 
 impl Features {
     /// Smooth forces whose work is of no interest.
-    pub const SMOOTH: Self =
-        Self { work: false, stiff: false, events: false, may_stick: false, sharp: false, regularization_velocity: f64::INFINITY };
+    pub const SMOOTH: Self = Self {
+        work: false,
+        stiff: false,
+        events: false,
+        may_stick: false,
+        sharp: false,
+        special_constraints: false,
+        regularization_velocity: f64::INFINITY,
+    };
 }
 
 /// Motion that sticking friction prevents.

@@ -70,6 +70,20 @@ impl<'a> AngleSystem<'a> {
         closure_branch.apart(legs(&q)).map(|angle| BRANCH_ARM * angle).into()
     }
 
+    /// Factor of the mass matrix on a closure branch of mirrored pairs, out of the way of others.
+    #[cold]
+    #[inline(never)]
+    fn mirrored_mass(&self, pose: &Pose, regularization: f64) -> Factor {
+        Factor::new::<true>(self.inertia(), &self.closure, pose, regularization)
+    }
+
+    /// Φ̇_q ω on a closure branch of mirrored pairs, out of the way of others.
+    #[cold]
+    #[inline(never)]
+    fn mirrored_drift(&self, pose: &Pose, v: &Angles) -> AtTip {
+        self.closure.phi_q_dot_times::<true>(pose, v)
+    }
+
     /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
     /// configuration: they turn together.
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
@@ -151,7 +165,10 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
-        let gap = self.closure.gap(self.mechanism(), pose);
+        let gap = match self.closure.is_mirrored() {
+            true => self.closure.gap::<true>(self.mechanism(), pose),
+            false => self.closure.gap::<false>(self.mechanism(), pose),
+        };
         match self.five_bar.mode.closure_branch {
             None => gap,
             Some(closure_branch) => gap + self.off_branch(closure_branch, *q),
@@ -159,11 +176,18 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> AtTip {
-        self.closure.phi_q_times(pose, v)
+        match self.closure.is_mirrored() {
+            true => self.closure.phi_q_times::<true>(pose, v),
+            false => self.closure.phi_q_times::<false>(pose, v),
+        }
     }
 
+    #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> AtTip {
-        self.closure.phi_q_dot_times(pose, v)
+        if self.closure.is_mirrored() {
+            return self.mirrored_drift(pose, v);
+        }
+        self.closure.phi_q_dot_times::<false>(pose, v)
     }
 
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
@@ -181,11 +205,14 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        Factor::new(self.inertia(), &self.closure, pose, regularization)
+        if self.closure.is_mirrored() {
+            return self.mirrored_mass(pose, regularization);
+        }
+        Factor::new::<false>(self.inertia(), &self.closure, pose, regularization)
     }
 
     fn features(&self) -> Features {
-        self.five_bar.features()
+        Features { special_constraints: self.closure.is_mirrored(), ..self.five_bar.features() }
     }
 
     fn configuration_signs(&self, pose: &Pose) -> u8 {
@@ -207,9 +234,12 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
         let State { q, v, a, lambda, .. } = at;
-        let equations = Equations::new((self.inertia(), &self.closure), pose, v, regularization);
+        let (from, solution) = ((self.inertia(), &self.closure), (a, lambda));
         let slopes = self.five_bar.slopes_of_torques(pose, self.motion(pose, q, v), by_links(legs(v)));
-        let [by_q, by_v] = equations.linearised((a, lambda), slopes).columns();
+        let [by_q, by_v] = match self.closure.is_mirrored() {
+            true => Equations::<true>::new(from, pose, v, regularization).linearised(solution, slopes).columns(),
+            false => Equations::<false>::new(from, pose, v, regularization).linearised(solution, slopes).columns(),
+        };
         Some(AccelerationTangents { by_q, by_v })
     }
 

@@ -80,7 +80,7 @@ impl FollowedScene<'_> {
         let pose = model.mechanism.pose_at(turned);
         let motion = five_bar.conditions().motion_of_links(&model.mechanism, [turned, rates], &pose);
         let (closure, rates) = (Closure::new(&model.mechanism, None), angles(rates));
-        let equations = Equations::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
+        let equations = Equations::<false>::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
         answer(&five_bar, &equations, &pose, motion)
     }
 }

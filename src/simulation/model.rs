@@ -126,6 +126,7 @@ impl Model {
             events: self.settings.follows_error() && (self.may_make_contact || may_stick),
             may_stick,
             sharp: !may_stick && any(|of| of.sharp),
+            special_constraints: false,
             regularization_velocity: properties().map(|of| of.regularization_velocity).fold(f64::INFINITY, f64::min),
         };
     }

@@ -65,7 +65,7 @@ impl State {
         // The linearised equations in the link angles.
         let [rates, alpha, turned, quickened] = [&core.v, &core.a, &q, &v].map(angles_of);
         let closure = Closure::new(&model.mechanism, None);
-        let equations = Equations::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
+        let equations = Equations::<false>::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
         let tip = AtTip::from([core.lambda[TIP_X], core.lambda[TIP_Y]]);
         let slopes = system.slopes_of_torques(&pose, at, in_link_order(&rates));
         let near = equations.linearised((&alpha, &tip), slopes);
