@@ -161,7 +161,7 @@ impl Weight {
 }
 
 /// The two equations that hold the motion: the closure of the tip, or the branch of the closure on which the motion stays. What follows
-/// from them is compiled for branches of mirrored pairs, `MIRRORED`, and for all others: these need no more than directions.
+/// from them is compiled twice: for branches of mirrored pairs, `MIRRORED`, whose rows depend on the direction of the axis, and for all others.
 #[derive(Clone, Copy, Debug)]
 pub struct Closure {
     /// Signed link lengths in Φ_q, m; 0 on a closure branch of opposite pairs.
@@ -324,7 +324,7 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
         Self { inertia, closure, pose, rates, factor: Factor::new::<MIRRORED>(inertia, closure, pose, regularization) }
     }
 
-    /// Accelerations, rad/s², and force of the tip's closure, N, under torques on the links by legs, N·m.
+    /// Accelerations, rad/s², and force of the tip's closure, N, or the multipliers of a closure branch, under torques on the links by legs, N·m.
     pub fn solve(&self, torques: [Legs; 2]) -> (Angles, AtTip) {
         let &Self { inertia, closure, pose, rates, factor } = self;
         factor.solve(&inertia.with_centripetal(torques, pose, rates), &-closure.phi_q_dot_times::<MIRRORED>(pose, rates))
@@ -336,7 +336,8 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
     }
 
     /// First-order change of the solution `(α, λ)` of these equations, with stiffness K, N·m/rad, and damping C, N·m·s/rad, of the torques
-    /// Q on links 1 to 4, K = −∂Q/∂θ and C = −∂Q/∂ω, weight included.
+    /// Q on links 1 to 4, K = −∂Q/∂θ and C = −∂Q/∂ω, weight included. On a branch of mirrored pairs the turn of the axis is left out: it
+    /// changes λ₁ alone, for its term is parallel to the first row.
     pub fn linearised(&self, (a, lambda): (&Angles, &AtTip), [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {
         let &Self { inertia, closure, pose, rates, factor } = self;
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);

@@ -60,9 +60,8 @@ pub(super) const ANYWHERE: f64 = std::f64::consts::PI * std::f64::consts::PI / 3
 pub(super) const LARGEST_RATE_VARIANCE: f64 = 1e4;
 /// Largest number of instants at which a forecast looks for a singularity: the longest horizon, 10 s, every millisecond. They take 0.3 s.
 pub(super) const MOST_CHECKS: f64 = 1e4;
-/// Largest number of Runge–Kutta steps of a point of the forecast of singularities: bounded work. A machine at 10 rad/s takes one each
-/// millisecond.
-pub(super) const MOST_STEPS_OF_POINT: u32 = 15_000;
+/// Largest number of Runge–Kutta steps of a point of the forecast of singularities, relative to that of a machine at rest: bounded work.
+pub(super) const MOST_STEPS_OF_POINT: f64 = 1.5;
 /// Standard deviation of the unknown force at the start, in torque scales.
 pub(super) const UNKNOWN_FORCE: f64 = 0.3;
 /// Regularisation of the squared input effects: next to a singularity no input is asked for a force that it cannot exert.

@@ -92,8 +92,7 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// The sample, as one of encoder i, about another motion. A motion without a history is known at present only: a past angle is
-    /// extrapolated by its rate.
+    /// The sample, as one of encoder i, about another motion, whose history is not asked: a past angle is extrapolated by its rate.
     pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
         let rate = motion.omega[MEASURED[i]];
         let angle = self.angle + self.age * rate;

@@ -83,6 +83,11 @@ pub fn unit_forces(linkage: &Linkage, at: &Frame) -> Matrix4x2<f64> {
     weighed * squared.try_inverse().unwrap_or_default()
 }
 
+/// Number of Runge–Kutta steps that h seconds at rest need.
+pub(super) fn steps_at_rest(scene: &impl Scene, h: f64) -> f64 {
+    (h * LEAST_STEP_RATES[usize::from(scene.has_stiff_forces())]).ceil()
+}
+
 /// Number of Runge–Kutta steps that h seconds from a state need.
 pub(super) fn steps(at: &Frame, near: &Linearised, scene: &impl Scene, (from, h): (&LinkState, f64)) -> u32 {
     let mut rate = LEAST_STEP_RATES[usize::from(scene.has_stiff_forces())];

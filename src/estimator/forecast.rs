@@ -163,7 +163,7 @@ impl Forecast {
 
     /// Fraction of sigma points, estimate included, whose sin(θ₃ − θ₂) changes sign within the horizon, under held inputs that include the
     /// unknown force; `step` is the time between two checks, s, longer if there would be more than [`MOST_CHECKS`]. A point that turns so
-    /// fast that it takes more than [`MOST_STEPS_OF_POINT`] counts as one that meets a singularity.
+    /// fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows counts as one that meets a singularity.
     pub(super) fn singularity_probability(
         &self,
         constants: &Constants,
@@ -183,15 +183,16 @@ impl Forecast {
         let horizon = constants.parameters.horizon.max(0.0);
         let checks = (horizon / step).ceil().min(MOST_CHECKS) as u64;
         let step = step.max(horizon / MOST_CHECKS);
+        let most = MOST_STEPS_OF_POINT * checks as f64 * flow::steps_at_rest(scene, step);
         sigma_points.spread_force();
         let own = Point { motion: *motion, force: Links::zeros() };
         let points = sigma_points.points.into_iter().chain([own]);
         let meets = |mut point: Point| {
-            let mut steps = 0;
+            let mut steps = 0.0;
             is_across(&point)
                 || (0..checks).any(|_| {
-                    steps += point.step(linkage, scene, &Links::zeros(), step);
-                    is_across(&point) || steps > MOST_STEPS_OF_POINT
+                    steps += f64::from(point.step(linkage, scene, &Links::zeros(), step));
+                    is_across(&point) || steps > most
                 })
         };
         points.filter(|point| meets(*point)).count() as f64 / (POINTS + 1) as f64

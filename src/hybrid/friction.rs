@@ -349,8 +349,8 @@ type Candidate = [StickSlip; FRICTION_PLACES];
 impl FrictionProblem {
     /// Problem of a system at q and q̇ of the places that may stick, can move and satisfy `rests`, while the others slip.
     ///
-    /// Rows are those on the motions that the closure admits: with coaxial motors the inner joints share one motion, and a remainder of
-    /// the regularisation between their rows would hold the other one.
+    /// Rows are those on the motions that the closure admits: with coaxial motors the inner joints share one motion, and the
+    /// regularisation would leave a small difference between their rows, by which they could hold the rigid rotation.
     fn new<const N: usize, const M: usize>(
         system: &impl Frictional<N, M>,
         q: &Vector<N>,

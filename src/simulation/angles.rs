@@ -70,14 +70,14 @@ impl<'a> AngleSystem<'a> {
         closure_branch.apart(legs(&q)).map(|angle| BRANCH_ARM * angle).into()
     }
 
-    /// Factor of the mass matrix on a closure branch of mirrored pairs, out of the way of others.
+    /// Factor of the mass matrix on a closure branch of mirrored pairs; never inlined, so that other motions keep their registers.
     #[cold]
     #[inline(never)]
     fn mirrored_mass(&self, pose: &Pose, regularization: f64) -> Factor {
         Factor::new::<true>(self.inertia(), &self.closure, pose, regularization)
     }
 
-    /// Φ̇_q ω on a closure branch of mirrored pairs, out of the way of others.
+    /// Φ̇_q ω on a closure branch of mirrored pairs; never inlined, so that other motions keep their registers.
     #[cold]
     #[inline(never)]
     fn mirrored_drift(&self, pose: &Pose, v: &Angles) -> AtTip {

@@ -194,6 +194,9 @@ def test_shapes_that_only_seem_hidden_are_drawn(read: Read) -> None:
         '<path opacity="0.01" d="M0 0 H10"/>',
         '<style>path { display: none } .a { display: inline }</style><path class="a" d="M0 0 H10"/>',
         '<style>@media print { path { display: none } }</style><path d="M0 0 H10"/>',
+        # Of rules of equal specificity the later one in the sheet wins, in whatever order an element names its classes.
+        '<style>.a { display: none } .b { display: inline }</style><path class="b a" d="M0 0 H10"/>',
+        '<style>path.a { display: none } path.b { display: inline }</style><path class="b a" d="M0 0 H10"/>',
     ]
     for body in bodies:
         assert box(read(body))[2] == pytest.approx(10), body

@@ -28,7 +28,7 @@ const APART: &str = "xtask/python/cofmupy.txt";
 const GROUPS: [&str; 7] = ["test", "full", "platforms", "release", "filters", "mujoco", "peers"];
 
 /// What a command needs beside the package `fivebar`, its extras and the group `test`.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(crate) enum Packages {
     /// Nothing.
     Usual,
@@ -66,14 +66,16 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
     // Commands that run at the same time wait for each other here.
     let guard = File::create(paths::in_root("target/venv.lock"))?;
     guard.lock()?;
-    let is_installed = |group: &str| fs::read_to_string(stamp(group)).is_ok_and(|text| text == pins);
+    // The environment's Python is a link, which leads nowhere once the system's has been replaced.
+    let has_python = folder().join(program("python")).exists();
+    let is_installed = |group: &str| has_python && fs::read_to_string(stamp(group)).is_ok_and(|text| text == pins);
     for group in packages.groups() {
         if !is_installed(group) {
             if *group == "test" {
                 make()?;
             }
             install(group)?;
-            if packages == Packages::Full && *group == "full" {
+            if *group == "full" {
                 process::run(
                     uv_pip_install()?.args(["--no-deps", "--target"]).arg(apart()).arg("--requirements").arg(paths::in_root(APART)),
                 )?;
@@ -117,9 +119,10 @@ pub(crate) fn apart() -> PathBuf {
     folder().join("cofmupy")
 }
 
-/// The pinned `uv`, which is installed first if it is missing. It uses the Python on the path and the machine's certificates.
+/// The pinned `uv`, which is installed first if it is missing. It uses the Python that it was installed with, and the machine's
+/// certificates.
 pub(crate) fn uv() -> Result<Command> {
-    let folder = paths::in_root("target/uv");
+    let folder = folder_of_uv();
     let pin = fs::read_to_string(paths::in_root(UV)).context(UV)?;
     let stamp = folder.join("installed");
     if fs::read_to_string(&stamp).ok().as_ref() != Some(&pin) {
@@ -152,7 +155,7 @@ fn uv_pip_install() -> Result<Command> {
 /// Makes an empty environment in the place of an older one, so that packages go that nothing names any longer.
 fn make() -> Result<()> {
     println!("making a private Python environment in {}", paths::short(&folder()));
-    process::run(uv()?.args(["venv", "--quiet", "--clear", "--python", PYTHON]).arg(folder()))
+    process::run(uv()?.args(["venv", "--quiet", "--clear", "--python"]).arg(folder_of_uv().join(program("python"))).arg(folder()))
 }
 
 /// Installs a group; with the group `test` also the package, from where it lies, with all its extras.
@@ -192,6 +195,10 @@ fn need_python() -> Result<()> {
     Ok(())
 }
 
+fn folder_of_uv() -> PathBuf {
+    paths::in_root("target/uv")
+}
+
 fn folder() -> PathBuf {
     paths::in_root("target/venv")
 }
@@ -206,10 +213,10 @@ fn stamp(group: &str) -> PathBuf {
     folder().join(group).with_extension("installed")
 }
 
-/// All that an installation follows from. The package's version is the workspace's.
+/// All that an installation follows from. The package's version is the workspace's, and its place is the checkout's.
 fn pins() -> Result<String> {
-    let mut pins = concat!("version ", env!("CARGO_PKG_VERSION"), "\n").to_owned();
-    for file in [PROJECT, LOCK, APART] {
+    let mut pins = format!("version {} in {}\n", env!("CARGO_PKG_VERSION"), paths::root().display());
+    for file in [PROJECT, LOCK, APART, UV] {
         pins += &fs::read_to_string(paths::in_root(file)).context(file)?;
     }
     Ok(pins)

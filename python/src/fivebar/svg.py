@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -587,7 +588,7 @@ def _stroke(curves: list[list[complex]], matrix: Floats) -> list[Floats]:
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.stack([points.real, points.imag, np.ones(points.shape)], axis=-1) @ matrix[:2].T
     if not np.all(np.isfinite(moved)):
-        raise FiveBarError("a point of it is not finite")
+        raise FiveBarError("a point of it is not finite in mm: its coordinates and transforms must be smaller")
     return [moved]
 
 
@@ -644,17 +645,18 @@ class _Sheet:
     """The style sheets of a drawing: selectors of one element, class or id."""
 
     def __init__(self, root: Element, said: dict[str, None]):
-        self.rules: dict[str, list[Style]] = {}
+        self.rules: dict[str, list[tuple[int, Style]]] = {}
+        """Declarations by selector, each with its place in the sheet."""
         self.known: dict[Element, Style] = {}
         text = "".join("".join(element.itertext()) for element in root.iter() if _name(element) == "style")
         text = re.sub(r"/\*.*?\*/|<!--|-->", "", text, flags=re.DOTALL)
         plain = re.sub(r"@[^{};]*+(?:;|\{(?:[^{}]|\{[^{}]*\})*+\})", "", text)
         if "@media" in text:
             said["An @media of the style sheet is left out."] = None
-        for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", plain):
+        for place, (selectors, body) in enumerate(re.findall(r"([^{}]+)\{([^{}]*)\}", plain)):
             for selector in map(str.strip, selectors.split(",")):
                 if re.fullmatch(r"\*|[\w-]*(?:[.#][\w-]+)?", selector):
-                    self.rules.setdefault(selector, []).append(_declared(body))
+                    self.rules.setdefault(selector, []).append((place, _declared(body)))
                 else:
                     said[
                         f"The rule {selector[:40]!r} of the style sheet is left out: selectors are read as path, .name, "
@@ -667,17 +669,19 @@ class _Sheet:
             name = _name(element)
             classes = element.get("class", "").split()
             mark = f"#{element.get('id')}"
-            selectors = [
-                "*",
-                name,
-                *(f".{each}" for each in classes),
-                *(f"{name}.{each}" for each in classes),
-                mark,
-                f"{name}{mark}",
-            ]
-            levels = [declared for selector in selectors for declared in self.rules.get(selector, [])] + [
-                _declared(element.get("style", ""))
-            ]
+            by_specificity = (
+                ["*"],
+                [name],
+                [f".{each}" for each in classes],
+                [f"{name}.{each}" for each in classes],
+                [mark],
+                [f"{name}{mark}"],
+            )
+            levels = []
+            for selectors in by_specificity:
+                rules = [rule for selector in selectors for rule in self.rules.get(selector, [])]
+                levels += [declared for _, declared in sorted(rules, key=itemgetter(0))]
+            levels.append(_declared(element.get("style", "")))
             style = dict(element.items())
             for important in (False, True):
                 for level in levels:

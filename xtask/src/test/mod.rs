@@ -11,7 +11,7 @@ use anyhow::{Result, bail};
 use cargo_metadata::Message;
 use python::Tests;
 use std::path::{Path, PathBuf};
-use std::thread;
+use std::thread::{self, ScopedJoinHandle};
 use steps::Steps;
 
 /// How much is checked. Each level holds the ones before it.
@@ -61,9 +61,29 @@ pub(crate) fn test(level: Level) -> Result<()> {
     if full {
         process::need("cargo xtask test --full", ".ci/setup", &FULL_NEEDS)?;
     }
+    if nightly {
+        process::need("cargo xtask test --nightly", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
+        process::need("cargo xtask test --nightly", ".ci/setup-page", &PAGE_NEEDS)?;
+    }
+    // Python packages are fetched meanwhile: the network has its own pace. A step that fails waits for them, so that none is left half installed.
+    thread::scope(|scope| {
+        let packages = if full { Packages::Full } else { Packages::Usual };
+        checked(level, scope.spawn(move || venv::python(packages).map(drop)))
+    })?;
+    if nightly {
+        platforms()?;
+        page()?;
+    }
+    if !full {
+        println!("left out here: {LEFT_OUT}");
+    }
+    Ok(())
+}
+
+/// The steps of a level; `environment` makes the Python environment.
+fn checked(level: Level, environment: ScopedJoinHandle<'_, Result<()>>) -> Result<()> {
+    let (full, nightly) = (level >= Level::Full, level == Level::Nightly);
     let mut steps = Steps::begin();
-    // Python packages are fetched meanwhile: the network has its own pace.
-    let environment = thread::spawn(move || venv::python(if full { Packages::Full } else { Packages::Usual }).map(drop));
     // Optimised programs are linked by one core: the rest goes on beside them.
     let packed = process::start("package", process::program(std::env::current_exe()?).arg("package"))?;
     let instructions = if full { Some(process::start("instructions", &mut bench::instructions())?) } else { None };
@@ -99,13 +119,6 @@ pub(crate) fn test(level: Level) -> Result<()> {
         steps.run("instructions (the rest)", || instructions.finish())?;
     }
     steps.show();
-    if nightly {
-        platforms()?;
-        page()?;
-    }
-    if !full {
-        println!("left out here: {LEFT_OUT}");
-    }
     Ok(())
 }
 
