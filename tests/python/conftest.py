@@ -19,8 +19,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PATIENCE = 300.0
 """Seconds after which something counts as hanging. No test judges speed by it: a busy machine may be many times slower than an idle one."""
 
-# Files of tests that take longest. Two processes take a file each, in the order of collection: one that begins late keeps the other
-# process waiting.
+# Files with the longest tests. Each of two processes begins with a half of all tests, and takes some of the other's when it has none left: a long test
+# that begins last would keep one process waiting.
 LONGEST = ("test_conformance.py", "test_twin_full.py", "test_wheel.py")
 
 

@@ -63,6 +63,10 @@ class Run:
         ready = [path for path in files if json.loads(path.read_text()).get("ready")]
         return [int(path.stem.rpartition("-")[2]) for path in sorted(ready, key=lambda path: path.stat().st_ctime)]
 
+    def stored(self) -> int:
+        """When the older of both stored states was stored, ns; 0 before the first."""
+        return min((path.stat().st_mtime_ns for path in (self.folder / "state").glob("*.json")), default=0)
+
     def stop(self) -> None:
         """Asks it to end, as by Ctrl-C."""
         self.process.send_signal(signal.SIGINT)
@@ -157,7 +161,8 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
         wait_until(lambda: ear.last("forecast"))
         for name in names:
             # At least one stored state further than the last kill.
-            time.sleep(1.2)
+            before = run.stored()
+            wait_until(lambda before=before: run.stored() > before)
             (pid,) = run.pids(name)
             subprocess.run(["kill", "-9", str(pid)], check=True)
             killed = time.monotonic()
@@ -165,7 +170,8 @@ def test_whatever_is_killed_is_back(names: tuple[str, ...], tmp_path: Path, fmu:
             wait_until(
                 lambda name=name, work=work, killed=killed: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05
             )
-        time.sleep(1.5)
+        before = run.stored()
+        wait_until(lambda: run.stored() > before)
         run.stop()
         summary = run.finish()
     ear.close()
@@ -436,7 +442,7 @@ def test_the_dashboard_names_an_encoder_that_has_frozen(tmp_path: Path, fmu: Pat
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> Iterator[Run]:
-    """A run that goes on until the tests have seen enough. Tests with a run of their own come before: two at once leave a browser little of two cores."""
+    """A run that goes on until the tests have seen enough."""
     with running(tmp_path_factory.mktemp("live"), fmu, scenes, "--seconds", "inf") as run:
         yield run
         run.stop()
