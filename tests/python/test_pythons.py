@@ -4,11 +4,11 @@ Part of `cargo xtask test --platforms`, because the registry takes half a minute
 """
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from conftest import REPOSITORY
 from made_wheel import build
 
 pytestmark = pytest.mark.platforms
@@ -17,17 +17,9 @@ pytestmark = pytest.mark.platforms
 @pytest.mark.parametrize("version", ["3.12", "3.13", "3.14"])
 def test_newer_pythons_have_all_dependencies(version: str, fmu: Path, tmp_path: Path) -> None:
     """Resolved by pip as for that Python, and not installed."""
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--dry-run",
-        "--ignore-installed",
-        "--only-binary",
-        ":all:",
-    ]
+    # The environment of the tests has no pip; that of uv has.
+    python = REPOSITORY / "target" / "uv" / "bin" / "python"
+    command = [python, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--only-binary", ":all:"]
     where = ["--python-version", version, "--target", str(tmp_path / "packages"), f"{build(fmu, tmp_path)}[all]"]
     done = subprocess.run([*command, *where], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
