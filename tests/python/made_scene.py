@@ -38,3 +38,24 @@ def _words(values: Values) -> dict[str, object]:
         name: known[name].item(int(value)) if known[name].type == "Enumeration" else value
         for name, value in values.items()
     }
+
+
+TABLE = {
+    "base.distance": 0.1,
+    "gravity.enabled": False,
+    "servo.enabled": True,
+    "servo.kp[1]": 20,
+    "servo.kp[2]": 20,
+    "servo.kd[1]": 0.5,
+    "servo.kd[2]": 0.5,
+}
+"""A robot on a table, by servos."""
+
+UNEVEN = {
+    "base.distance": 0.25,
+    "link[1].length": 0.2,
+    "link[2].length": 0.3,
+    "link[3].length": 0.22,
+    "link[4].length": 0.17,
+}
+"""Links of four lengths."""

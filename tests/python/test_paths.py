@@ -24,6 +24,7 @@ from fivebar.paths import Blocked, Limits
 from fivebar.pieces import Piece, Timing
 from fivebar.scene import Scene
 from instance import Instance
+from made_scene import TABLE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LOGO = REPOSITORY / "examples" / "fivebar.svg"
@@ -212,16 +213,7 @@ STOPS = {"stop.enabled": True, "stop.lower[1]": 0.9, "stop.upper[1]": 2.9, "stop
 
 def table(values: dict[str, float | bool] | None = None) -> Scene:
     """A robot on a table."""
-    base = {
-        "base.distance": 0.1,
-        "gravity.enabled": False,
-        "servo.enabled": True,
-        "servo.kp[1]": 20,
-        "servo.kp[2]": 20,
-        "servo.kd[1]": 0.5,
-        "servo.kd[2]": 0.5,
-    }
-    content = {"description": "trial", "tip.x": 0.05, "tip.y": 0.25} | base | (values or {})
+    content = {"description": "trial", "tip.x": 0.05, "tip.y": 0.25} | TABLE | (values or {})
     return scene.parse("table", json.dumps(content))
 
 

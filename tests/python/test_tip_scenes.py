@@ -14,23 +14,8 @@ from fivebar.errors import FiveBarError
 from fivebar.kinematics import WORKING_MODES, Machine, sines
 from fivebar.scene import Scene
 from instance import Instance
+from made_scene import TABLE, UNEVEN
 
-TABLE = {
-    "base.distance": 0.1,
-    "gravity.enabled": False,
-    "servo.enabled": True,
-    "servo.kp[1]": 20,
-    "servo.kp[2]": 20,
-    "servo.kd[1]": 0.5,
-    "servo.kd[2]": 0.5,
-}
-UNEVEN = {
-    "base.distance": 0.25,
-    "link[1].length": 0.2,
-    "link[2].length": 0.3,
-    "link[3].length": 0.22,
-    "link[4].length": 0.17,
-}
 LINE = {
     "tip.x": {"minimumJerk": [[0.1, -0.06], [0.6, 0.16]]},
     "tip.y": {"linear": [[0.1, 0.24], [0.35, 0.27], [0.6, 0.24]]},

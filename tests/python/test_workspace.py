@@ -19,6 +19,7 @@ from fivebar.borders import outline, stop_margin
 from fivebar.kinematics import WORKING_MODES, Machine, Working, sines
 from fivebar.scene import Scene, Variant
 from instance import Instance
+from made_scene import UNEVEN
 
 OUT: Working = ("minus", "plus")
 
@@ -39,13 +40,6 @@ STOPPED = symmetric(0.3, 0.2, 0.25) | {
     "stop.lower[1]": 0.8,
     "stop.upper[1]": 3.0,
     "stop.upper[2]": 2.2,
-}
-UNEVEN = {
-    "base.distance": 0.25,
-    "link[1].length": 0.2,
-    "link[2].length": 0.3,
-    "link[3].length": 0.22,
-    "link[4].length": 0.17,
 }
 MACHINES = {
     "paper": {},
