@@ -154,6 +154,12 @@ impl Weight {
         [pose.u_p.cross(self.0[0]), pose.u_d.cross(self.0[1])]
     }
 
+    /// Work of the force from the motor axes, J.
+    #[inline(always)]
+    pub fn work(&self, pose: &Pose) -> f64 {
+        sum(pose.u_p.dot(self.0[0]) + pose.u_d.dot(self.0[1]))
+    }
+
     /// Stiffness of the links, N·m/rad: their arms turn.
     pub fn stiffness(&self, pose: &Pose) -> ByLink {
         [pose.u_p.dot(self.0[0]), pose.u_d.dot(self.0[1])]

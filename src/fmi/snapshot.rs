@@ -39,6 +39,8 @@ pub(super) struct Warned {
     pub(super) references: bool,
     /// The loads are stiff.
     pub(super) stiffness: bool,
+    /// Steps of fixed length failed their checks.
+    pub(super) breaches: bool,
 }
 
 /// An initialised scene, with the parameters and inputs in force.

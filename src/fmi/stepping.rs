@@ -6,7 +6,7 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::StepFailure;
+use crate::simulation::{Settings, StepFailure, bindings};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
@@ -73,7 +73,7 @@ impl Instance {
         Err(CallError::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
     }
 
-    /// Warns once that servo references are not read, and once that the loads are stiff.
+    /// Warns once that servo references are not read, that the loads are stiff, and that steps of fixed length failed their checks.
     #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
         let Some(simulation) = self.now.scene.as_ref().map(Scene::simulation) else { return };
@@ -89,6 +89,17 @@ impl Instance {
                 format!(
                     "at {time:?} s: the steps of solver.method dop853 are limited by stability, not by accuracy: the loads are stiff; \
                      automatic takes longer steps."
+                )
+            });
+        }
+        if !self.now.warned.breaches && simulation.breaches() > 0 {
+            self.now.warned.breaches = true;
+            let Settings { method, step_size, .. } = simulation.parameters().settings;
+            self.log.push(Status::Warning, || {
+                format!(
+                    "at {time:?} s: a step of solver.method {} failed its checks: it changed the energy by 1 % without a force, or a \
+                     determinant's sign away from its singularity. solver.stepSize = {step_size:?} s is too long for this motion.",
+                    bindings::method_name(method)
                 )
             });
         }

@@ -27,9 +27,20 @@ const ON_RAY: [f64; 2] = [1e-4, 1e-1];
 
 impl Counters {
     fn are_countable(&self) -> bool {
-        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, sign_changes, fallbacks } =
-            self;
-        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, fallbacks];
+        let &Self {
+            steps,
+            substeps,
+            iterations,
+            rejected,
+            rescued,
+            restarts,
+            launches,
+            vertex_passes,
+            sign_changes,
+            fallbacks,
+            breaches,
+        } = self;
+        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, fallbacks, breaches];
         counters.iter().chain(&sign_changes).all(|count| *count < MOST_COUNTED)
     }
 }
@@ -38,7 +49,8 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// Checks that all values are possible and that the loop is closed. Accelerations and joint forces are those of the past, or of whoever
     /// forged the state, until the next step.
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
-        let energies = [self.work.input, self.work.dissipated, self.power.input, self.power.dissipated];
+        let Self { work, power, energy, .. } = self;
+        let energies = [work.input, work.dissipated, power.input, power.dissipated, energy.kinetic, energy.potential];
         let values = self.a.iter().chain(&self.jerk).chain(&self.lambda).chain(&energies);
         if !(self.q.is_finite() && self.v.is_finite() && values.into_iter().all(|x| x.is_finite())) {
             return Err("a coordinate, rate, acceleration, force or energy is not finite");

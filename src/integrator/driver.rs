@@ -10,6 +10,7 @@
 //!
 //! A step past a communication point, and one made again up to it, belong to the methods with dense output (`dense.rs`).
 
+use super::checks::{Books, Imbalance};
 use super::locator::{EventTrials, Probe};
 use super::{Approach, Guards, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
 
@@ -46,8 +47,10 @@ pub enum Progress {
 
 /// A step by a method, as the driver asks for it.
 pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
-    /// State at the beginning of the step.
+    /// State at the beginning of the step; after an accepted trial, where the method does not keep it, that at its end.
     fn start(&self) -> &State<N, M>;
+    /// State at the end of the accepted step.
+    fn end(&self) -> &State<N, M>;
     /// Mode at the beginning of the step.
     fn initial_mode(&self) -> S::Mode;
     /// Longest step, s.
@@ -70,24 +73,34 @@ pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
     fn shorten(&mut self, trials: &Trials, error: f64) -> Result<f64, StepError>;
 }
 
-/// Makes the next step at an error tolerance, rad. On failure the state of the method is undefined.
+/// Limits of all steps of a run.
+pub(super) struct Limits {
+    /// Thresholds of vertices.
+    pub(super) passage: PassageLimits,
+    /// Error tolerance, rad.
+    pub(super) tolerance: f64,
+    /// Admissible imbalance of the energy.
+    pub(super) imbalance: Imbalance,
+}
+
+/// Makes the next step. On failure the state of the method is undefined.
 pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,
-    (passage, tolerance): (&PassageLimits, f64),
+    limits: &Limits,
 ) -> Result<Progress, StepError> {
     /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
     const DWELL_MARGIN: f64 = 1.2;
     let mut trials = Trials { h: f64::INFINITY, rejected: None, events: EventTrials::NONE, longest: f64::INFINITY };
     loop {
-        let from = begin(method, system, tolerance);
+        let from = begin(method, system, limits.tolerance);
         let in_mode = system.on(method.initial_mode());
         if in_mode.stuck() == Stuck::Wholly {
             method.rest();
             return Ok(Progress::Done);
         }
         // A passage goes by the forces of its states, whatever the mode.
-        let near = match system.approach(passage, &method.start().departure(method.longest())) {
+        let near = match system.approach(&limits.passage, &method.start().departure(method.longest())) {
             Approach::Clear => None,
             Approach::Limited(limits) => Some(limits),
             Approach::Passed(transit) => {
@@ -98,11 +111,16 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
         trials.h = method.plan(&*in_mode, near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
+        let books = system.features().checks.then(|| Books::open(&*in_mode, &method.start().checked()));
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
+            if let (Progress::Done, Some(books)) = (end, books) {
+                let (from, to) = (method.start(), method.end());
+                books.check(&*in_mode, limits.imbalance, &to.checked(), || from.displacement(to, &*in_mode, trials.h))?;
+            }
             return Ok(end);
         }
         let State { q, v, .. } = method.start();
-        let next = in_mode.next_mode(q, v, tolerance);
+        let next = in_mode.next_mode(q, v, limits.tolerance);
         method.enter(system, next);
     }
 }

@@ -39,6 +39,24 @@ pub enum StepError {
         /// Local error of that sub-step, rad; NaN if there is no estimate.
         error: f64,
     },
+    /// The energy balance of a sub-step is off by more than its error allows.
+    Imbalance {
+        /// Energy gained beyond the work done, J.
+        off: f64,
+        /// Largest imbalance allowed, J.
+        admissible: f64,
+    },
+    /// A determinant of the Jacobians changed its sign away from its singularity.
+    SignWithoutSingularity {
+        /// Index of the determinant, see [`super::System::configuration_signs`].
+        determinant: usize,
+        /// Sine of the angle from the singularity.
+        sine: f64,
+        /// Largest sine allowed.
+        admissible: f64,
+    },
+    /// The motion left its branch of the closure.
+    BranchChange,
     /// Rejected and failed sub-steps exceeded the work limit of a macro step.
     TooMuchWork {
         /// Limit of iterations and evaluations.
@@ -73,6 +91,20 @@ impl fmt::Display for StepError {
             Self::EnergyChange { part } => {
                 write!(f, "near a constraint singularity a sub-step changed the kinetic energy by {part:.3e} (relative)")
             }
+            Self::Imbalance { off, admissible } => write!(
+                f,
+                "a sub-step changed the energy by {off:.3e} J that no force explains (allowed {admissible:.3e} J): a smaller \
+                 solver.errorTolerance or solver.stepSize may help"
+            ),
+            Self::SignWithoutSingularity { determinant, sine, admissible } => write!(
+                f,
+                "{} changed its sign where its sine is {sine:.3e} (allowed {admissible:.3e}): the motion did not pass the singularity",
+                DETERMINANTS[*determinant]
+            ),
+            Self::BranchChange => f.write_str(
+                "the motion left its branch of the closure (motors coaxial, links equal in pairs), which it cannot: solver.method \
+                 automatic stays on it",
+            ),
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::StepTooShort { substep, error } => {
                 write!(f, "a sub-step of only {substep:.3e} s still {}", LocalError(*error))
@@ -88,6 +120,10 @@ impl fmt::Display for StepError {
 }
 
 impl std::error::Error for StepError {}
+
+/// Names of the determinants of the singularities, in the order of their signs.
+const DETERMINANTS: [&str; super::CONFIGURATION_SIGNS] =
+    ["the determinant of J_x", "the bend of the left elbow", "the bend of the right elbow"];
 
 /// Shortest sub-step that a motion may ask for, s: in shorter ones nothing moves by a digit.
 const SHORTEST_OF_MOTION: f64 = 1e-15;

@@ -17,10 +17,11 @@ mod stiff_forces;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::checks::Imbalance;
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::dense_output::Interpolant;
 pub use super::driver::Progress;
-use super::driver::{self, Method, Outcome, Trials};
+use super::driver::{self, Limits, Method, Outcome, Trials};
 use super::equilibrium::project_sticking;
 use super::events::separation_loss;
 use super::locator::{self, EventCheck, Path, Probe};
@@ -99,11 +100,13 @@ impl MacroStep {
             attempt(system, settings, state, h, (&StepLimits::NONE, None))?.accept(system, state, h);
             return Ok(Progress::Done);
         }
-        let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
+        let tolerance = settings.error_tolerance;
+        let passage = PassageLimits::for_error_tolerance(tolerance);
+        let limits = Limits { passage, tolerance, imbalance: Imbalance::of_third_order(tolerance, settings.energy_scale) };
         while self.rest > 0.0 {
             self.check_work(settings)?;
             let mut substep = Substep { of: self, settings, state, mode, limits: StepLimits::NONE };
-            if let Progress::Blocked(h) = driver::step(&mut substep, system, (&passage, settings.error_tolerance))? {
+            if let Progress::Blocked(h) = driver::step(&mut substep, system, &limits)? {
                 return Ok(Progress::Blocked(h));
             }
         }
@@ -154,6 +157,10 @@ struct Substep<'a, S: Events<N>, const N: usize, const M: usize> {
 
 impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Substep<'_, S, N, M> {
     fn start(&self) -> &State<N, M> {
+        self.state
+    }
+
+    fn end(&self) -> &State<N, M> {
         self.state
     }
 

@@ -19,7 +19,10 @@ mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
+use super::checks::{Books, Checked, Imbalance};
+use super::{
+    Bounds, Counters, CutStep, Discrete, Energy, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium,
+};
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Step, from_equilibrium};
 use newton::{IterationBudget, ResidualBounds, StopRule, staggered_newton};
@@ -36,6 +39,8 @@ pub struct Settings {
     pub regularization: f64,
     /// Regularisation e of equilibrium and projections, 1/kg.
     pub equilibrium: f64,
+    /// Energy, J, that counts as in motion where the balance of a step is checked.
+    pub energy_scale: f64,
 }
 
 /// Shortest step solved by Newton's method, s; shorter ones take the Taylor series.
@@ -56,6 +61,8 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
+    /// Energy at q and q̇, from the end of a step on that is checked, until anything else changes it.
+    energy: Option<Energy>,
     /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
     /// Counters since the start.
@@ -101,7 +108,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<const M: usize, S: Discrete<N, M, K>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
-        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), history: History::NONE }
+        let counters = Counters::default();
+        Self { q, v, work: Work::default(), energy: None, configuration_signs, counters, history: History::NONE }
     }
 
     /// Notes a discontinuity of the inputs, which makes the higher differences of the history useless: a parabola is used until the
@@ -114,7 +122,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Notes a discontinuity of the motion or of the machine, which did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
-        self.history = History::NONE;
+        (self.energy, self.history) = (None, History::NONE);
         self.counters.restarts += 1;
     }
 
@@ -164,7 +172,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.iterations += u64::from(iterations);
                 let [d, v] = cut.end(end);
                 let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: S::Cut::secant(end) };
-                self.conclude(system, &over, &v, Some(S::Cut::unknowns(end)))
+                self.conclude(system, settings, &over, (&v, Some(S::Cut::unknowns(end))))
             };
             match staggered_newton(
                 &cut,
@@ -212,7 +220,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
         let to_root = (regularization, (max_iterations, StopRule::Solved));
         match step.root((step.h, 1.0), &mut x, to_root, &mut budget) {
-            Some(root) => self.accept(step, &root),
+            Some(root) => self.accept(step, settings, &root),
             None => self.recover(step, settings, begun),
         }
     }
@@ -232,16 +240,17 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             budget.left = max_work.saturating_sub(budget.spent());
         }
         let end = step.recover(settings, (&a, &lambda), &mut budget)?;
-        self.accept(step, &end)
+        self.accept(step, settings, &end)
     }
 
     /// Accepts the end of a step that was found by full Newton iteration or a fallback stage.
     fn accept<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         step: &Step<'_, S, N, M, K>,
+        settings: &Settings,
         ConservingEnd { x, d, acting, v, secant }: &ConservingEnd<S::Secant, N, K>,
     ) -> Result<(), StepError> {
-        self.conclude(step.system, &step.increment(secant, [d, acting]), v, *x)
+        self.conclude(step.system, settings, &step.increment(secant, [d, acting]), (v, *x))
     }
 
     /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted. The unknowns
@@ -249,9 +258,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     fn conclude<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         system: &S,
+        settings: &Settings,
         over: &StepIncrement<'_, S::Secant, N>,
-        v: &Vector<N>,
-        x: Option<Vector<K>>,
+        (v, x): (&Vector<N>, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let q = *over.q + *over.d;
         if !(q.is_finite() && v.is_finite() && x.is_none_or(|x| x.is_finite())) {
@@ -261,14 +270,28 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             Some(x) => self.history.remember(over.h, x),
             None => self.history = History::NONE,
         }
+        let books = system.features().checks.then(|| {
+            let energy = self.energy.unwrap_or_else(|| system.energy(&self.q, &system.pose(&self.q), &self.v));
+            (Books::open(system, &self.checked(energy)), over.h * (system.error_norm(&self.v) + system.error_norm(v)))
+        });
         if system.features().work {
             self.work = self.work.plus(1.0, system.work_over(over));
         }
         (self.q, self.v) = (q, *v);
-        let configuration_signs = system.configuration_signs(S::end(over.secant));
+        let end = S::end(over.secant);
+        let configuration_signs = system.configuration_signs(end);
         self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
         self.counters.substeps += 1;
-        Ok(())
+        let Some((books, displacement)) = books else { return Ok(()) };
+        let energy = system.energy(&self.q, end, &self.v);
+        self.energy = Some(energy);
+        books.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), || displacement)
+    }
+
+    /// The motion, as far as a step is checked, with its energy.
+    fn checked(&self, energy: Energy) -> Checked<'_, N> {
+        let &Self { ref q, ref v, work, configuration_signs, .. } = self;
+        Checked { q, v, energy, work, configuration_signs }
     }
 
     /// A step so short that q̈ changes by round-off only.
@@ -281,6 +304,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let state = self.state(system, settings.equilibrium);
         (self.q, self.v) = (self.q + h * self.v, self.v + h * state.a);
         self.work = self.work.plus(h, state.power);
+        self.energy = None;
         self.counters.substeps += 1;
         if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
     }
@@ -295,6 +319,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let History { h, known, x } = &self.history;
         if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
             return Err("the stored values of its last steps are not finite");
+        }
+        if self.energy.is_some_and(|energy| !energy.total().is_finite()) {
+            return Err("its energy is not finite");
         }
         self.state(system, regularization).check(system, bounds)
     }

@@ -3,8 +3,9 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::checks::Checked;
 use super::equilibrium::{equilibrium, equilibrium_under, project_sticking};
-use super::{Passage, StepError, Stuck, System, Work};
+use super::{Energy, Passage, StepError, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Counts of the integrator's operations since the start.
@@ -30,6 +31,8 @@ pub struct Counters {
     pub sign_changes: [u64; CONFIGURATION_SIGNS],
     /// Steps of the conserving method by the energy-only fallback, whose equations were not solved.
     pub fallbacks: u64,
+    /// Steps of fixed length that failed their checks (`checks.rs`).
+    pub breaches: u64,
 }
 
 impl Counters {
@@ -74,6 +77,8 @@ pub struct State<const N: usize, const M: usize> {
     pub work: Work,
     /// Power at the state, W; 0 unless [`super::Features::work`].
     pub power: Work,
+    /// Energy at the state; 0 unless [`super::Features::checks`].
+    pub energy: Energy,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
     /// Whether the motion is on a ray through a vertex, where no projection is made.
@@ -97,6 +102,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
+            energy: Energy::default(),
             configuration_signs,
             on_ray: false,
             alternatives: 0,
@@ -133,7 +139,20 @@ impl<const N: usize, const M: usize> State<N, M> {
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         let (a, lambda, power) = equilibrium(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        (self.lambda, self.power) = (lambda, power);
+        (self.lambda, self.power, self.energy) = (lambda, power, energy_if_checked(system, &self.q, pose, &self.v));
+    }
+
+    /// The motion, as far as a step is checked.
+    #[inline(always)]
+    pub(super) fn checked(&self) -> Checked<'_, N> {
+        let &Self { ref q, ref v, energy, work, configuration_signs, .. } = self;
+        Checked { q, v, energy, work, configuration_signs }
+    }
+
+    /// Bound on the displacement of a link, rad, on the way of `h` seconds to another state, by rates and accelerations at both.
+    pub(super) fn displacement(&self, to: &Self, system: &impl System<N, M>, h: f64) -> f64 {
+        let norm = |x: &Vector<N>| system.error_norm(x);
+        h * (norm(&self.v) + norm(&to.v) + h * (norm(&self.a) + norm(&to.a)))
     }
 
     /// Counts the determinants that have changed sign, and stores the new signs.
@@ -143,8 +162,8 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.
     pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
-        let &StepEnd { q, v, a, lambda, power, configuration_signs } = end_state;
-        (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
+        let &StepEnd { q, v, a, lambda, power, energy, configuration_signs } = end_state;
+        (self.q, self.v, self.a, self.lambda, self.power, self.energy) = (q, v, a, lambda, power, energy);
         self.on_ray = false;
         self.count_sign_changes(configuration_signs);
         self.counters.substeps += 1;
@@ -158,20 +177,33 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) a: Vector<N>,
     pub(super) lambda: Vector<M>,
     pub(super) power: Work,
+    pub(super) energy: Energy,
     pub(super) configuration_signs: u8,
+}
+
+/// Energy of a motion where steps are checked.
+#[inline(always)]
+fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    q: &Vector<N>,
+    pose: &S::Pose,
+    v: &Vector<N>,
+) -> Energy {
+    if system.features().checks { system.energy(q, pose, v) } else { Energy::default() }
 }
 
 impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with given q̈ and λ.
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
-        Self { q, v, a, lambda, power: system.forces(&q, pose, &v).1, configuration_signs: system.configuration_signs(pose) }
+        let power = system.forces(&q, pose, &v).1;
+        Self { a, lambda, power, ..Self::without_balance(system, [q, v], pose) }
     }
 
     /// End at q and q̇ with q̈ and λ from equilibrium.
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
-        Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(pose) }
+        Self { a, lambda, power, ..Self::without_balance(system, [q, v], pose) }
     }
 
     /// End at q and q̇ with q̈, λ and power set to 0.
@@ -182,6 +214,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
             a: Vector::ZERO,
             lambda: Vector::ZERO,
             power: Work::default(),
+            energy: energy_if_checked(system, &q, pose, &v),
             configuration_signs: system.configuration_signs(pose),
         }
     }

@@ -4,7 +4,7 @@ use std::ops::AddAssign;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{State, StepError};
+use super::{CONFIGURATION_SIGNS, State, StepError};
 use crate::vector::Vector;
 
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
@@ -32,6 +32,10 @@ pub trait System<const N: usize, const M: usize> {
     fn mass_times(&self, pose: &Self::Pose, x: &Vector<N>) -> Vector<N>;
     /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W; 0 unless [`Features::work`].
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work);
+    /// Kinetic energy, and potential energy of all forces but the inputs; both together change at the rate of their power.
+    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Energy {
+        Energy::default()
+    }
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
     /// Features of the forces.
@@ -42,6 +46,14 @@ pub trait System<const N: usize, const M: usize> {
     /// Signs of the singularity determinants, one bit each. A bit changes where the motion passes a singularity.
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
+    }
+    /// Sines whose signs [`System::configuration_signs`] are: of the angles by which the posture is off each singularity.
+    fn determinants(&self, _pose: &Self::Pose) -> [f64; CONFIGURATION_SIGNS] {
+        [0.0; CONFIGURATION_SIGNS]
+    }
+    /// Number of the branch of the constraints on which a motion is, where several meet and the coordinates alone do not keep it there.
+    fn branch(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<u8> {
+        None
     }
     /// Motion that sticking friction prevents.
     fn stuck(&self) -> Stuck {
@@ -82,6 +94,8 @@ pub struct Features {
     pub sharp: bool,
     /// Whether the constraints are of a kind that is compiled apart from the others, so that evaluations leave the regular path.
     pub special_constraints: bool,
+    /// Whether steps are checked against what no right step breaks (`checks.rs`).
+    pub checks: bool,
     /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
     pub regularization_velocity: f64,
 }
@@ -95,6 +109,7 @@ impl Features {
         may_stick: false,
         sharp: false,
         special_constraints: false,
+        checks: false,
         regularization_velocity: f64::INFINITY,
     };
 }
@@ -144,12 +159,6 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     /// potential.
     fn potential(&self, _q: &Vector<N>, _pose: &Self::Pose) -> Option<f64> {
         None
-    }
-
-    /// Kinetic energy plus potential energy of all forces but the inputs, J, which changes at the rate of their power
-    /// ([`System::forces`]). Called only with [`Features::stiff`] forces.
-    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
-        0.0
     }
 
     /// Generalised forces of drives (servos), if there are any. Called only with [`Features::stiff`] forces.
@@ -218,6 +227,22 @@ pub enum StickingConstraint<const N: usize> {
     },
 }
 
+/// Energy of a motion, J.
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Energy {
+    /// Kinetic energy.
+    pub kinetic: f64,
+    /// Potential energy.
+    pub potential: f64,
+}
+
+impl Energy {
+    /// Kinetic and potential energy together, J.
+    pub fn total(self) -> f64 {
+        self.kinetic + self.potential
+    }
+}
+
 /// Work integrated along the path, J, or power, W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Work {
@@ -235,6 +260,11 @@ impl AddAssign for Work {
 }
 
 impl Work {
+    /// Work that came in and was not dissipated.
+    pub(super) fn net(self) -> f64 {
+        self.input - self.dissipated
+    }
+
     /// The vector (input, dissipated).
     pub(super) fn pair(&self) -> Vector<2> {
         Vector::from([self.input, self.dissipated])

@@ -68,7 +68,7 @@ impl Pose {
     }
 
     /// Sines of the angle between the distal links and of the angles in the left and right elbow.
-    fn sines(&self) -> [f64; 3] {
+    pub fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
         let [left, right] = self.u_p.cross(self.u_d).to_array();
         [x2 * y3 - y2 * x3, left, right]

@@ -9,7 +9,9 @@ use crate::dynamics::angles::{AtTip, Closure, Equations, Factor, Inertia, in_lin
 pub(super) use crate::dynamics::angles::{angles, legs};
 use crate::effects::Motion;
 use crate::hybrid::{Frictional, Mode};
-use crate::integrator::{AccelerationTangents, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work};
+use crate::integrator::{
+    AccelerationTangents, CONFIGURATION_SIGNS, Energy, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work,
+};
 use crate::mechanism::constraints::directions_turned;
 use crate::mechanism::legs::Legs2;
 use crate::mechanism::placement::{by_legs, by_links, joint_forces};
@@ -140,6 +142,14 @@ impl<'a> AngleSystem<'a> {
         (forces, if self.features().work { power } else { Work::default() })
     }
 
+    /// Potential energy of all forces but the inputs, J. Out of line for the reason of [`Self::loaded_torques_and_power`].
+    #[inline(never)]
+    fn potential_with_effects(&self, q: Angles, directions: [Legs2; 2]) -> f64 {
+        let pose = self.mechanism().pose_along(directions);
+        let x = self.mechanism().coordinates(&pose, legs(&q));
+        self.model().potential(&x, &self.motion(&pose, &q, &Angles::ZERO))
+    }
+
     /// Motion of joints and tip.
     pub(super) fn motion(&self, pose: &Pose, q: &Angles, v: &Angles) -> Motion<'_> {
         self.five_bar.conditions().motion_of_links(self.mechanism(), [legs(q), legs(v)], pose)
@@ -190,6 +200,14 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.closure.phi_q_dot_times::<false>(pose, v)
     }
 
+    fn energy(&self, q: &Angles, pose: &Pose, v: &Angles) -> Energy {
+        let potential = match self.model().effects.is_empty() {
+            true => -self.model().weight_torques.work(pose),
+            false => self.potential_with_effects(*q, [pose.u_p, pose.u_d]),
+        };
+        Energy { kinetic: self.mass_times(pose, v).dot(v) / 2.0, potential }
+    }
+
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
         self.inertia().mass_times(pose, x)
     }
@@ -217,6 +235,10 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     fn configuration_signs(&self, pose: &Pose) -> u8 {
         self.five_bar.configuration_signs(pose)
+    }
+
+    fn determinants(&self, pose: &Pose) -> [f64; CONFIGURATION_SIGNS] {
+        pose.sines()
     }
 
     fn stuck(&self) -> Stuck {

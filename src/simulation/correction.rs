@@ -6,7 +6,7 @@ use super::model::Model;
 use super::run::{Integrator, Run};
 use crate::dynamics::angles::in_link_order;
 use crate::estimator::LinkState;
-use crate::integrator::{Implicit, System, Work};
+use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
 use crate::mechanism::coordinates::link_angles;
@@ -38,7 +38,7 @@ impl Run {
         };
         let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
             let five_bar = FiveBar::new(model, inputs, &turns);
-            five_bar.energy(q, &five_bar.pose(q), v)
+            five_bar.energy(q, &five_bar.pose(q), v).total()
         };
         let left = assembled(before, self.motion(before));
         let anew @ (q, v) = assembled(model, *motion);

@@ -4,10 +4,12 @@ use super::model::Model;
 use crate::dynamics::{Conditions, TipArm};
 use crate::effects::{Inputs, Motion, Slopes, Wrench};
 use crate::hybrid::{Frictional, Mode};
-use crate::integrator::{Events, Features, Implicit, StepError, StickingConstraint, Stuck, System, TangentPoint, Work};
+use crate::integrator::{
+    CONFIGURATION_SIGNS, Energy, Events, Features, Implicit, StepError, StickingConstraint, Stuck, System, TangentPoint, Work,
+};
 use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
-use crate::mechanism::coordinates::{THETA, largest_angle};
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+use crate::mechanism::coordinates::{THETA, angles_by_leg, largest_angle};
+use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 /// A model with the inputs and whole turns that are constant during a step.
 ///
@@ -172,16 +174,37 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.mass_times(x)
     }
 
+    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Energy {
+        let potential = match BARE || self.model.effects.is_empty() {
+            true => -q.dot(&self.model.weight),
+            false => self.model.potential(q, &self.motion(q, pose, v)),
+        };
+        Energy { kinetic: self.mass_times(pose, v).dot(v) / 2.0, potential }
+    }
+
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
         self.model.solver.factor_mass(pose, regularization)
     }
 
     fn features(&self) -> Features {
-        Features { work: self.follows_work, ..if BARE { Features::SMOOTH } else { self.model.features } }
+        let Features { checks, .. } = self.model.features;
+        Features { work: self.follows_work, checks, ..if BARE { Features::SMOOTH } else { self.model.features } }
     }
 
     fn configuration_signs(&self, pose: &Pose) -> u8 {
         pose.configuration_signs()
+    }
+
+    fn determinants(&self, pose: &Pose) -> [f64; CONFIGURATION_SIGNS] {
+        pose.sines()
+    }
+
+    fn branch(&self, q: &Coordinates, v: &Coordinates) -> Option<u8> {
+        let geometry = &self.model.mechanism.geometry;
+        if geometry.base_distance != 0.0 {
+            return None;
+        }
+        ClosureBranch::of(geometry, angles_by_leg(q), angles_by_leg(v)).map(|branch| branch as u8)
     }
 
     fn stuck(&self) -> Stuck {
@@ -252,10 +275,6 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
         self.model.conservative.then(|| self.potential_energy(q, pose))
-    }
-
-    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
     fn drive_forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Option<Coordinates> {

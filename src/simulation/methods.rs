@@ -7,6 +7,7 @@ use super::model::Model;
 use super::settings::Method;
 use super::state::Core;
 use crate::hybrid::Mode;
+use crate::integrator::checks::count_breaches;
 use crate::integrator::dense::{Scheme, Schemes};
 use crate::integrator::{Implicit, StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 
@@ -86,6 +87,7 @@ pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
                 max_work: settings.max_work,
                 regularization: CONSERVING_REGULARIZATION * regularization * settings.penalty_scale,
                 equilibrium: regularization,
+                energy_scale: energy_scale(model),
             });
         }
         Method::Dop853 => return dense(Schemes::Only(Scheme::Dop853)),
@@ -103,7 +105,7 @@ impl MacroStepMethod {
         h: f64,
     ) -> Result<(), StepError> {
         match self {
-            Self::I3alp(settings) => {
+            Self::I3alp(settings) if settings.adaptive => {
                 let mut step = i3alp::MacroStep::of(h);
                 let mut progress = step.advance(system, settings, core, mode)?;
                 while let i3alp::Progress::Blocked(h) = progress {
@@ -112,8 +114,13 @@ impl MacroStepMethod {
                 }
                 Ok(())
             }
-            Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, core, h),
-            Self::Rk4(settings) => rk4::advance(system, settings, core, h),
+            Self::I3alp(_) | Self::I3alpPrinted(_) | Self::Rk4(_) => {
+                count_breaches(system, energy_scale(system.model), core, h, |core| match self {
+                    Self::I3alp(settings) => i3alp::MacroStep::of(h).advance(system, settings, core, mode).map(drop),
+                    Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, core, h),
+                    Self::Rk4(settings) => rk4::advance(system, settings, core, h),
+                })
+            }
         }
     }
 }

@@ -187,6 +187,11 @@ impl Simulation {
         if let Integrator::Conserving(run) = &self.run.integrator { run.state.counters.fallbacks } else { 0 }
     }
 
+    /// Number of steps of fixed length that failed their checks.
+    pub fn breaches(&self) -> u64 {
+        if let Integrator::MacroStepped(run) = &self.run.integrator { run.core.counters.breaches } else { 0 }
+    }
+
     /// Number of singularities met since the start; see [`Counters::singular`].
     pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
         self.counters().singular()

@@ -127,6 +127,7 @@ impl Model {
             may_stick,
             sharp: !may_stick && any(|of| of.sharp),
             special_constraints: false,
+            checks: self.settings.checks,
             regularization_velocity: properties().map(|of| of.regularization_velocity).fold(f64::INFINITY, f64::min),
         };
     }

@@ -42,6 +42,8 @@ pub struct Settings {
     pub penalty: f64,
     /// Penalty scale κ of the default method, dimensionless.
     pub penalty_scale: f64,
+    /// Whether steps are checked against what no right step breaks.
+    pub checks: bool,
 }
 
 /// Name of the variable that selects stick-slip friction in an active effect, if any does.

@@ -6,8 +6,9 @@ use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, checked_work};
 use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
+use crate::integrator::checks::Imbalance;
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
-use crate::integrator::driver::{self, Method, Outcome, Trials};
+use crate::integrator::driver::{self, Limits, Method, Outcome, Trials};
 use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
 use crate::integrator::{EnergyBalance, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
@@ -38,6 +39,10 @@ struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
 impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Attempt<'_, S, N, M> {
     fn start(&self) -> &State<N, M> {
         &self.step.start
+    }
+
+    fn end(&self) -> &State<N, M> {
+        &self.step.end
     }
 
     fn initial_mode(&self) -> S::Mode {
@@ -213,7 +218,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.begin(system, settings, pose);
         let (wanted, scheme) = (settings.first_step, Scheme::Dop853);
         let mut attempt = Attempt { step: self, settings, pose, horizon, wanted, energy: None, scheme, linearization: None };
-        driver::step(&mut attempt, system, (&passage_limits(settings), settings.error_tolerance)).map(drop)
+        let tolerance = settings.error_tolerance;
+        let limits = Limits {
+            passage: passage_limits(settings),
+            tolerance,
+            imbalance: Imbalance::of_tolerance(tolerance, settings.energy_scale),
+        };
+        driver::step(&mut attempt, system, &limits).map(drop)
     }
 
     /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.

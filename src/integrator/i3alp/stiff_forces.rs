@@ -2,7 +2,7 @@
 //! link angles do not show; and the work of drives (`docs/method.md`, section 5.6).
 
 use super::Settings;
-use crate::integrator::{Implicit, State, StepEnd, TangentPoint, Work};
+use crate::integrator::{Implicit, State, StepEnd, TangentPoint};
 use crate::vector::Vector;
 
 /// Rate added to |q̇| in the admissible error of a rate, 1/s: a rate may be off by the sum times the error tolerance of an angle.
@@ -32,13 +32,12 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
         let filtered = filtered(system, settings, h, (pose, to), &unpredicted);
         rates = filtered.map_or(rates, |filtered| rate_error(system, h, &filtered, &to.v));
     }
-    let external_work = |work: Work| work.input - work.dissipated;
     let start_pose = system.pose(&from.q);
     let driven = drive_work(system, h, (from, &start_pose), (to, pose));
-    let before = system.energy(&from.q, &start_pose, &from.v);
-    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + driven - separated;
-    let balance = system.energy(&to.q, pose, &to.v) - before - done;
-    let off = before - settings.energy_at_start - external_work(from.work);
+    let before = system.energy(&from.q, &start_pose, &from.v).total();
+    let done = h / 2.0 * (from.power.net() + to.power.net()) + driven - separated;
+    let balance = system.energy(&to.q, pose, &to.v).total() - before - done;
+    let off = before - settings.energy_at_start - from.work.net();
     // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
     let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
     let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());

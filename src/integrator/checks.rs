@@ -1,0 +1,162 @@
+//! Checks of each step against what no right step breaks, whatever the method: the balance of energy, the signs of the singularity
+//! determinants, and the branch of the closure. `docs/checks.md` says what right steps show, and how far beyond that the bounds are.
+
+use super::{Energy, State, StepError, System, Work};
+use crate::vector::Vector;
+
+/// Admissible imbalance of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Imbalance {
+    /// As a part of the energies in motion during the step.
+    part: f64,
+    /// Energy that counts as in motion in every step, J: errors of the forces remain where little moves.
+    always: f64,
+}
+
+impl Imbalance {
+    /// Of steps whose rates are as accurate as their angles, at an error tolerance, rad, and energy scale, J.
+    pub(super) fn of_tolerance(tolerance: f64, energy_scale: f64) -> Self {
+        Self { part: 1e3 * tolerance.max(LEAST_TOLERANCE), always: energy_scale }
+    }
+
+    /// Of steps whose rates are less accurate by one order, at an error tolerance of their angles, rad, of third order, and energy scale, J.
+    pub(super) fn of_third_order(tolerance: f64, energy_scale: f64) -> Self {
+        Self { part: 1e3 * libm::cbrt(tolerance * tolerance).max(LEAST_TOLERANCE), always: energy_scale }
+    }
+
+    /// Of steps that keep the energy, by the energy scale, J.
+    pub(super) fn of_conserving(energy_scale: f64) -> Self {
+        Self { part: 1e-6, always: energy_scale }
+    }
+
+    /// Of steps whose error nothing controls, by the energy scale, J.
+    pub(super) fn of_fixed_steps(energy_scale: f64) -> Self {
+        Self { part: 1e-2, always: energy_scale }
+    }
+}
+
+/// Error tolerance, rad, below which the balance of a step is round-off.
+const LEAST_TOLERANCE: f64 = 1e-11;
+/// Round-off of energies and work, in machine epsilons of their sizes.
+const ROUND_OFF: f64 = 1e3;
+/// Distance from a singularity at which a sign may change, in displacements of a link that rates and accelerations at both ends of the
+/// step allow: two links turn, and between its ends a long step is not known.
+const REACH: f64 = 8.0;
+
+/// A motion, as far as a step is checked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Checked<'a, const N: usize> {
+    /// Coordinates, m and rad.
+    pub(super) q: &'a Vector<N>,
+    /// Velocities, m/s and rad/s.
+    pub(super) v: &'a Vector<N>,
+    /// Energy, J.
+    pub(super) energy: Energy,
+    /// Work since the start, J.
+    pub(super) work: Work,
+    /// Signs of the singularity determinants, see [`System::configuration_signs`].
+    pub(super) configuration_signs: u8,
+}
+
+/// What is noted of the beginning of a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Books {
+    energy: Energy,
+    work: Work,
+    configuration_signs: u8,
+    branch: Option<u8>,
+}
+
+impl Books {
+    /// Notes the beginning of a step.
+    #[inline(always)]
+    pub(super) fn open<const N: usize, const M: usize>(system: &impl System<N, M>, from: &Checked<'_, N>) -> Self {
+        let &Checked { q, v, energy, work, configuration_signs } = from;
+        Self { energy, work, configuration_signs, branch: system.branch(q, v) }
+    }
+
+    /// Refuses a step to `to` that no right step could be; `reach` is the largest displacement of a link in it, rad.
+    #[inline(always)]
+    pub(super) fn check<const N: usize, const M: usize>(
+        &self,
+        system: &impl System<N, M>,
+        Imbalance { part, always }: Imbalance,
+        to: &Checked<'_, N>,
+        reach: impl FnOnce() -> f64,
+    ) -> Result<(), StepError> {
+        let (before, after) = (self.energy, to.energy);
+        let done = to.work.net() - self.work.net();
+        let exchanged = after.potential - before.potential;
+        let off = after.kinetic - before.kinetic + exchanged - done;
+        let admissible = part * (before.kinetic.max(after.kinetic) + exchanged.abs() + done.abs() + always);
+        let is_balanced = off.abs() <= admissible;
+        if !is_balanced {
+            check_round_off(to, off, admissible)?;
+        }
+        if to.configuration_signs != self.configuration_signs {
+            check_signs(system, to, to.configuration_signs ^ self.configuration_signs, reach())?;
+        }
+        match self.branch {
+            Some(branch) => check_branch(system, to, branch),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Makes a step of fixed length, and counts it where it fails the checks: to compare its errors is what such steps are for.
+pub fn count_breaches<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    energy_scale: f64,
+    state: &mut State<N, M>,
+    h: f64,
+    step: impl FnOnce(&mut State<N, M>) -> Result<(), StepError>,
+) -> Result<(), StepError> {
+    if !system.features().checks {
+        return step(state);
+    }
+    let books = Books::open(system, &state.checked());
+    step(state)?;
+    let checked =
+        books.check(system, Imbalance::of_fixed_steps(energy_scale), &state.checked(), || state.displacement(state, system, h));
+    state.counters.breaches += u64::from(checked.is_err());
+    Ok(())
+}
+
+/// Refuses an imbalance of more than round-off beyond the admissible one, J.
+#[cold]
+#[inline(never)]
+fn check_round_off<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f64) -> Result<(), StepError> {
+    let (Energy { kinetic, potential }, Work { input, dissipated }) = (to.energy, to.work);
+    let sizes = kinetic + potential.abs() + input.abs() + dissipated.abs();
+    let admissible = admissible + ROUND_OFF * f64::EPSILON * sizes;
+    if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
+}
+
+/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than the motion can have gone.
+#[cold]
+#[inline(never)]
+fn check_signs<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    to: &Checked<'_, N>,
+    changed: u8,
+    reach: f64,
+) -> Result<(), StepError> {
+    let admissible = REACH * reach;
+    for (determinant, sine) in system.determinants(&system.pose(to.q)).into_iter().enumerate() {
+        if changed >> determinant & 1 == 1 && sine.abs() > admissible {
+            return Err(StepError::SignWithoutSingularity { determinant, sine, admissible });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a motion on another branch.
+#[cold]
+#[inline(never)]
+fn check_branch<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    to: &Checked<'_, N>,
+    branch: u8,
+) -> Result<(), StepError> {
+    if system.branch(to.q, to.v).is_none_or(|after| after == branch) { Ok(()) } else { Err(StepError::BranchChange) }
+}
