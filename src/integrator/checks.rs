@@ -88,10 +88,10 @@ impl Books {
         let done = to.work.net() - self.work.net();
         let exchanged = after.potential - before.potential;
         let off = after.kinetic - before.kinetic + exchanged - done;
-        let admissible = part * (before.kinetic.max(after.kinetic) + exchanged.abs() + done.abs() + always);
-        let is_balanced = off.abs() <= admissible;
+        let is_balanced = off.abs() <= part * (after.kinetic + always);
         if !is_balanced {
-            check_round_off(to, off, admissible)?;
+            let moved = before.kinetic.max(after.kinetic) + exchanged.abs() + done.abs();
+            check_imbalance(to, off, part * (moved + always))?;
         }
         if to.configuration_signs != self.configuration_signs {
             check_signs(system, to, to.configuration_signs ^ self.configuration_signs, reach())?;
@@ -125,7 +125,7 @@ pub fn count_breaches<const N: usize, const M: usize>(
 /// Refuses an imbalance of more than round-off beyond the admissible one, J.
 #[cold]
 #[inline(never)]
-fn check_round_off<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f64) -> Result<(), StepError> {
+fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f64) -> Result<(), StepError> {
     let (Energy { kinetic, potential }, Work { input, dissipated }) = (to.energy, to.work);
     let sizes = kinetic + potential.abs() + input.abs() + dissipated.abs();
     let admissible = admissible + ROUND_OFF * f64::EPSILON * sizes;

@@ -195,15 +195,17 @@ fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
 impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// End at q and q̇ with given q̈ and λ.
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
-        let power = system.forces(&q, pose, &v).1;
-        Self { a, lambda, power, ..Self::without_balance(system, [q, v], pose) }
+        let (power, energy) = (system.forces(&q, pose, &v).1, energy_if_checked(system, &q, pose, &v));
+        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose) }
     }
 
     /// End at q and q̇ with q̈ and λ from equilibrium.
+    #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
-        Self { a, lambda, power, ..Self::without_balance(system, [q, v], pose) }
+        let energy = energy_if_checked(system, &q, pose, &v);
+        Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose) }
     }
 
     /// End at q and q̇ with q̈, λ and power set to 0.

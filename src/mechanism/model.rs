@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::Coordinates;
 use super::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
-use super::legs::{Legs, SIGMA, both};
+use super::legs::{Legs, SIGMA, both, sum};
 
 /// One link: a rigid bar between two revolute joints.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -124,6 +124,17 @@ impl Mechanism {
             set_legs(&mut product, i, m * legs_of(x, i));
         }
         product
+    }
+
+    /// Kinetic energy, and potential energy of a constant force, J: both legs at once.
+    pub fn energy(&self, q: &Coordinates, v: &Coordinates, force: &Coordinates) -> [f64; 2] {
+        let (mut kinetic, mut work) = (both(0.0), both(0.0));
+        for (i, m) in self.mass_diagonal().into_iter().enumerate() {
+            let rate = legs_of(v, i);
+            kinetic += m * rate * rate;
+            work += legs_of(force, i) * legs_of(q, i);
+        }
+        [sum(kinetic) / 2.0, -sum(work)]
     }
 
     /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.

@@ -175,10 +175,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Energy {
-        let potential = match BARE || self.model.effects.is_empty() {
-            true => -q.dot(&self.model.weight),
-            false => self.model.potential(q, &self.motion(q, pose, v)),
-        };
+        if BARE {
+            let [kinetic, potential] = self.model.mechanism.energy(q, v, &self.model.weight);
+            return Energy { kinetic, potential };
+        }
+        let potential = self.model.potential(q, &self.motion(q, pose, v));
         Energy { kinetic: self.mass_times(pose, v).dot(v) / 2.0, potential }
     }
 

@@ -4,6 +4,7 @@
 mod accuracy; // orders, round-off floor, reference values in quadruple precision, constraint norms
 mod allocation; // a counting allocator: a step allocates nothing
 mod automatic; // the method that chooses its scheme: choice, time, price; tangents of accelerations
+mod checks; // checks of each step: every fault found by every kind of step, no motion changed
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
 mod coaxial; // coaxial motors: branches of the closure, and machines that are close to having them
 mod conserving; // the strictly fixed step that conserves: energy, constraints, order, every effect, bounded work

@@ -1,0 +1,260 @@
+//! What a unit checks in each of its steps: faults of every kind are found by every kind of step, in the step in which they happen; right
+//! steps pass (`measure/hard-cases`, command `checks`, runs thousands of random scenes).
+
+use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes};
+use fivebar::integrator::{
+    AccelerationTangents, CONFIGURATION_SIGNS, Energy, Events, Features, Implicit, Kkt, Passage, Path, State, StepError, System,
+    TangentPoint, dense, i3alp,
+};
+use fivebar::mechanism::COORDINATES;
+use fivebar::observers;
+use fivebar::simulation::bindings::{default_inputs, default_parameters};
+use fivebar::simulation::{Method, Parameters, Simulation};
+use fivebar::vector::Vector;
+
+/// A fault of a program.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    None,
+    /// A force that neither energy nor work know.
+    Force,
+    /// A sign that changes where its determinant is not near 0.
+    Sign,
+    /// Another branch from one side to the other.
+    Branch,
+}
+
+/// A point of unit mass in the plane on a spring of 1 N/m, which starts to the right of the origin and passes it.
+#[derive(Clone, Copy, Debug)]
+struct Oscillator(Fault);
+
+/// Factor of a mass matrix that is a number: no constraints.
+struct Scaled(f64);
+
+impl Kkt<2, 0> for Scaled {
+    fn solve(&self, b: &Vector<2>, _: &Vector<0>) -> (Vector<2>, Vector<0>) {
+        (1.0 / self.0 * *b, Vector::ZERO)
+    }
+}
+
+impl System<2, 0> for Oscillator {
+    type Pose = Vector<2>;
+    type Mass = Scaled;
+
+    fn pose(&self, q: &Vector<2>) -> Vector<2> {
+        *q
+    }
+    fn phi(&self, _: &Vector<2>, _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn phi_q_times(&self, _: &Vector<2>, _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn phi_q_dot_times(&self, _: &Vector<2>, _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn mass_times(&self, _: &Vector<2>, x: &Vector<2>) -> Vector<2> {
+        *x
+    }
+    fn forces(&self, q: &Vector<2>, _: &Vector<2>, v: &Vector<2>) -> (Vector<2>, fivebar::integrator::Work) {
+        let untold = if self.0 == Fault::Force { 0.1 * *v } else { Vector::ZERO };
+        (untold - *q, fivebar::integrator::Work::default())
+    }
+    fn energy(&self, q: &Vector<2>, _: &Vector<2>, v: &Vector<2>) -> Energy {
+        Energy { kinetic: v.dot(v) / 2.0, potential: q.dot(q) / 2.0 }
+    }
+    fn factor_mass(&self, _: &Vector<2>, _: f64) -> Scaled {
+        Scaled(1.0)
+    }
+    fn features(&self) -> Features {
+        Features { checks: true, ..Features::SMOOTH }
+    }
+    fn configuration_signs(&self, q: &Vector<2>) -> u8 {
+        u8::from(q[0] < 0.0)
+    }
+    fn determinants(&self, q: &Vector<2>) -> [f64; CONFIGURATION_SIGNS] {
+        [if self.0 == Fault::Sign { 100.0 } else { q[0] }, 0.0, 0.0]
+    }
+    fn branch(&self, q: &Vector<2>, _: &Vector<2>) -> Option<u8> {
+        Some(u8::from(self.0 == Fault::Branch && q[0] < 0.0))
+    }
+    fn acceleration_tangents(&self, _: &State<2, 0>, _: &Vector<2>, _: f64) -> Option<AccelerationTangents<2>> {
+        let by_q = [[-1.0, 0.0].into(), [0.0, -1.0].into()];
+        Some(AccelerationTangents { by_q, by_v: [Vector::ZERO; 2] })
+    }
+    fn error_norm(&self, x: &Vector<2>) -> f64 {
+        x.max_norm()
+    }
+    fn length_scale(&self) -> f64 {
+        1.0
+    }
+}
+
+impl Implicit<2, 0> for Oscillator {
+    type General = Self;
+
+    fn general(&self) -> Self {
+        *self
+    }
+    fn phi_q_transposed_times(&self, _: &Vector<2>, _: &Vector<0>) -> Vector<2> {
+        Vector::ZERO
+    }
+    fn effective_mass_times(&self, at: &TangentPoint<'_, Vector<2>, 2, 0>, x: &Vector<2>) -> Vector<2> {
+        (1.0 + at.h * at.h / 4.0) * *x
+    }
+    fn solve_tangent(
+        &self,
+        at: &TangentPoint<'_, Vector<2>, 2, 0>,
+        _: f64,
+        (b, _): (&Vector<2>, &Vector<0>),
+    ) -> Result<(Vector<2>, Vector<0>), StepError> {
+        Ok((1.0 / (1.0 + at.h * at.h / 4.0) * *b, Vector::ZERO))
+    }
+}
+
+impl Passage<2> for Oscillator {}
+
+impl Events<2> for Oscillator {
+    type Mode = ();
+    type GuardValues = ();
+
+    fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
+
+    fn path_bounds(&self, _: &Path<2>) {}
+
+    fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+}
+
+/// Motion of 2 s, by a way of taking steps, at an error tolerance, rad.
+type Taken = fn(Oscillator, f64) -> Result<(), StepError>;
+
+fn by_schemes(system: Oscillator, schemes: Schemes, error_tolerance: f64) -> Result<(), StepError> {
+    let settings = dense::Settings {
+        schemes,
+        error_tolerance,
+        energy_scale: 1.0,
+        first_step: 1e-3,
+        max_iterations: 10,
+        max_work: 400_000,
+        regularization: 0.0,
+    };
+    let mut step = DenseStep::start(&system, [1.0, 0.5].into(), [0.0, 1.0].into(), &settings);
+    step.advance(&system, &settings, 2.0, Horizon { output: f64::INFINITY, limit: f64::INFINITY }, None)
+}
+
+fn by_i3alp(system: Oscillator, error_tolerance: f64) -> Result<(), StepError> {
+    let settings = i3alp::Settings {
+        adaptive: true,
+        error_tolerance,
+        tolerance: 1e-13,
+        max_iterations: 10,
+        max_work: 400_000,
+        energy_scale: 1.0,
+        energy_at_start: 0.0,
+        regularization: 0.0,
+    };
+    let mut state = State::start(&system, [1.0, 0.5].into(), [0.0, 1.0].into(), 0.0);
+    i3alp::MacroStep::of(2.0).advance(&system, &settings, &mut state, &mut ()).map(drop)
+}
+
+const TAKEN: [(&str, Taken); 6] = [
+    ("dop853", |system, tolerance| by_schemes(system, Schemes::Only(Scheme::Dop853), tolerance)),
+    ("tsit5", |system, tolerance| by_schemes(system, Schemes::Only(Scheme::Tsit5), tolerance)),
+    ("rodas4", |system, tolerance| by_schemes(system, Schemes::Only(Scheme::Rodas4), tolerance)),
+    ("rodas5p", |system, tolerance| by_schemes(system, Schemes::Only(Scheme::Rodas5p), tolerance)),
+    ("automatic", |system, tolerance| by_schemes(system, Schemes::Automatic, tolerance)),
+    ("i3alp", by_i3alp),
+];
+
+#[test]
+fn every_fault_is_found_by_every_kind_of_step() {
+    for (name, taken) in TAKEN {
+        for tolerance in [1e-5, 1e-7, 1e-9] {
+            let found = |fault| taken(Oscillator(fault), tolerance);
+            assert_eq!(found(Fault::None), Ok(()), "{name}, {tolerance:e} rad");
+            assert!(
+                matches!(found(Fault::Force), Err(StepError::Imbalance { .. })),
+                "{name}, {tolerance:e}: {:?}",
+                found(Fault::Force)
+            );
+            assert!(matches!(found(Fault::Sign), Err(StepError::SignWithoutSingularity { determinant: 0, .. })), "{name}");
+            assert_eq!(found(Fault::Branch), Err(StepError::BranchChange), "{name}");
+        }
+    }
+}
+
+/// A run with the kinetic energy that its state stores replaced by `part` of it, as a program would leave it that had lost the rest.
+fn robbed(simulation: &Simulation, part: f64) -> Simulation {
+    let kinetic = observers::energies(simulation.model(), &simulation.state()).kinetic;
+    let mut bytes = borsh::to_vec(simulation.run()).expect("bytes");
+    let mut replaced = 0;
+    for at in 0..bytes.len() - 8 {
+        let value = f64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
+        // The last digit depends on the order of the sum.
+        if (value / kinetic - 1.0).abs() < 1e-12 {
+            bytes[at..at + 8].copy_from_slice(&(part * kinetic).to_le_bytes());
+            replaced += 1;
+        }
+    }
+    assert!(replaced > 0, "the state stores its kinetic energy");
+    Simulation::restored(simulation.parameters(), borsh::from_slice(&bytes).expect("a run")).expect("a state")
+}
+
+fn falling(method: Method, checks: bool) -> Simulation {
+    let mut parameters: Parameters = default_parameters();
+    (parameters.settings.method, parameters.settings.checks) = (method, checks);
+    let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
+    simulation.advance(&default_inputs(), 1e-3, 100).expect("steps");
+    simulation
+}
+
+/// A step that loses a thousandth of the kinetic energy is refused with its sentence, and nothing has changed.
+#[test]
+fn a_five_bar_that_loses_energy_is_stopped() {
+    for method in [Method::I3alp, Method::Dop853, Method::Automatic, Method::I3alpConserving] {
+        let sound = falling(method, true);
+        let ahead =
+            |mut simulation: Simulation| simulation.advance(&default_inputs(), 1e-3, 100).map(|()| simulation.state().core.q);
+        assert!(ahead(robbed(&sound, 1.0)).is_ok(), "{method:?}");
+        let before = robbed(&sound, 1.001);
+        let mut stopped = before.clone();
+        let failure = stopped.advance(&default_inputs(), 1e-3, 100).expect_err("a loss");
+        assert!(matches!(failure.cause, StepError::Imbalance { off, admissible } if off < -admissible), "{method:?}: {failure}");
+        assert!(failure.to_string().contains("J that no force explains"), "{failure}");
+        assert_eq!(stopped.run(), before.run(), "{method:?}");
+    }
+}
+
+/// Without checks the state stores no energy, and the motion is the same to the bit.
+#[test]
+fn checks_change_no_motion() {
+    let methods = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::Automatic, Method::I3alpConserving];
+    for method in methods {
+        let [with, without] = [true, false].map(|checks| falling(method, checks).state().core);
+        assert_eq!((with.q, with.v), (without.q, without.v), "{method:?}");
+        assert!((0..COORDINATES).all(|i| with.a[i] == without.a[i]), "{method:?}");
+    }
+}
+
+/// Steps of fixed length are counted where they fail: three of the four links turn by a tenth of a turn in each.
+#[test]
+fn steps_of_fixed_length_are_counted() {
+    for (method, adaptive) in [(Method::I3alp, false), (Method::I3alpPrinted, false), (Method::Rk4, false)] {
+        let count = |step_size: f64, checks: bool| {
+            let mut parameters = default_parameters();
+            let settings = &mut parameters.settings;
+            (settings.method, settings.adaptive, settings.step_size, settings.checks) = (method, adaptive, step_size, checks);
+            parameters.start.omega = [30.0, -25.0];
+            let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
+            for _ in 0..20 {
+                if simulation.advance(&default_inputs(), step_size, 1).is_err() {
+                    break;
+                }
+            }
+            simulation.breaches()
+        };
+        assert_eq!(count(1e-4, true), 0, "{method:?}");
+        assert!(count(2e-2, true) > 0, "{method:?}");
+        assert_eq!(count(2e-2, false), 0, "{method:?}");
+    }
+}
