@@ -84,7 +84,8 @@ impl Scene {
         let mut text = String::new();
         File::open(file).and_then(|file| file.take(LARGEST + 1).read_to_string(&mut text)).context("it cannot be read")?;
         ensure!(text.len() as u64 <= LARGEST, "it has more than {LARGEST} bytes");
-        Self::parse(name, &text)
+        // Editors of Windows put a byte order mark before a text.
+        Self::parse(name, text.strip_prefix('\u{feff}').unwrap_or(&text))
     }
 
     /// All of them, by name.

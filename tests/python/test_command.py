@@ -81,6 +81,12 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["what-if"], "fivebar what-if: Missing option '--config'"),
         (["soak", "--hours", "0"], "fivebar soak: hours are 0; more than 0"),
         (["twin", "--scene", "fly"], "fivebar twin: there is no scene 'fly'"),
+        (["twin", "--csv", "none.csv"], "fivebar twin: none.csv: it cannot be read: No such file"),
+        (["twin", "--machine", "none", "--csv", "none.csv"], "fivebar twin: none.csv: it cannot be read: No such file"),
+        (["twin", "--csv", "a.csv", "--hidden", "b.json"], "fivebar twin: hidden is b.json, which only the stand-in has"),
+        (["twin", "--machine", "none", "--hidden", "b.json"], "fivebar twin: hidden is b.json, which only the stand-in has"),
+        (["twin", "--machine", "none", "--faults", "lost=0.1"], "fivebar twin: faults are 'lost=0.1', but with --machine none"),
+        (["calibrate", "none.csv"], "fivebar calibrate: none.csv: it cannot be read: No such file"),
     ],
 )  # fmt: skip
 def test_what_is_refused_is_one_sentence(
@@ -93,12 +99,25 @@ def test_what_is_refused_is_one_sentence(
     assert list(here.iterdir()) == []
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_scene_may_have_a_byte_order_mark(encoding: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As editors of Windows write it."""
+    text = '{"description": "größer", "experiment": {"stopTime": 0.01}, "tau[1]": 0.5}'
+    Path("own.json").write_text(text, encoding=encoding)
+    assert main(["run", "own.json"]) == 0
+    assert capsys.readouterr().out.startswith("own: größer")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
     [
         ("empty", "", "it is not valid JSON: "),
         ("blank", " \n ", "it is not valid JSON: "),
-        ("binary", b"\x7fELF\xff", "it cannot be read: it is not UTF-8 from byte 4 on"),
+        (
+            "binary",
+            b"\x7fELF\xff",
+            "it cannot be read: it is not UTF-8 from byte 4 on, and text in UTF-8, or in UTF-16 with",
+        ),
         ("huge", b" " * 4_000_001, "it has more than 4000000 bytes"),
         ("deep", "[" * 100_000, "it is not valid JSON: "),
         ("list", "[]", "a scene must be an object of variable names and values"),
@@ -311,7 +330,7 @@ def test_a_run_in_python(here: Path) -> None:
         len(axes.lines) for axes in fall.plot("tip.x", "tip.y", "theta[1]").axes
     ] == [2, 1]
     header, first, *_ = fall.to_csv("fall.csv").read_text(encoding="utf-8").splitlines()
-    assert header.split(",")[:1] == ["time [s]"] and len(first.split(",")) == len(fall.names)
+    assert header.split(",")[:1] == ["time"] and len(first.split(",")) == len(fall.names)
     assert fall.animate("fall.html").stat().st_size > 20_000
     assert sorted(file.name for file in here.iterdir()) == ["fall.csv", "fall.html"]
     assert fivebar.unit().is_file() and fivebar.scenes()["swing"]

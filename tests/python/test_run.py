@@ -95,8 +95,8 @@ def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
     assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {
         file.name for file in (tmp_path / "out").iterdir()
     }
-    header = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert all(column in header for column in ("tip.fx [N]", "servo.theta[1] [rad]", "servo.omega[1] [rad/s]"))
+    header = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert all(column in header for column in ("tip.fx", "servo.theta[1]", "servo.omega[1]"))
     page = (tmp_path / "out" / "short.html").read_text(encoding="utf-8")
     data = json.loads(page.split('<script type="application/json" id="data">')[1].split("</script>")[0])
     assert data["runs"][0]["plane"] == {"normal": [0, 1], "offset": -1}
@@ -140,15 +140,15 @@ def test_csv(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     with (out / "short.csv").open(encoding="utf-8") as file:
         rows = list(csv.reader(file))
     header = rows[0]
-    assert header[0] == "time [s]" and {
-        "tip.x [m]",
-        "energy.error [J]",
-        "singular.detJq [m4]",
-        "solver.steps [1]",
+    assert header[0] == "time" and {
+        "tip.x",
+        "energy.error",
+        "singular.detJq",
+        "solver.steps",
     } <= set(header)
     table = np.array(rows[1:], dtype=float)
     assert table.shape == (101, len(header)) and np.isfinite(table).all()
-    assert table[-1, 0] == 0.2 and table[-1, header.index("solver.steps [1]")] == 200
+    assert table[-1, 0] == 0.2 and table[-1, header.index("solver.steps")] == 200
 
 
 def test_pictures(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:

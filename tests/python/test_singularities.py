@@ -179,7 +179,7 @@ def test_csv_and_count(tmp_path: Path) -> None:
     found = singularities.find(run)
     singularities.write(tmp_path / "singularities.csv", found)
     rows = (tmp_path / "singularities.csv").read_text().splitlines()
-    assert rows[0] == "time [s],kind,distal links,left leg,right leg,passage"
+    assert rows[0] == "time,kind,distal links,left leg,right leg,passage"
     assert rows[1].endswith("inverse,,stretched,,touched") and rows[2].endswith("direct,folded,,,crossed")
     assert singularities.count(found) == "1 direct, 1 inverse (1 left, 0 right), 0 combined, 0 constraint"
 

@@ -135,6 +135,32 @@ def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
         assert abs(value - truth) < 4 / 1.96 * bar, name
 
 
+def test_series_of_a_clock_that_restarts_are_fitted_together(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """Two records of the same times one behind the other: half of the rows was left out, and one series was made of the rest."""
+    names = ["payload.mass", "link[2,3].mass"]
+    first, second = (made(library, names, [1.2, 0.9], seconds) for seconds in (1.5, 1.2))
+    columns = {name: np.concatenate([first[name], second[name]]) for name in first}
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, names)
+    assert code == 0 and figures["series"] == 2 and figures["samples"] == len(columns["time"])
+    # The noise of `made` is 1e-4 rad; residuals of series that are fitted together are not larger.
+    assert max(figures["residuals_rad"]["encoder"]) < 1.2e-4
+    for name, truth in (("payload.mass", 1.2 * 0.02), ("link[2,3].mass", 0.9 * 0.017)):
+        value, bar = (next(iter(figures["unknowns"][name][key].values())) for key in ("value", "bar95"))
+        assert abs(value - truth) < 4 / 1.96 * bar, name
+
+
+def test_a_run_is_calibrated_as_it_was_written(fmu: Path, tmp_path: Path) -> None:
+    """`fivebar run` holds commands between communication points; its table needs no change."""
+    common = ["--fmu", str(fmu), "--out"]
+    assert main(["run", "pick_and_place", *common, str(tmp_path / "run")]) == 0
+    file = tmp_path / "run" / "pick_and_place.csv"
+    words = ["--scene", "pick_and_place", "--commands", "hold", "--no-proposal", *sought(["payload.mass"])]
+    assert main(["calibrate", str(file), *words, *common, str(tmp_path / "out")]) == 0
+    figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    # Another step than the run's i3alp: 1.2e-8 rad were measured.
+    assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
+
+
 def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Library, tmp_path: Path) -> None:
     """A machine that sinks freely does not tell a common factor of its masses; led by servos it would."""
     names = ["payload.mass", "link.mass", "encoder.offset[1]"]
@@ -250,6 +276,15 @@ def test_records_of_the_pipeline(tmp_path: Path) -> None:
     assert len(found.series) == 1 and found.period == pytest.approx(0.005)
     assert found.series[0].angles[:, 0].tolist() == pytest.approx([0.1 * k for k in range(30)])
     assert found.notes == ["1 malformed messages left out", "1 doubled samples"]
+
+
+def test_a_machine_whose_clock_is_set_back_has_series_that_do_not_overlap(tmp_path: Path) -> None:
+    """Pieces of a fit are found by their times: those of another series must not be among them."""
+    times = [1_000_000_000 + 5_000_000 * (k if k < 30 else k - 25) for k in range(60)]
+    messages = [Message("meas", "bench", time, k, {"measured.theta[1]": 0.1 * k}) for k, time in enumerate(times)]
+    record.write_part(tmp_path, 0, 1, [record.Row(topic("bench", "meas"), m.time, m.seq, encode(m)) for m in messages])
+    first, second = data.read(tmp_path, 0.0, 10.0).series
+    assert len(first) == len(second) == 30 and second.time[0] > first.time[-1]
 
 
 def misused(columns: dict[str, np.ndarray], how: str) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ import pytest
 
 from conftest import PATIENCE, REPOSITORY
 from conftest import started as addresses
+from fivebar import simulate
 from fivebar.twin import config as configuration
 from fivebar.twin import figures
 from fivebar.twin.ahead import Ahead
@@ -230,3 +231,14 @@ def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: P
     assert run.returncode == 0, text
     samples = json.loads((tmp_path / "summary.json").read_text())["samples"]
     assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0, "followed": 400}, text
+
+
+def test_a_recording_takes_the_place_of_any_machine(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """The table of a run, as it was written, is played to its end with its own period; with `--machine none` it was ignored."""
+    file = simulate.run(scenes / "pick_and_place.json", fmu=fmu).to_csv(tmp_path / "run.csv")
+    run = started(tmp_path / "out", fmu, scenes, "--machine", "none", "--csv", str(file), "--seconds", "inf")
+    text = run.communicate(timeout=PATIENCE)[0]
+    assert run.returncode == 0, text
+    samples = json.loads((tmp_path / "out" / "summary.json").read_text())["samples"]
+    # Every communication point of 1.6 s, each ms.
+    assert samples["published"] == samples["estimated"] == samples["followed"] == 1601 and samples["lost"] == 0, text

@@ -13,6 +13,7 @@ import numpy as np
 
 import hard_cases_in_docs
 import step_times_in_docs
+from fivebar import table
 from fivebar.pictures import STYLE, thinned
 from report import docs, figures, page, picks, sections
 from report.tables import Measurements, Table, markers, references
@@ -40,8 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not (m.precision and m.references and m.energy and m.horizon and m.steps):
         print(f"There are no tables in {data}; `cargo xtask report` measures them.", file=sys.stderr)
         return 1
-    for table in (m.effects, m.calls, m.step_times, m.hard_cases, m.peers):
-        keep_beside(table, data)
+    for measured in (m.effects, m.calls, m.step_times, m.hard_cases, m.peers):
+        keep_beside(measured, data)
     curves = {scene: curves_of(options.runs / scene, scene, data) for scene in sections.PAPER}
     with plt.rc_context(STYLE):
         write(options.folder / "index.html", m, {scene: found for scene, found in curves.items() if found})
@@ -100,12 +101,9 @@ def curves_of(folder: Path, scene: str, data: Path) -> dict[str, np.ndarray]:
     curves = {}
     own = folder / f"{scene}.csv"
     for file in [own, *sorted(folder.glob(f"{scene}.*.csv"))] if own.is_file() else []:
-        with file.open(encoding="utf-8") as lines:
-            names = [name.split(" [")[0] for name in lines.readline().strip().split(",")]
-        wanted = [names.index(name) for name in ("time", "tip.x", "tip.y")]
-        columns = np.loadtxt(file, delimiter=",", skiprows=1, usecols=wanted, unpack=True)
+        columns = table.read(file, ("tip.x", "tip.y"), "time").columns
         label = "FiveBar, default settings" if file == own else file.name[len(scene) + 1 : -len(".csv")]
-        curves[label] = np.column_stack(thinned(*columns))
+        curves[label] = np.column_stack(thinned(*(columns[name] for name in ("time", "tip.x", "tip.y"))))
     if curves:
         with (data / f"{scene}.csv").open("w", encoding="utf-8", newline="\n") as out:
             out.write("run,time [s],tip.x [m],tip.y [m]\n")

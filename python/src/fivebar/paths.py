@@ -4,7 +4,6 @@
 the tables: the unit knows the plane of the mechanism only.
 """
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from fivebar import pieces as ways
 from fivebar import scene as scenes
+from fivebar import table
 from fivebar.borders import Obstacles, borders, stop_margin
 from fivebar.demand import Demand
 from fivebar.errors import FiveBarError
@@ -423,18 +423,15 @@ def strokes_of(tip: Floats, pen: Flags) -> list[Floats]:
 
 
 def write_table(made: Plan, outcome: Outcome | None, file: FilePath) -> FilePath:
-    """Writes plan and outcome as CSV, a row per communication point; returns the file."""
-    columns = {"time [s]": made.time, "pen": made.pen.astype(int)}
-    columns |= {f"tip.{axis} [m]": made.tip[:, i] for i, axis in enumerate("xy")}
-    columns |= {f"theta[{leg}] [rad]": made.theta[:, link] for leg, link in ((1, 0), (2, 3))}
-    columns |= {f"omega[{leg}] [rad/s]": made.omega[:, leg - 1] for leg in (1, 2)}
-    columns |= {f"torque[{leg}] [N.m]": made.torque[:, leg - 1] for leg in (1, 2)}
+    """Writes plan and outcome as CSV, a row per communication point, in s, m, rad, rad/s and N.m; returns the file."""
+    columns = {"time": made.time, "pen": made.pen.astype(int)}
+    columns |= {f"tip.{axis}": made.tip[:, i] for i, axis in enumerate("xy")}
+    columns |= {f"theta[{leg}]": made.theta[:, link] for leg, link in ((1, 0), (2, 3))}
+    columns |= {f"omega[{leg}]": made.omega[:, leg - 1] for leg in (1, 2)}
+    columns |= {f"torque[{leg}]": made.torque[:, leg - 1] for leg in (1, 2)}
     if outcome is not None:
-        columns |= {f"done.{axis} [m]": outcome.tip[:, i] for i, axis in enumerate("xy")}
-        columns |= {f"servo.torque[{leg}] [N.m]": outcome.torque[:, leg - 1] for leg in (1, 2)}
-        columns |= {"off [m]": outcome.off, "late [m]": outcome.late}
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values())))
+        columns |= {f"done.{axis}": outcome.tip[:, i] for i, axis in enumerate("xy")}
+        columns |= {f"servo.torque[{leg}]": outcome.torque[:, leg - 1] for leg in (1, 2)}
+        columns |= {"off": outcome.off, "late": outcome.late}
+    table.write(file, columns, zip(*(column.tolist() for column in columns.values())))
     return file

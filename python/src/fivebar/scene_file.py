@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fivebar import signals, tip_scenes
+from fivebar import encoding, signals, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.signals import Signal
 from fivebar.variables import Value, Values, Variables, shown, similar
@@ -57,17 +57,8 @@ class Content:
 
 
 def text(file: Path) -> str:
-    """Text of a file of limited size."""
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(LARGEST + 1)
-        if len(content) > LARGEST:
-            raise FiveBarError(f"it has more than {LARGEST} bytes")
-        return content.decode("utf-8")
-    except OSError as error:
-        raise FiveBarError(f"it cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise FiveBarError(f"it cannot be read: it is not UTF-8 from byte {error.start} on") from None
+    """Text of a scene's file."""
+    return encoding.read(file, LARGEST)
 
 
 def parse(text: str) -> Any:

@@ -123,8 +123,8 @@ class Result:
         return path
 
     def to_csv(self, file: str | Path) -> Path:
-        """Writes all columns, one row per communication point, in full precision, with units in the header."""
-        table.write(Path(file), self.own)
+        """Writes all columns, one row per communication point, in full precision; `units` has their units."""
+        _write(Path(file), self.own)
         return Path(file)
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -137,7 +137,7 @@ class Result:
         files = []
         for i, run in enumerate(self.runs):
             files.append(out / (f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"))
-            table.write(files[-1], run)
+            _write(files[-1], run)
         files.append(out / "singularities.csv")
         singularities.write(files[-1], self.singularities)
         files += pictures.draw_all(out, self.scene, self.runs, self.singularities)
@@ -190,6 +190,11 @@ def run(
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     return Result(ready, runs, refused)
+
+
+def _write(file: Path, run: Run) -> None:
+    """Writes the columns of a run."""
+    table.write(file, run.columns, zip(*(column.tolist() for column in run.columns.values())))
 
 
 def _remove_earlier(out: Path, name: str) -> None:

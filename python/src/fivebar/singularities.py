@@ -6,12 +6,12 @@ a stay below `NEAR` that does not change the sign. Where singular.type says *com
 an inverse event fall together between two points, all of them are one event of the gravest kind.
 """
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from fivebar import table
 from fivebar.drive import Run
 
 NEAR = 1e-3
@@ -64,11 +64,8 @@ def alignments(run: Run) -> np.ndarray:
 
 
 def write(path: Path, events: list[Event]) -> None:
-    """Writes the events as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time [s]", "kind", *PAIRS, "passage"])
-        writer.writerows([repr(e.time), e.kind, *e.postures, e.passage] for e in events)
+    """Writes the events as CSV; times are in s."""
+    table.write(path, ["time", "kind", *PAIRS, "passage"], ([e.time, e.kind, *e.postures, e.passage] for e in events))
 
 
 def count(events: list[Event]) -> str:

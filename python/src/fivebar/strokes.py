@@ -4,17 +4,14 @@ A stroke is a chain of cubic Bézier curves, shape (n, 4, 2), in m, y upwards; l
 unless it says otherwise: an SVG by the units of its width and height, a CSV by its header, as in `x [m],y [m],pen`.
 """
 
-import csv
-import io
 import itertools
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import svg
+from fivebar import encoding, svg, table
 from fivebar.errors import FiveBarError
 
 Floats = NDArray[np.float64]
@@ -78,14 +75,7 @@ def read(file: str | Path) -> Drawing:
     if path.suffix.lower() not in kinds:
         raise FiveBarError(f"{path}: a drawing is an .svg or a .csv, not {path.suffix or 'a file without ending'}")
     try:
-        with path.open("rb") as stream:
-            content = stream.read(LARGEST + 1)
-    except OSError as error:
-        raise FiveBarError(f"{path} cannot be read: {error.strerror}") from None
-    if len(content) > LARGEST:
-        raise FiveBarError(f"{path} has more than {LARGEST} bytes")
-    try:
-        drawing = kinds[path.suffix.lower()](content)
+        drawing = kinds[path.suffix.lower()](encoding.content(path, LARGEST))
     except FiveBarError as error:
         raise FiveBarError(f"{path}: {error}") from None
     if not drawing.strokes:
@@ -116,25 +106,25 @@ def _without_points(stroke: Floats) -> list[Floats]:
 
 
 def _csv(content: bytes) -> Drawing:
-    try:
-        lines = csv.reader(io.StringIO(content.decode("utf-8-sig")))
-        rows = list(itertools.islice((row for row in lines if any(cell.strip() for cell in row)), MOST_CURVES + 3))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FiveBarError(f"it is no CSV: {error}") from None
+    rows = list(itertools.islice(table.rows(encoding.decoded(content)), MOST_CURVES + 3))
     scale = MM
     if rows and not _is_number(rows[0][0]):
         scale, rows = _unit_of(rows[0]), rows[1:]
     if len(rows) > MOST_CURVES + 1:
         raise FiveBarError(f"it has more than {MOST_CURVES} lines")
-    table = []
-    for number, row in enumerate(rows, 1):
-        if len(row) not in (2, 3) or not all(map(_is_number, row)) or (len(row) == 3 and float(row[2]) not in (0, 1)):
+    given = []
+    for count, row in enumerate(rows, 1):
+        if (
+            len(row) not in (2, 3)
+            or not all(map(_is_number, row))
+            or (len(row) == 3 and table.number(row[2]) not in (0, 1))
+        ):
             raise FiveBarError(
-                f"row {number} is {','.join(row)!r}: it must be x,y or x,y,pen, with pen 1 on the way there or 0"
+                f"row {count} is {','.join(row)!r}: it must be x,y or x,y,pen, with pen 1 on the way there or 0"
             )
-        table.append((float(row[0]), float(row[1]), float(row[2]) if len(row) == 3 else 1.0))
+        given.append((table.number(row[0]), table.number(row[1]), table.number(row[2]) if len(row) == 3 else 1.0))
     strokes, begin = [], 0
-    points = np.array(table).reshape(-1, 3)
+    points = np.array(given).reshape(-1, 3)
     lifted = [*np.flatnonzero(points[1:, 2] == 0) + 1, len(points)]
     if len(lifted) > MOST_STROKES:
         raise FiveBarError(f"it has more than {MOST_STROKES} strokes")
@@ -147,9 +137,9 @@ def _csv(content: bytes) -> Drawing:
 
 def _unit_of(header: list[str]) -> float:
     """The unit of a header's columns, in m."""
-    found = [re.fullmatch(r"\s*([a-z.]+)\s*(?:\[(\w+)\])?\s*", cell) for cell in header]
-    names = [match[1].removeprefix("tip.") if match else None for match in found]
-    units = {match[2] or "mm" for match in found[:2] if match}
+    found = [table.named(cell) for cell in header]
+    names = [name.removeprefix("tip.") for name, _ in found]
+    units = {unit or "mm" for _, unit in found[:2]}
     if names not in (["x", "y"], ["x", "y", "pen"]) or len(units) != 1 or not units <= set(UNITS):
         raise FiveBarError(
             f"its header is {','.join(header)!r}: it must be as 'x [mm],y [mm],pen', with one of the units {', '.join(UNITS)}"
@@ -159,6 +149,6 @@ def _unit_of(header: list[str]) -> float:
 
 def _is_number(text: str) -> bool:
     try:
-        return bool(np.isfinite(float(text)))
+        return bool(np.isfinite(table.number(text)))
     except ValueError:
         return False

@@ -1,13 +1,139 @@
-"""Writes the samples of a run as CSV, in full precision, with the units in the header."""
+"""Tables as CSV: a head with a name for each column, then rows.
 
+They are written with commas, numbers in full precision, and plain names, so that every reader of CSV finds a variable by its name. They are
+read as spreadsheets and loggers write them as well: with commas, semicolons or tabs between the columns, with a decimal comma, with units in
+brackets behind the names, and in any encoding that `fivebar.encoding` knows.
+"""
+
+import csv
+import re
+from array import array
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from itertools import chain
 from pathlib import Path
 
-from fivebar.drive import Run
+import numpy as np
+from numpy.typing import NDArray
+
+from fivebar import encoding
+from fivebar.errors import FiveBarError
+
+LARGEST = 1_000_000_000
+"""Bytes of a table that is read, at most."""
+
+MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null"))
+"""Cells without a number, in small letters."""
+
+UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
+"""A name and its unit; a number in brackets right behind a name, as in `theta[1]`, belongs to the name."""
 
 
-def write(path: Path, run: Run) -> None:
-    """One row per communication point; `repr` gives back every bit of a double."""
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(f"{name} [{run.units[name]}]" for name in run.columns) + "\n")
-        for row in zip(*(column.tolist() for column in run.columns.values())):
-            file.write(",".join(map(repr, row)) + "\n")
+@dataclass(frozen=True)
+class Table:
+    """Columns of numbers, NaN where a cell is empty or not finite."""
+
+    columns: dict[str, NDArray[np.float64]]
+    """Those that were asked for, (n) each."""
+
+    units: dict[str, str]
+    """By name, where the head has them."""
+
+    others: list[str]
+    """Names of the columns that were not asked for."""
+
+
+def read(file: Path, wanted: Collection[str], counted: str) -> Table:
+    """The columns `wanted` of a table, as far as it has them; those of a file that is refused, with one sentence, are named.
+
+    The column `counted` begins at 0. Its numbers are subtracted as decimals, for behind 1e9 floats have steps of 1e-7.
+    """
+    try:
+        return _parse(encoding.read(file, LARGEST), wanted, counted)
+    except FiveBarError as error:
+        raise FiveBarError(f"{file}: {error}") from None
+
+
+def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
+    lines = rows(text)
+    head = [named(cell) for cell in next(lines, [])]
+    names = [name for name, _ in head]
+    for name in filter(None, names):
+        if names.count(name) > 1:
+            raise FiveBarError(f"it has {names.count(name)} columns {name}; each name may stand in the head once")
+    places = {name: place for place, name in enumerate(names) if name in wanted and name != counted}
+    found = {name: array("d") for name in places}
+    begin, at = names.index(counted) if counted in names else None, array("d")
+    origin: Decimal | None = None
+    for count, row in enumerate(lines, 1):
+        if len(row) != len(head):
+            comma = "; a decimal comma needs semicolons or tabs between the columns" if len(row) > len(head) else ""
+            raise FiveBarError(f"row {count} has {len(row)} cells, and the head {len(head)}{comma}")
+        name = counted
+        try:
+            if begin is not None:
+                value = _decimal(row[begin])
+                origin = value if origin is None and value.is_finite() else origin
+                at.append(np.nan if origin is None or not value.is_finite() else float(value - origin))
+            for name, place in places.items():
+                found[name].append(number(row[place]))
+        except (InvalidOperation, ValueError):
+            cell = row[names.index(name)]
+            raise FiveBarError(f"{name} in row {count} is {cell!r:.60}, which is no number") from None
+    columns = {name: np.array(column) for name, column in found.items()}
+    for column in columns.values():
+        column[~np.isfinite(column)] = np.nan
+    if begin is not None:
+        columns[counted] = np.array(at)
+    units = {name: unit for name, unit in head if unit}
+    return Table(columns, units, [name for name in names if name and name not in columns])
+
+
+def rows(text: str) -> Iterator[list[str]]:
+    """The cells of each row that is not blank."""
+    lines = (line[0] for line in re.finditer(r".+\n?|\n", text.replace("\r\n", "\n").replace("\r", "\n")))
+    first = next((line for line in lines if line.strip()), "")
+    separator = next((each for each in "\t;" if each in first), ",")
+    try:
+        for row in csv.reader(chain([first], lines), delimiter=separator, skipinitialspace=True, strict=True):
+            if "".join(row).strip():
+                yield row
+    except csv.Error as error:
+        raise FiveBarError(f"it is no CSV: {error}") from None
+
+
+def named(cell: str) -> tuple[str, str]:
+    """The name of a column and its unit, "" where the head has none."""
+    found = UNIT.fullmatch(cell.strip())
+    return (found[1], found[2].strip()) if found else (cell.strip(), "")
+
+
+def number(cell: str) -> float:
+    """The number in a cell, with a point or a comma, or NaN if there is none. Raises ValueError if there is something else."""
+    try:
+        return float(cell)
+    except ValueError:
+        return float(_pointed(cell))
+
+
+def _decimal(cell: str) -> Decimal:
+    """The same, as a decimal. Raises InvalidOperation."""
+    try:
+        return Decimal(cell)
+    except InvalidOperation:
+        return Decimal(_pointed(cell))
+
+
+def _pointed(cell: str) -> str:
+    """A number as Python reads it."""
+    text = cell.strip().lower()
+    return "nan" if text in MISSING else text.replace(",", ".")
+
+
+def write(file: Path, names: Iterable[str], lines: Iterable[Sequence[object]]) -> None:
+    """Writes a table; numbers have the digits that give back every bit of a double."""
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(lines)

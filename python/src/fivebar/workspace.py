@@ -3,7 +3,6 @@
 `compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures, `fivebar.map_page.write` a page.
 """
 
-import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import statics
+from fivebar import statics, table
 from fivebar.borders import Curve, Obstacles, bends_like, direct_curves, stop_curves, stop_margin, stretches
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import WORKING_MODES, Circle, Machine, Sign, Working, sines
@@ -289,29 +288,26 @@ def _roomiest(
 
 
 def write(survey: Map, folder: str | FilePath) -> list[FilePath]:
-    """Writes `field.csv`, `loci.csv`, `discs.csv` and, where there is a motion, `path.csv` into a folder; returns the files."""
+    """Writes `field.csv`, `loci.csv`, `discs.csv` and, where there is a motion, `path.csv` into a folder, in s, m, rad and N; returns the files."""
     directory = FilePath(folder)
     directory.mkdir(parents=True, exist_ok=True)
-    angles = [f"{name} [rad]" for name in ANGLES]
     tables: dict[str, tuple[list[str], Iterable[Sequence[object]]]] = {
         "field.csv": (
-            ["working", "x [m]", "y [m]", "assembly", *angles, "dexterity [1]", "within_stops", "force [N]"],
+            ["working", "x", "y", "assembly", *ANGLES, "dexterity", "within_stops", "force"],
             _field_rows(survey),
         ),
-        "loci.csv": (["working", "kind", "detail", "piece", "x [m]", "y [m]", *angles], _locus_rows(survey)),
+        "loci.csv": (["working", "kind", "detail", "piece", "x", "y", *ANGLES], _locus_rows(survey)),
         "discs.csv": (
-            ["working", "assembly", "x [m]", "y [m]", "radius [m]"],
+            ["working", "assembly", "x", "y", "radius"],
             ([mode.name, disc.assembly, *disc[1:]] for mode in survey.modes for disc in mode.discs),
         ),
     }
     if survey.path is not None:
         rows = np.column_stack([survey.path.time, survey.path.tip, survey.path.theta]).tolist()
-        tables["path.csv"] = (["time [s]", "x [m]", "y [m]", *angles], rows)
+        tables["path.csv"] = (["time", "x", "y", *ANGLES], rows)
     for name, (header, rows) in tables.items():
-        with (directory / name).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows([f"{value:.9g}" if isinstance(value, float) else value for value in row] for row in rows)
+        short = ([f"{value:.9g}" if isinstance(value, float) else value for value in row] for row in rows)
+        table.write(directory / name, header, short)
     return [directory / name for name in tables]
 
 

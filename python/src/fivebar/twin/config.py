@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from fivebar import encoding
+from fivebar.errors import FiveBarError
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import UNIT_NAME
 
@@ -142,12 +144,9 @@ def _of(kind: type[T], content: Any, file: Path, **parts: Any) -> T:
 def read_json(file: Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
     """An object from a file of limited size."""
     try:
-        with file.open("rb") as stream:
-            text = stream.read(largest + 1)
-    except OSError as error:
-        raise TwinError(f"{file} cannot be read: {error.strerror}") from None
-    if len(text) > largest:
-        raise TwinError(f"{file} has more than {largest} bytes")
+        text = encoding.read(file, largest)
+    except FiveBarError as error:
+        raise TwinError(f"{file}: {error}") from None
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -5,7 +5,6 @@ been. A real one takes its place by publishing the same message; docs/pipeline.m
 """
 
 import base64
-import csv
 import json
 import logging
 import math
@@ -13,16 +12,17 @@ import random
 import time
 from collections import deque
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from fivebar.scene_file import OFFSETS
-from fivebar.twin import priority, process, scene
+from fivebar.twin import priority, process, recording, scene
 from fivebar.twin.bus import Bus
 from fivebar.twin.config import Config, Faults, read_json
 from fivebar.twin.errors import TwinError
-from fivebar.twin.follower import Book, Rider
+from fivebar.twin.follower import LONGEST_GAP, Book, Rider
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
 from fivebar.twin.setup import Setup
 from fivebar.twin.unit import Library, Reader
@@ -33,8 +33,8 @@ STORE_EVERY: Final = 200
 LEAD_NS: Final = 100_000_000
 """Nanoseconds between the start of a machine and its first sample."""
 
-LARGEST_CSV: Final = 2_000_000
-"""Rows of a recording that are played at most."""
+PAUSE: Final = LONGEST_GAP + 1.0
+"""s between two series of a recording that is played: the twin starts anew after it."""
 
 log = logging.getLogger("fivebar")
 
@@ -140,56 +140,34 @@ class StandIn:
         self.rider.unit.close()
 
 
-class Recording:
-    """The samples of a CSV: columns time (s), measured.theta[1], measured.theta[2], and further fields of `meas`."""
+class Player:
+    """The samples of a recording at their times; series one after another, with a pause in which the twin gives up following."""
 
     def __init__(self, config: Config):
-        self.config, self.seq, self.start_ns = config, 0, 0
-        file = Path(config.machine.csv)
-        try:
-            with file.open(newline="", encoding="utf-8") as stream:
-                rows = [row for row, _ in zip(csv.DictReader(stream), range(LARGEST_CSV + 1), strict=False)]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise TwinError(f"{file} cannot be read as CSV: {error}") from None
-        if len(rows) > LARGEST_CSV:
-            raise TwinError(f"{file} has more than {LARGEST_CSV} rows")
-        if not rows or "time" not in rows[0] or not any(name in rows[0] for name in MEASURED):
-            raise TwinError(f"{file} has no rows with time and measured.theta[1] or measured.theta[2]")
-        try:
-            self.samples = [
-                (
-                    float(row["time"]),
-                    {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")},
-                )
-                for row in rows
-            ]
-        except ValueError as error:
-            raise TwinError(f"{file}: {error}") from None
-        for number, (at, fields) in enumerate(self.samples, 1):
-            for name, value in (("time", at), *fields.items()):
-                if not math.isfinite(value):
-                    raise TwinError(f"{file}: {name} of row {number} is {value}, not a finite number")
+        self.config, self.start_ns = config, 0
+        self.recording = recording.read(Path(config.machine.csv))
+        steps = np.diff(self.recording.time)
+        steps[np.array(self.recording.begins, dtype=int) - 1] = PAUSE
+        self.times = np.round(1e9 * np.concatenate([[0.0], np.cumsum(steps)])).astype(np.int64)
+        """ns from the first sample."""
+
+        counts = np.maximum(1, np.round(steps / config.period).astype(np.int64))
+        self.numbers = np.concatenate([[0], np.cumsum(counts)])
+        """What the machine would have counted, lost samples too."""
+
+        self.row = 0
+
+    @property
+    def seq(self) -> int:
+        """The number of the next sample; after the last one, the number behind it."""
+        return int(self.numbers[self.row]) if self.row < len(self.numbers) else int(self.numbers[-1]) + 1
 
     def check(self) -> None:
         """Refuses a recording of which no machine can be followed, as a calibration does."""
-        # Tables of a calibration need packages that the process of the machine does without.
-        import numpy as np
-
+        # It needs packages that the process of the machine does without.
         from fivebar.twin.calibrate import data
 
-        file, times = Path(self.config.machine.csv), [at for at, _ in self.samples]
-        for number, (before, at) in enumerate(pairwise(times), 2):
-            if not at > before:
-                raise TwinError(f"{file}: time of row {number} is {at!r} s after {before!r} s; times must rise")
-        time = np.array(times) - times[0]
-        table = {
-            name: np.array([fields.get(name, math.nan) for _, fields in self.samples]) for name in (*MEASURED, *INPUTS)
-        }
-        data.check_units(file, time, table)
-        series = data.split(time, table, [])
-        if not series.series:
-            raise TwinError(f"{file} has no series of 20 samples or more without a gap")
-        data.check(series)
+        data.check(data.split(self.recording))
 
     def store(self) -> bytes:
         """From which it goes on."""
@@ -200,13 +178,15 @@ class Recording:
         self.start_ns = int(read_json(file)["start"])
 
     def next(self) -> Message | None:
-        """The next sample, or None after the last one."""
-        if self.seq >= len(self.samples):
-            return None
-        at, fields = self.samples[self.seq]
-        self.seq += 1
-        first = self.samples[0][0]
-        return Message("meas", self.config.unit, self.start_ns + round(1e9 * (at - first)), self.seq - 1, fields)
+        """The next sample that has an angle, or None after the last one."""
+        while self.row < len(self.times):
+            row, seq = self.row, self.seq
+            self.row += 1
+            values = {name: float(column[row]) for name, column in self.recording.columns.items()}
+            fields = {name: values[name] for name in MEAS_FIELDS if math.isfinite(values.get(name, math.nan))}
+            if any(name in fields for name in MEASURED):
+                return Message("meas", self.config.unit, self.start_ns + int(self.times[row]), seq, fields)
+        return None
 
     def close(self) -> None:
         """Nothing is left open."""
@@ -252,7 +232,7 @@ def run(file: Path) -> int:
     stop, disk = process.Stop(), process.Disk()
     status = process.Status(config, "machine", disk)
     library = None if config.machine.csv else Library(Path(config.fmu))
-    source: StandIn | Recording = Recording(config) if library is None else StandIn(config, library)
+    source: StandIn | Player = Player(config) if library is None else StandIn(config, library)
     file = config.path / "state" / "machine.json"
     mangler = Mangler(config.machine.faults, config.machine.seed)
     bus = Bus(config.broker, config.unit, "machine", (), lambda *_: None)

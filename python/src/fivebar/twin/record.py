@@ -24,6 +24,9 @@ TYPES: Final[dict[str, pa.DataType]] = {
 }
 SCHEMA: Final = pa.schema(TYPES)
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
+MAGIC: Final = b"PAR1"
+"""Begin of a file of Parquet."""
+
 LARGEST_RECORD: Final = 64_000_000_000
 """Bytes of a record that is read at most."""
 
@@ -65,6 +68,17 @@ def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
         beside.unlink(missing_ok=True)
         raise
     return path
+
+
+def is_record(file: Path) -> bool:
+    """Whether a file or folder is a record, and no table."""
+    if file.is_dir() or file.suffix.lower() == ".parquet":
+        return True
+    try:
+        with file.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 def parts(record: Path) -> list[Path]:

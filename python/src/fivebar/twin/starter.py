@@ -21,14 +21,17 @@ from typing import Any, Final
 
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import config as configuration
-from fivebar.twin import priority, scene, setup
+from fivebar.twin import priority, recording, scene, setup
 from fivebar.twin.config import Broker, Config, Faults, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import Follower
-from fivebar.twin.machine import Recording, StandIn
+from fivebar.twin.machine import Player, StandIn
 from fivebar.twin.messages import MEASURED, Message
 from fivebar.twin.process import STATUS_EVERY
 from fivebar.twin.unit import Library, UnitError
+
+SHORTEST_PERIOD: Final = 1e-4
+"""s between two samples, at least."""
 
 READY_WITHIN: Final = 20.0
 """Seconds that a process may take to be ready."""
@@ -97,6 +100,11 @@ class Options:
 
     open: bool
     """Whether to show the dashboard and keep running."""
+
+    @property
+    def publishes(self) -> bool:
+        """Whether this run has a machine of its own: a recording, or the stand-in."""
+        return self.csv is not None or self.machine != "none"
 
 
 @dataclass
@@ -342,6 +350,14 @@ def configure(options: Options, folder: Path) -> Config:
     """The configuration of a run that keeps what it writes in that folder."""
     if not options.seconds > 0:
         raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
+    if options.hidden is not None and (options.csv or options.machine == "none"):
+        raise TwinError(
+            f"hidden is {options.hidden}, which only the stand-in has: neither --csv nor --machine none goes with it"
+        )
+    if options.faults and not options.publishes:
+        raise TwinError(
+            f"faults are {options.faults!r:.60}, but with --machine none nothing is sent that could have them"
+        )
     password = os.environ.get("FIVEBAR_PASSWORD", "")
     if options.broker:
         host, port = configuration.host_and_port(options.broker)
@@ -360,6 +376,7 @@ def configure(options: Options, folder: Path) -> Config:
         for name in secret.keys() - OFFSETS:
             library.variable(name)
         csv = str(options.csv.resolve()) if options.csv else ""
+        period = sampling(options.csv) if options.csv else Config.period
     finally:
         library.close()
     machine = Machine(hidden=secret, csv=csv, faults=parse_faults(options.faults))
@@ -371,10 +388,19 @@ def configure(options: Options, folder: Path) -> Config:
         broker=broker,
         machine=machine,
         dashboard_port=free_port(),
+        period=period,
         twin=twin,
     )
     configuration.check(config)
     return config
+
+
+def sampling(csv: Path) -> float:
+    """The usual distance of two samples of a recording, s."""
+    period = round(recording.read(csv).period, 9) or Config.period
+    if period < SHORTEST_PERIOD:
+        raise TwinError(f"{csv} has a sample every {period:g} s (median); {SHORTEST_PERIOD:g} s or more is expected")
+    return period
 
 
 def check_followed(config: Config, stand_in: bool) -> None:
@@ -388,9 +414,9 @@ def check_followed(config: Config, stand_in: bool) -> None:
         }
         sample: Message | None = Message("meas", config.unit, 0, 0, known.shown(begin | known.told(0.0)))
         if stand_in:
-            machine: Recording | StandIn
+            machine: Player | StandIn
             if config.machine.csv:
-                machine = Recording(config)
+                machine = Player(config)
                 machine.check()
             else:
                 try:
@@ -429,11 +455,11 @@ def run(options: Options) -> int:
     with tempfile.TemporaryDirectory() as before:
         config = configure(options, Path(before))
         check_broker(config.broker)
-        check_followed(config, options.machine != "none")
+        check_followed(config, options.publishes)
     folder = run_folder(options.out)
     config = configure(options, folder)
     names = tuple(
-        n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.machine != "none")
+        n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or options.publishes)
     )
     run = Run(config, names)
     asked = Asked()

@@ -2,34 +2,25 @@
 
 import math
 from dataclasses import dataclass, replace
-from decimal import Decimal, InvalidOperation
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
 
-from fivebar.twin import record
+from fivebar.twin import record, recording
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, decode
-
-LARGEST_CSV: Final = 1_000_000_000
-"""Bytes of a table that is read at most."""
+from fivebar.twin.recording import Array
 
 GAP: Final = 5.5
 """Usual distances of two samples after which a series ends: commands of the drives in a longer gap are not known."""
-
-SLOW: Final = 0.5
-"""s a sample: nothing that moves is sampled as slowly to be calibrated, but ms that are taken for s look so."""
 
 SHORTEST: Final = 1.0
 """s of all series together."""
 
 MOVES: Final = 0.05
 """rad: servos that are led by more are told to move."""
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -73,39 +64,16 @@ class Data:
 
 def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
     """The samples of a record or a table, from `begin` s after the first one on, at most `seconds` of them."""
-    if file.is_file() and file.suffix.lower() == ".csv":
-        time, table, notes = _csv(file)
-    else:
-        time, table, notes = _record(file, unit)
-    check_units(file, time, table)
-    chosen = (time >= begin) & (time <= begin + seconds)
-    if not chosen.any():
+    given = _record(file, unit) if record.is_record(file) else recording.read(file)
+    first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
+    if first == last:
         raise TwinError(
-            f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {time[-1]:.3f} s"
+            f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {given.time[-1]:.3f} s"
         )
-    if chosen.sum() < len(time):
-        notes.append(f"used are {chosen.sum()} of {len(time)} samples: {seconds:g} s from {begin:g} s on")
-    data = split(time[chosen], {name: column[chosen] for name, column in table.items()}, notes)
-    if not data.series:
-        raise TwinError(f"{file} has no series of 20 samples or more without a gap")
+    data = split(given.part(int(first), int(last)))
+    if last - first < len(given.time):
+        data.notes.append(f"used are {last - first} of {len(given.time)} samples: {seconds:g} s from {begin:g} s on")
     return data
-
-
-def check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
-    """Refuses times that look like milliseconds and angles that look like degrees."""
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    if step >= SLOW:
-        what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
-        raise TwinError(
-            f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?"
-        )
-    for name, column in table.items():
-        known = np.abs(column[np.isfinite(column)])
-        if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * math.pi:
-            raise TwinError(
-                f"{file}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
-                "(Whole turns may be left out.)"
-            )
 
 
 def check(data: Data) -> None:
@@ -138,16 +106,20 @@ def check(data: Data) -> None:
         )
 
 
-def split(time: Array, table: dict[str, Array], notes: list[str]) -> Data:
-    """Series between gaps; those of less than 20 samples are left out."""
+def split(given: recording.Recording) -> Data:
+    """Series between gaps and restarts of the clock; those of less than 20 samples are left out."""
+    time, table = given.time, given.columns
     names = tuple(name for name in INPUTS if name in table and np.isfinite(table[name]).any())
     angles = np.column_stack([table.get(name, np.full(len(time), np.nan)) for name in MEASURED])
     commands = np.column_stack([_stays(table[name]) for name in names]) if names else np.empty((len(time), 0))
+    gaps = np.flatnonzero(np.diff(time) > GAP * given.period) + 1
     samples = Samples(time, angles, commands, names)
-    steps = np.diff(time)
-    ends = np.flatnonzero((steps > GAP * np.median(steps)) | (steps <= 0)) + 1 if len(steps) else np.empty(0, int)
-    parts = [samples.part(a, b) for a, b in zip([0, *ends], [*ends, len(time)], strict=True)]
+    parts = [samples.part(a, b) for a, b in pairwise((0, *sorted({*gaps.tolist(), *given.begins}), len(time)))]
     series = [part for part in parts if np.isfinite(part.angles).any(axis=1).sum() >= 20]
+    if not series:
+        back = f"; its clock falls back {len(given.begins)} times" if given.begins else ""
+        raise TwinError(f"{given.source} has no series of 20 samples or more without a gap{back}")
+    notes = list(given.notes)
     if len(parts) > 1:
         notes.append(
             f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
@@ -161,7 +133,7 @@ def _stays(column: Array) -> Array:
     return column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]]
 
 
-def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
+def _record(file: Path, unit: str) -> recording.Recording:
     """Samples in the order of their count; a repeated sample counts once, rows that are no messages are counted."""
     found: dict[int, tuple[int, dict[str, float]]] = {}
     refused = doubled = restarts = 0
@@ -202,46 +174,4 @@ def _record(file: Path, unit: str) -> tuple[Array, dict[str, Array], list[str]]:
         )
         if count
     ]
-    return time, table, notes
-
-
-def _times(column: "pa.ChunkedArray[Any]") -> Array:
-    """Times from the first one on, s, subtracted as the decimals of the text: behind 1e9 s floats have steps of 0.1 us."""
-    times = [Decimal((text or "").strip() or "nan") for text in column.to_pylist()]
-    first = min((time for time in times if time.is_finite()), default=Decimal(0))
-    return np.array([float(time - first) for time in times])
-
-
-def _csv(file: Path) -> tuple[Array, dict[str, Array], list[str]]:
-    """A table with the columns `time` in s, measured.theta[1], measured.theta[2] (or theta[1], theta[2]) and inputs of the unit."""
-    if file.stat().st_size > LARGEST_CSV:
-        raise TwinError(f"{file} has more than {LARGEST_CSV} bytes")
-    try:
-        read_ = pa.csv.read_csv(file, convert_options=pa.csv.ConvertOptions(column_types={"time": pa.string()}))
-        if twice := [name for name in read_.column_names if read_.column_names.count(name) > 1]:
-            raise TwinError(
-                f"{file} has {read_.column_names.count(twice[0])} columns {twice[0]}; each name may stand in the head once"
-            )
-        columns = {
-            name.strip(): _times(column) if name == "time" else column.cast(pa.float64()).to_numpy()
-            for name, column in zip(read_.column_names, read_.columns, strict=True)
-        }
-    except InvalidOperation:
-        raise TwinError(f"{file} has a time that is no number; times in s are expected") from None
-    except (pa.ArrowException, OSError) as error:
-        raise TwinError(f"{file} is not a table of numbers with a head: {str(error)[:120]}") from None
-    if "time" not in columns:
-        raise TwinError(f"{file} has no column time (s); it has {', '.join(columns)[:200]}")
-    for name in MEASURED:
-        columns.setdefault(name, columns.get(name.removeprefix("measured."), np.full(len(columns["time"]), np.nan)))
-    if not any(np.isfinite(columns[name]).any() for name in MEASURED):
-        raise TwinError(f"{file} has neither {MEASURED[0]} nor {MEASURED[1]}")
-    usable = np.isfinite(columns["time"])
-    order = np.flatnonzero(usable)[np.argsort(columns["time"][usable], kind="stable")]
-    time = columns["time"][order]
-    first = np.concatenate([[True], np.diff(time) > 0])
-    notes = (
-        [f"{len(usable) - first.sum()} rows without a time of their own left out"] if first.sum() < len(usable) else []
-    )
-    kept = order[first]
-    return time[first], {name: columns[name][kept] for name in (*MEASURED, *INPUTS) if name in columns}, notes
+    return recording.of(file, time, table, notes)

@@ -16,10 +16,11 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from fivebar.twin.calibrate.data import Array, Data, Samples
+from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import DELAY
 from fivebar.twin.errors import TwinError
+from fivebar.twin.recording import Array
 
 MOVED: Final = 1e-3
 """rad: by how much the step of a derivative may move a trajectory."""

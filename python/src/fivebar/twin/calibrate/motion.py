@@ -11,8 +11,9 @@ from fmpy.fmi1 import FMICallException
 from scipy.interpolate import CubicHermiteSpline
 
 from fivebar.scene_file import OFFSETS
-from fivebar.twin.calibrate.data import Array, Samples
+from fivebar.twin.calibrate.data import Samples
 from fivebar.twin.calibrate.parameters import DELAY, Parameter, Values, assemble
+from fivebar.twin.recording import Array
 from fivebar.twin.unit import Library, Unit, UnitError
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}

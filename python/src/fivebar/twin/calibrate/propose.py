@@ -11,11 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from fivebar.twin.calibrate.data import Array, Data, Samples
+from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.fit import Fit, Fitter, Piece, pack
 from fivebar.twin.calibrate.identify import LIMIT, without_starts
 from fivebar.twin.calibrate.motion import LOST, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Parameter, Values
+from fivebar.twin.recording import Array
 from fivebar.twin.unit import UnitError
 
 SECONDS: Final = 3.0

@@ -19,7 +19,7 @@ def start_values(given: str | Path | None, data: Path, library: Library) -> tupl
     """Start values assumed of the machine and its encoders' mounting angles, and their source: a scene, or the record's message about its run."""
     if given is not None:
         return values(given, library) | dict(scenes.read(given, library.known).offsets), f"scene {given}"
-    if not (data.is_file() and data.suffix.lower() == ".csv"):
+    if record.is_record(data):
         try:
             setup = of_message(record.setup(data))
         except TwinError:

@@ -16,12 +16,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.twin import recording
 from fivebar.twin.calibrate import command
-from fivebar.twin.calibrate.data import Array, Data, Samples, split
+from fivebar.twin.calibrate.data import Data, Samples, split
 from fivebar.twin.calibrate.identify import interval
 from fivebar.twin.calibrate.motion import Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Values, parameters
 from fivebar.twin.errors import TwinError
+from fivebar.twin.recording import Array
 from fivebar.twin.unit import Library
 
 BEGIN: Final = (1.9, 1.24)
@@ -163,7 +165,7 @@ def made(machine: Machine, x: Array, chance: np.random.Generator, seconds: float
         np.round((motion[:, :2] + bench.noise * chance.standard_normal((len(time), 2))) / bench.count) * bench.count
     )
     table = {f"measured.theta[{i + 1}]": angles[:, i] for i in (0, 1)} | dict(zip(NAMES, commands.T, strict=True))
-    return split(time, table, [])
+    return split(recording.of("a trial", time, table, []))
 
 
 def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:

@@ -1,0 +1,134 @@
+"""Recordings: a machine's samples in the order of time, by the names of the fields of `meas`.
+
+`read` makes a recording of a table as CSV; a reader of another source gives clock and columns to `of`, which holds the rules for both. A clock that
+falls back has been restarted: the samples from there on are another series, and `time` puts the series one after another.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fivebar import table
+from fivebar.errors import FiveBarError
+from fivebar.twin.errors import TwinError
+from fivebar.twin.messages import MEAS_FIELDS, MEASURED
+
+Array = NDArray[Any]
+
+TIME: Final = "time"
+
+UNITS: Final = {TIME: "s", "theta": "rad", "omega": "rad/s", "tau": "N.m", "tip.x": "m", "tip.y": "m"}
+"""Units of the columns, by the last words of their names."""
+
+SLOW: Final = 0.5
+"""s a sample: nothing that moves is sampled as slowly to be followed, but ms that are taken for s look so."""
+
+SHOWN: Final = 8
+"""Names of other columns that a note has, at most."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of a machine."""
+
+    source: str | Path
+    """What they are from: a file or folder."""
+
+    time: Array
+    """(n), s from the first sample, rising. The first sample of a series is as long after the series before as two samples usually are apart."""
+
+    columns: dict[str, Array]
+    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none."""
+
+    begins: tuple[int, ...]
+    """Samples with which the clock restarted."""
+
+    notes: list[str]
+    """Sentences on what the source has beside these samples."""
+
+    def part(self, first: int, last: int) -> "Recording":
+        """Samples first to last - 1; times stay."""
+        columns = {name: column[first:last] for name, column in self.columns.items()}
+        begins = tuple(begin - first for begin in self.begins if first < begin < last)
+        return replace(self, time=self.time[first:last], columns=columns, begins=begins)
+
+    @property
+    def period(self) -> float:
+        """The usual distance of two samples, s; 0 if there is one sample."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+
+def read(file: Path) -> Recording:
+    """The recording in a table with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
+    others = {name.removeprefix("measured."): name for name in MEASURED}
+    try:
+        found = table.read(file, {TIME, *MEAS_FIELDS, *others}, TIME)
+    except FiveBarError as error:
+        raise TwinError(str(error)) from None
+    columns = dict(found.columns)
+    for name in columns:
+        unit, given = _unit(name), found.units.get(name, "")
+        if given and _plain(given) != _plain(unit):
+            raise TwinError(f"{file}: {name} is in {given:.20}, and {unit} is expected")
+    if TIME not in columns:
+        names = ", ".join([*columns, *found.others])[:200] or "nothing"
+        raise TwinError(
+            f"{file} has no column time (s); its head is {names}; commas, semicolons or tabs separate columns"
+        )
+    clock = columns.pop(TIME)
+    for other, name in others.items():
+        angle = columns.pop(other, None)
+        if angle is not None:
+            columns.setdefault(name, angle)
+    if not any(np.isfinite(columns[name]).any() for name in MEASURED if name in columns):
+        raise TwinError(f"{file} has neither {MEASURED[0]} nor {MEASURED[1]}")
+    unused = [*found.others[:SHOWN], *([f"{len(found.others) - SHOWN} more"] if len(found.others) > SHOWN else [])]
+    return of(file, clock, columns, [f"columns that are not used: {', '.join(unused)}"] if unused else [])
+
+
+def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[str]) -> Recording:
+    """The recording of samples in their order, by the readings of their clock, s. Refuses times that look like milliseconds and angles that look like degrees."""
+    usable = np.flatnonzero(np.isfinite(clock))
+    own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
+    if len(own) < len(clock):
+        notes = [*notes, f"{len(clock) - len(own)} rows without a time of their own left out"]
+    clock, columns = clock[own], {name: column[own] for name, column in columns.items()}
+    steps = np.diff(clock)
+    back = steps < 0
+    usual = float(np.median(steps[~back])) if not back.all() else 0.0
+    begins = np.flatnonzero(back) + 1
+    if len(begins):
+        notes = [*notes, f"the clock falls back {len(begins)} times: each time another series begins"]
+    shift = np.cumsum(np.where(back, steps - usual, 0.0))
+    time = clock - np.concatenate([clock[:1], clock[:1] + shift]) if len(clock) else clock
+    found = Recording(source, time, columns, tuple(begins.tolist()), notes)
+    _check_units(found)
+    return found
+
+
+def _check_units(given: Recording) -> None:
+    file, step = given.source, given.period
+    if step >= SLOW:
+        what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
+        raise TwinError(
+            f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?"
+        )
+    for name, column in given.columns.items():
+        known = np.abs(column[np.isfinite(column)])
+        if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * np.pi:
+            raise TwinError(
+                f"{file}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
+                "(Whole turns may be left out.)"
+            )
+
+
+def _unit(name: str) -> str:
+    return next(unit for last, unit in UNITS.items() if name.partition("[")[0].endswith(last))
+
+
+def _plain(unit: str) -> str:
+    """A unit without signs of multiplication, which are written in many ways."""
+    return "".join(c for c in unit if c not in " .·*")

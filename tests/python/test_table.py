@@ -1,0 +1,94 @@
+"""Tables: what is written is read back to the bit, by FMPy too; what spreadsheets and loggers write is read, or refused with one sentence."""
+
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from fivebar import table
+from fivebar.errors import FiveBarError
+
+WANTED = ("theta[1]", "tau[1]")
+
+
+def read(tmp_path: Path, content: str | bytes) -> table.Table:
+    file = tmp_path / "a.csv"
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    return table.read(file, WANTED, "time")
+
+
+HEAD = "time,theta[1],tau[1]\n"
+ROWS = "0,1.5,0.25\n0.001,-1e-3,2\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        HEAD + ROWS,
+        (HEAD + ROWS).replace("\n", "\r\n"),
+        (HEAD + ROWS).replace("\n", "\r"),
+        "\n" + HEAD + "\n" + ROWS.replace("\n", "\n\n"),
+        (HEAD + ROWS).replace(",", " , "),
+        (HEAD + ROWS).replace(",", ";"),
+        (HEAD + ROWS).replace(",", "\t"),
+        (HEAD + ROWS).replace(",", ";").replace(".", ","),
+        (HEAD + ROWS).replace(",", "\t").replace(".", ","),
+        '"time","theta[1]","tau[1]"\n"0","1,5","0,25"\n"0,001","-1e-3","2"\n',
+        "time [s],theta[1] [rad],tau[1] [N.m]\n" + ROWS,
+        "time[s],theta[1][rad],tau[1] [ N.m ]\n" + ROWS,
+        b"\xef\xbb\xbf" + (HEAD + ROWS).encode(),
+        (HEAD + ROWS).encode("utf-16"),
+        b"\xfe\xff" + (HEAD + ROWS).encode("utf-16-be"),
+        "Größe,tau[1],time,theta[1],\nx,.25,0,1.5,\ny,2,1e-3,-.001,\n",
+        HEAD + "1700000000,1.5,0.25\n1700000000.001,-1e-3,2\n",
+    ],
+)
+def test_what_programs_write_is_read(tmp_path: Path, content: str | bytes) -> None:
+    """Other separators, decimal commas, units in the head and encodings make the same numbers, to the bit."""
+    found = read(tmp_path, content)
+    assert {name: column.tolist() for name, column in found.columns.items()} == {
+        "time": [0.0, 0.001],
+        "theta[1]": [1.5, -1e-3],
+        "tau[1]": [0.25, 2.0],
+    }
+
+
+def test_a_cell_without_a_finite_number_is_none(tmp_path: Path) -> None:
+    cells = ["", " ", "nan", "NaN", "NA", "null", "inf", "-Infinity", "1e999"]
+    found = read(tmp_path, "time,theta[1]\n" + "".join(f"{k},{cell}\n" for k, cell in enumerate(cells)) + ",7\nnan,8\n")
+    assert np.isnan(found.columns["theta[1]"][:-2]).all() and found.columns["theta[1]"][-2:].tolist() == [7.0, 8.0]
+    assert found.columns["time"][:-2].tolist() == list(range(len(cells))) and np.isnan(found.columns["time"][-2:]).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("time,tau[1],tau[1]\n0,1,2\n", "it has 2 columns tau[1]; each name may stand in the head once"),
+        ("time,tau[1],tau[1] [N.m]\n0,1,2\n", "it has 2 columns tau[1]; each name may stand in the head once"),
+        ("time,note,note\n0,1,2\n", "it has 2 columns note; each name may stand in the head once"),
+        ("time,tau[1]\n0,1\n1,x\n", "tau[1] in row 2 is 'x', which is no number"),
+        ("time;tau[1]\n0;1.000,5\n", "tau[1] in row 1 is '1.000,5', which is no number"),
+        ("time,tau[1]\n0,1\n12:03,1\n", "time in row 2 is '12:03', which is no number"),
+        ("time,tau[1]\n0,5,1,5\n", "row 1 has 4 cells, and the head 2; a decimal comma needs semicolons or tabs"),
+        ("time,tau[1]\n0,5\n1\n", "row 2 has 1 cells, and the head 2"),
+        ('time,tau[1]\n0,"5\n', "it is no CSV: unexpected end of data"),
+        ("time,tau[1],Größe\n".encode("latin-1"), "it cannot be read: it is not UTF-8 from byte 14 on, and text in UTF-8, or in"),
+        ("time,tau[1]\n".encode("utf-16-le"), "it cannot be read: it has the character 0, which no text has, and text in UTF-8"),
+        (b"\xff\xfe" + b"t\0i\0m\0e", "it cannot be read: it is not UTF-16 from byte 8 on"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_refused(tmp_path: Path, content: str | bytes, sentence: str) -> None:
+    with pytest.raises(FiveBarError) as refused:
+        read(tmp_path, content)
+    assert str(refused.value).startswith(f"{tmp_path / 'a.csv'}: {sentence}")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_table_that_is_written_is_read_to_the_bit(tmp_path: Path) -> None:
+    """By this package and by FMPy, whose reader takes a column by the whole name in the head."""
+    columns = {"time": np.arange(3) * 0.1, "theta[1]": np.array([np.pi, 5e-324, -0.1]), "tau[1]": np.array([1, 2, 3])}
+    table.write(tmp_path / "a.csv", columns, zip(*(column.tolist() for column in columns.values())))
+    own, theirs = table.read(tmp_path / "a.csv", WANTED, "time"), fmpy.read_csv(tmp_path / "a.csv")
+    for name, column in columns.items():
+        assert own.columns[name].tolist() == column.tolist() == theirs[name].tolist()

@@ -1,0 +1,120 @@
+"""Recordings: one reader for calibration and twin, clocks that restart, units, and how a recording is played."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fivebar import simulate
+from fivebar.twin import recording
+from fivebar.twin.calibrate import data
+from fivebar.twin.config import Config, Machine
+from fivebar.twin.errors import TwinError
+from fivebar.twin.follower import LONGEST_GAP
+from fivebar.twin.machine import Player
+
+
+def table(folder: Path, times: np.ndarray, head: str = "time,measured.theta[1],measured.theta[2]") -> Path:
+    """Angles that are their row's number in mrad."""
+    file = folder / "a.csv"
+    rows = [f"{round(t, 6)!r},{1e-3 * k!r},{1 + 1e-3 * k!r}" for k, t in enumerate(times.tolist())]
+    file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    return file
+
+
+def player(file: Path, period: float = 0.005) -> Player:
+    return Player(Config(str(file.parent), "", "", machine=Machine(csv=str(file)), period=period))
+
+
+GRID = 0.005 * np.arange(200)
+
+
+@pytest.mark.parametrize(("begin", "other"), [(0.0, 0.0), (0.0, 0.0012), (100.0, 7.0), (3.0, 3.5)])
+def test_a_clock_that_restarts_makes_series(tmp_path: Path, begin: float, other: float) -> None:
+    """In the order of the rows, none left out; they were sorted into each other, and half of rows with equal times was dropped."""
+    file = table(tmp_path, np.concatenate([begin + GRID, other + GRID]))
+    found = data.read(file, 0.0, 10.0)
+    assert [len(series) for series in found.series] == [200, 200]
+    assert np.concatenate([series.angles[:, 0] for series in found.series]) == pytest.approx(1e-3 * np.arange(400))
+    first, second = (series.time for series in found.series)
+    assert first == pytest.approx(GRID) and second - second[0] == pytest.approx(GRID) and second[0] > first[-1]
+    assert "the clock falls back 1 times: each time another series begins" in found.notes
+
+
+def test_a_part_is_counted_over_all_series(tmp_path: Path) -> None:
+    file = table(tmp_path, np.concatenate([GRID, GRID, GRID]))
+    found = data.read(file, 0.5, 1.0)
+    assert [len(series) for series in found.series] == [100, 101]
+
+
+def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
+    found = recording.read(table(tmp_path, np.repeat(GRID, 2)))
+    assert found.time == pytest.approx(GRID) and found.columns["measured.theta[1]"] == pytest.approx(
+        2e-3 * np.arange(200)
+    )
+    assert found.notes == ["200 rows without a time of their own left out"] and found.begins == ()
+
+
+@pytest.mark.parametrize(
+    ("head", "sentence"),
+    [
+        ("time [ms],theta[1],theta[2]", "time is in ms, and s is expected"),
+        ("time,theta[1] [deg],theta[2]", "theta[1] is in deg, and rad is expected"),
+        (
+            "t,theta[1],theta[2]",
+            "has no column time (s); its head is theta[1], theta[2], t; commas, semicolons or tabs",
+        ),
+        ("time theta[1] theta[2],a,b", "has no column time (s)"),
+        ("time,angle1,angle2", "has neither measured.theta[1] nor measured.theta[2]"),
+    ],
+)
+def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence: str) -> None:
+    """By both commands alike."""
+    file = table(tmp_path, GRID, head)
+    for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
+        with pytest.raises(TwinError) as refused:
+            reads(file)
+        assert sentence in str(refused.value)
+
+
+def test_units_may_stand_in_the_head(tmp_path: Path) -> None:
+    found = recording.read(table(tmp_path, GRID, "time [s],theta[1] [rad],tau[1] [N·m]"))
+    assert set(found.columns) == {"measured.theta[1]", "tau[1]"} and found.notes == []
+
+
+def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: Path) -> None:
+    """A machine counts what is lost, too; after the pause the twin starts anew."""
+    times = np.concatenate([GRID[:30], GRID[130:160], GRID[:30]])
+    played = player(table(tmp_path, times))
+    samples = [played.next() for _ in range(90)]
+    assert played.next() is None
+    numbers, at = [sample.seq for sample in samples], [sample.time for sample in samples]
+    assert numbers[:60] == [*range(30), *range(130, 160)] and at[:60] == [5_000_000 * k for k in numbers[:60]]
+    assert at[60] - at[59] > 1e9 * LONGEST_GAP and 0.005 * (numbers[60] - numbers[59]) > LONGEST_GAP
+    assert np.diff(numbers[60:]).tolist() == [1] * 29 and np.diff(at[60:]).tolist() == [5_000_000] * 29
+    assert samples[60].fields["measured.theta[1]"] == 0.06
+
+
+def test_a_row_without_an_angle_is_a_lost_sample(tmp_path: Path) -> None:
+    """Sent, it would be no message: the twin refused it."""
+    file = tmp_path / "a.csv"
+    file.write_text("time,theta[1],theta[2],tau[1]\n0,1,2,nan\n0.005,,nan,1\n0.01,1,,1\n", encoding="utf-8")
+    played = player(file)
+    sent = [played.next(), played.next(), played.next()]
+    assert [(each.seq, each.fields) for each in sent if each is not None] == [
+        (0, {"measured.theta[1]": 1.0, "measured.theta[2]": 2.0}),
+        (2, {"measured.theta[1]": 1.0, "tau[1]": 1.0}),
+    ]
+
+
+def test_what_a_run_writes_is_a_recording(tmp_path: Path, fmu: Path) -> None:
+    """Without a change of its head, which had units in it."""
+    result = simulate.run("pick_and_place", fmu=fmu)
+    file = result.to_csv(tmp_path / "run.csv")
+    found = data.read(file, 0.0, 10.0)
+    (series,) = found.series
+    assert series.names == ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
+    assert series.time.tolist() == result.time.tolist() and series.angles[:, 1].tolist() == result["theta[2]"].tolist()
+    played = player(file, 0.001)
+    played.check()
+    assert (sample := played.next()) is not None and sample.fields["servo.theta[1]"] == result["servo.theta[1]"][0]
