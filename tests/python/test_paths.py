@@ -136,6 +136,16 @@ def test_drawings_that_are_none(tmp_path: Path, name: str, content: str | None, 
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("rows", ["x [m];y[m]\n0;0\n0,1;0\n", "x [m]\ty [m]\n0\t0\n0.1\t0\n", "0;0\n100,0;0\n"])
+def test_a_csv_as_spreadsheets_write_it(rows: str, encoding: str, tmp_path: Path) -> None:
+    """Semicolons or tabs, decimal commas, byte order marks."""
+    file = tmp_path / "drawing.csv"
+    file.write_text(rows, encoding=encoding)
+    (stroke,) = strokes.read(file).strokes
+    assert stroke[0, 0].tolist() == [0.0, 0.0] and stroke[0, 3] == pytest.approx([0.1, 0.0], abs=1e-15)
+
+
 def test_rows_of_a_csv(tmp_path: Path) -> None:
     """Lengths are in the header's unit or mm; the pen is down on the way to a row that says so; y points up."""
     file = tmp_path / "drawing.csv"

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy import simulate_fmu
+from fmpy import read_csv, simulate_fmu
 from fmpy.util import create_plotly_figure
 
 from conftest import REPOSITORY
+from fivebar import simulate
 
 
 def test_five_lines(fmu: Path) -> None:
@@ -63,6 +64,22 @@ def test_input_from_a_table(fmu: Path) -> None:
     still = result["time"] <= 0.1
     assert np.all(result["theta[1]"][still] == result["theta[1]"][0])
     assert result["theta[1]"][-1] > result["theta[1]"][0] + 0.01
+
+
+def test_the_table_of_a_run_is_input_of_fmpy(fmu: Path, tmp_path: Path) -> None:
+    """FMPy holds inputs over a step, as a run does: the same commands give the same bits."""
+    own = simulate.run("pick_and_place", fmu=fmu)
+    table = read_csv(own.to_csv(tmp_path / "run.csv"))
+    result = simulate_fmu(
+        str(fmu),
+        stop_time=own.time[-1],
+        output_interval=1e-3,
+        start_values=own.scene.values,
+        input=table,
+        output=["theta[1]", "theta[2]"],
+    )
+    for name in ("theta[1]", "theta[2]"):
+        assert result[name].tolist() == own[name].tolist()
 
 
 def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:

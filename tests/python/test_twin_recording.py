@@ -38,7 +38,7 @@ def test_a_clock_that_restarts_makes_series(tmp_path: Path, begin: float, other:
     assert np.concatenate([series.angles[:, 0] for series in found.series]) == pytest.approx(1e-3 * np.arange(400))
     first, second = (series.time for series in found.series)
     assert first == pytest.approx(GRID) and second - second[0] == pytest.approx(GRID) and second[0] > first[-1]
-    assert "the clock falls back 1 times: each time another series begins" in found.notes
+    assert found.notes == ["1 gaps or jumps of the clock; 0 series of less than 20 samples are left out"]
 
 
 def test_a_part_is_counted_over_all_series(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_rows_without_a_time_of_their_own_are_left_out(tmp_path: Path) -> None:
             "has no column time (s); its head is theta[1], theta[2], t; commas, semicolons or tabs",
         ),
         ("time theta[1] theta[2],a,b", "has no column time (s)"),
-        ("time,angle1,angle2", "has neither measured.theta[1] nor measured.theta[2]"),
+        ("time,angle1,angle2", "has no number in measured.theta[1] or measured.theta[2]"),
     ],
 )
 def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence: str) -> None:
@@ -74,6 +74,24 @@ def test_a_head_that_does_not_fit_is_refused(tmp_path: Path, head: str, sentence
     for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
         with pytest.raises(TwinError) as refused:
             reads(file)
+        assert sentence in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        ("", "has no column time (s); its head is nothing"),
+        ("0,1,2\n0.1,1,2\n", "has no column time (s); its head is 0, 1, 2"),
+        ("time,theta[1]\n", "has no number in measured.theta[1] or measured.theta[2]"),
+        ("time,theta[1]\n0,nan\n", "has no number in measured.theta[1] or measured.theta[2]"),
+        ("time,theta[1]\n,1\nnan,2\n", "has no row with a time"),
+    ],
+)
+def test_a_table_without_samples_is_refused(tmp_path: Path, rows: str, sentence: str) -> None:
+    (tmp_path / "a.csv").write_text(rows, encoding="utf-8")
+    for reads in (player, lambda file: data.read(file, 0.0, 10.0)):
+        with pytest.raises(TwinError) as refused:
+            reads(tmp_path / "a.csv")
         assert sentence in str(refused.value)
 
 

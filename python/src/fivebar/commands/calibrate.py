@@ -65,7 +65,7 @@ def calibrate(
 ) -> int:
     """Find masses, friction and lengths from a record.
 
-    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] and what drives were told.
+    FILE is a record of `fivebar twin` (Parquet, or a folder of parts) or CSV with time, measured.theta[1..2] (or theta[1..2]) and what drives were told.
     Also payload, gravity, offsets and delay of the encoders. Every value comes with its error bar; what the record does not tell is said, with a motion that would tell it.
 
     \b

@@ -34,9 +34,9 @@ from fivebar.commands import options
     type=click.Choice(["stand-in", "none"]),
     default="stand-in",
     show_default=True,
-    help="none: a real one publishes meas.",
+    help="none: a real one publishes meas, unless --csv plays a recording.",
 )
-@click.option("--csv", type=options.FILE, metavar="FILE", help="Play a recording in the place of the stand-in.")
+@click.option("--csv", type=options.FILE, metavar="FILE", help="Play a recording, such as a table of `fivebar run`, in the place of a machine.")
 @click.option(
     "--hidden",
     type=options.FILE,

@@ -84,7 +84,7 @@ def read(file: Path) -> Recording:
         if angle is not None:
             columns.setdefault(name, angle)
     if not any(np.isfinite(columns[name]).any() for name in MEASURED if name in columns):
-        raise TwinError(f"{file} has neither {MEASURED[0]} nor {MEASURED[1]}")
+        raise TwinError(f"{file} has no number in {MEASURED[0]} or {MEASURED[1]}")
     unused = [*found.others[:SHOWN], *([f"{len(found.others) - SHOWN} more"] if len(found.others) > SHOWN else [])]
     return of(file, clock, columns, [f"columns that are not used: {', '.join(unused)}"] if unused else [])
 
@@ -95,15 +95,15 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
     own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
     if len(own) < len(clock):
         notes = [*notes, f"{len(clock) - len(own)} rows without a time of their own left out"]
+    if not len(own):
+        raise TwinError(f"{source} has no row with a time")
     clock, columns = clock[own], {name: column[own] for name, column in columns.items()}
     steps = np.diff(clock)
     back = steps < 0
     usual = float(np.median(steps[~back])) if not back.all() else 0.0
     begins = np.flatnonzero(back) + 1
-    if len(begins):
-        notes = [*notes, f"the clock falls back {len(begins)} times: each time another series begins"]
     shift = np.cumsum(np.where(back, steps - usual, 0.0))
-    time = clock - np.concatenate([clock[:1], clock[:1] + shift]) if len(clock) else clock
+    time = clock - clock[0] - np.concatenate([[0.0], shift])
     found = Recording(source, time, columns, tuple(begins.tolist()), notes)
     _check_units(found)
     return found
