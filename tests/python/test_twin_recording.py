@@ -12,6 +12,7 @@ from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import LONGEST_GAP
 from fivebar.twin.machine import Player
+from fivebar.twin.starter import sampling
 
 
 def table(folder: Path, times: np.ndarray, head: str = "time,measured.theta[1],measured.theta[2]") -> Path:
@@ -114,15 +115,23 @@ def test_series_are_played_with_a_pause_and_lost_samples_are_counted(tmp_path: P
 
 
 def test_a_row_without_an_angle_is_a_lost_sample(tmp_path: Path) -> None:
-    """Sent, it would be no message: the twin refused it."""
+    """Sent, it would be no message: the twin refused it. What a drive was told in it stays."""
     file = tmp_path / "a.csv"
-    file.write_text("time,theta[1],theta[2],tau[1]\n0,1,2,nan\n0.005,,nan,1\n0.01,1,,1\n", encoding="utf-8")
+    file.write_text("time,theta[1],theta[2],tau[1],tau[2]\n0,1,2,,\n0.005,,nan,1,\n0.01,1,,,\n", encoding="utf-8")
     played = player(file)
     sent = [played.next(), played.next(), played.next()]
     assert [(each.seq, each.fields) for each in sent if each is not None] == [
-        (0, {"measured.theta[1]": 1.0, "measured.theta[2]": 2.0}),
+        (0, {"measured.theta[1]": 1.0, "measured.theta[2]": 2.0, "tau[1]": 1.0}),
         (2, {"measured.theta[1]": 1.0, "tau[1]": 1.0}),
     ]
+
+
+def test_the_twin_has_the_period_of_the_recording(tmp_path: Path) -> None:
+    """It was 5 ms, whatever was played: samples of 1 ms were counted as being 5 ms apart."""
+    assert sampling(table(tmp_path, 0.2 * GRID)) == 0.001
+    assert sampling(table(tmp_path, np.concatenate([20 * GRID, 20 * GRID]))) == 0.1
+    with pytest.raises(TwinError, match=r"has a sample every 5e-05 s \(median\); 0.0001 s or more is expected"):
+        sampling(table(tmp_path, 0.01 * GRID))
 
 
 def test_what_a_run_writes_is_a_recording(tmp_path: Path, fmu: Path) -> None:

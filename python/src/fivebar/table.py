@@ -8,6 +8,7 @@ brackets behind the names, and in any encoding that `fivebar.encoding` knows.
 import csv
 import re
 from array import array
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -45,9 +46,9 @@ class Table:
 
 
 def read(file: Path, wanted: Collection[str], counted: str) -> Table:
-    """The columns `wanted` of a table, as far as it has them; those of a file that is refused, with one sentence, are named.
+    """Those of the columns `wanted` and `counted` that a table has. Raises FiveBarError, with one sentence that names the file.
 
-    The column `counted` begins at 0. Its numbers are subtracted as decimals, for behind 1e9 floats have steps of 1e-7.
+    The numbers of the column `counted` are less its first one, subtracted as decimals: beyond 1e9, as times since 1970 are, floats have steps of 1e-7.
     """
     try:
         return _parse(encoding.read(file, LARGEST), wanted, counted)
@@ -59,9 +60,9 @@ def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
     lines = rows(text)
     head = [named(cell) for cell in next(lines, [])]
     names = [name for name, _ in head]
-    for name in filter(None, names):
-        if names.count(name) > 1:
-            raise FiveBarError(f"it has {names.count(name)} columns {name}; each name may stand in the head once")
+    for name, count in Counter(filter(None, names)).items():
+        if count > 1:
+            raise FiveBarError(f"it has {count} columns {name:.60}; each name may stand in the head once")
     places = {name: place for place, name in enumerate(names) if name in wanted and name != counted}
     found = {name: array("d") for name in places}
     begin, at = names.index(counted) if counted in names else None, array("d")

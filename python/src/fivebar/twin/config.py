@@ -17,6 +17,12 @@ from fivebar.twin.messages import UNIT_NAME
 LARGEST_FILE: Final = 4_000_000
 """Bytes of a configuration, a scene or a stored state that are read at most."""
 
+SHORTEST_PERIOD: Final = 1e-4
+"""s between two samples."""
+
+FEWEST_AHEAD: Final = 10
+"""Samples that a forecast covers."""
+
 T = TypeVar("T")
 
 
@@ -161,8 +167,8 @@ def check(config: Config) -> None:
     if UNIT_NAME.fullmatch(config.unit) is None:
         raise TwinError(f"unit is {config.unit!r:.80}; letters, digits, - and _ are allowed, at most 64")
     for name, value, lowest, highest in (
-        ("period", config.period, 1e-4, 1.0),
-        ("horizon", config.horizon, 10 * config.period, 10.0),
+        ("period", config.period, SHORTEST_PERIOD, 1.0),
+        ("horizon", config.horizon, FEWEST_AHEAD * config.period, 10.0),
         ("forecast_rate", config.forecast_rate, 0.1, 1000.0),
     ):
         if type(value) not in (int, float) or not lowest <= value <= highest:

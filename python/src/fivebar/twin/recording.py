@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fivebar import table
 from fivebar.errors import FiveBarError
 from fivebar.twin.errors import TwinError
-from fivebar.twin.messages import MEAS_FIELDS, MEASURED
+from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED
 
 Array = NDArray[Any]
 
@@ -41,7 +41,7 @@ class Recording:
     """(n), s from the first sample, rising. The first sample of a series is as long after the series before as two samples usually are apart."""
 
     columns: dict[str, Array]
-    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none."""
+    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none. A command of a drive stays until the next one, and has no NaN."""
 
     begins: tuple[int, ...]
     """Samples with which the clock restarted."""
@@ -98,6 +98,8 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
     if not len(own):
         raise TwinError(f"{source} has no row with a time")
     clock, columns = clock[own], {name: column[own] for name, column in columns.items()}
+    told = {name: _stays(columns.pop(name)) for name in INPUTS if name in columns}
+    columns |= {name: column for name, column in told.items() if len(column)}
     steps = np.diff(clock)
     back = steps < 0
     usual = float(np.median(steps[~back])) if not back.all() else 0.0
@@ -123,6 +125,14 @@ def _check_units(given: Recording) -> None:
                 f"{file}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
                 "(Whole turns may be left out.)"
             )
+
+
+def _stays(column: Array) -> Array:
+    """A column with each NaN replaced by the last number before it, or by the first number of all; empty if there is none."""
+    known = np.flatnonzero(np.isfinite(column))
+    if not len(known):
+        return known
+    return np.asarray(column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]])
 
 
 def _unit(name: str) -> str:

@@ -30,9 +30,6 @@ from fivebar.twin.messages import MEASURED, Message
 from fivebar.twin.process import STATUS_EVERY
 from fivebar.twin.unit import Library, UnitError
 
-SHORTEST_PERIOD: Final = 1e-4
-"""s between two samples, at least."""
-
 READY_WITHIN: Final = 20.0
 """Seconds that a process may take to be ready."""
 
@@ -389,6 +386,7 @@ def configure(options: Options, folder: Path) -> Config:
         machine=machine,
         dashboard_port=free_port(),
         period=period,
+        horizon=max(Config.horizon, configuration.FEWEST_AHEAD * period),
         twin=twin,
     )
     configuration.check(config)
@@ -398,8 +396,10 @@ def configure(options: Options, folder: Path) -> Config:
 def sampling(csv: Path) -> float:
     """The usual distance of two samples of a recording, s."""
     period = round(recording.read(csv).period, 9) or Config.period
-    if period < SHORTEST_PERIOD:
-        raise TwinError(f"{csv} has a sample every {period:g} s (median); {SHORTEST_PERIOD:g} s or more is expected")
+    if period < configuration.SHORTEST_PERIOD:
+        raise TwinError(
+            f"{csv} has a sample every {period:g} s (median); {configuration.SHORTEST_PERIOD:g} s or more is expected"
+        )
     return period
 
 

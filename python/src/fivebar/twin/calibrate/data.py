@@ -109,9 +109,9 @@ def check(data: Data) -> None:
 def split(given: recording.Recording) -> Data:
     """Series between gaps and restarts of the clock; those of less than 20 samples are left out."""
     time, table = given.time, given.columns
-    names = tuple(name for name in INPUTS if name in table and np.isfinite(table[name]).any())
+    names = tuple(name for name in INPUTS if name in table)
     angles = np.column_stack([table.get(name, np.full(len(time), np.nan)) for name in MEASURED])
-    commands = np.column_stack([_stays(table[name]) for name in names]) if names else np.empty((len(time), 0))
+    commands = np.column_stack([table[name] for name in names]) if names else np.empty((len(time), 0))
     gaps = np.flatnonzero(np.diff(time) > GAP * given.period) + 1
     samples = Samples(time, angles, commands, names)
     parts = [samples.part(a, b) for a, b in pairwise((0, *sorted({*gaps.tolist(), *given.begins}), len(time)))]
@@ -125,12 +125,6 @@ def split(given: recording.Recording) -> Data:
             f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
         )
     return Data(series, notes)
-
-
-def _stays(column: Array) -> Array:
-    """Column with each NaN replaced by the last number before it, or by the first number of all."""
-    known = np.flatnonzero(np.isfinite(column))
-    return column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]]
 
 
 def _record(file: Path, unit: str) -> recording.Recording:
