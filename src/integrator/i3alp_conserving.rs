@@ -21,7 +21,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::{Books, Checked, Imbalance};
 use super::{
-    Bounds, Counters, CutStep, Discrete, Energy, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium,
+    Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium,
 };
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Step, from_equilibrium};
@@ -61,8 +61,8 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
-    /// Energy at q and q̇, from the end of a step on that is checked, until anything else changes it.
-    energy: Option<Energy>,
+    /// Energy at q and q̇, J, from the end of a step on that is checked, until anything else changes it.
+    energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
     /// Counters since the start.
@@ -289,7 +289,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     }
 
     /// The motion, as far as a step is checked, with its energy.
-    fn checked(&self, energy: Energy) -> Checked<'_, N> {
+    fn checked(&self, energy: f64) -> Checked<'_, N> {
         let &Self { ref q, ref v, work, configuration_signs, .. } = self;
         Checked { q, v, energy, work, configuration_signs }
     }
@@ -320,7 +320,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
             return Err("the stored values of its last steps are not finite");
         }
-        if self.energy.is_some_and(|energy| !energy.total().is_finite()) {
+        if self.energy.is_some_and(|energy| !energy.is_finite()) {
             return Err("its energy is not finite");
         }
         self.state(system, regularization).check(system, bounds)

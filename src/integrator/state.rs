@@ -5,7 +5,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::Checked;
 use super::equilibrium::{equilibrium, equilibrium_under, project_sticking};
-use super::{Energy, Passage, StepError, Stuck, System, Work};
+use super::{Passage, StepError, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Counts of the integrator's operations since the start.
@@ -77,8 +77,8 @@ pub struct State<const N: usize, const M: usize> {
     pub work: Work,
     /// Power at the state, W; 0 unless [`super::Features::work`].
     pub power: Work,
-    /// Energy at the state; 0 unless [`super::Features::checks`].
-    pub energy: Energy,
+    /// Kinetic plus potential energy at the state, J; 0 unless [`super::Features::checks`].
+    pub energy: f64,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
     /// Whether the motion is on a ray through a vertex, where no projection is made.
@@ -102,7 +102,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
-            energy: Energy::default(),
+            energy: 0.0,
             configuration_signs,
             on_ray: false,
             alternatives: 0,
@@ -177,19 +177,19 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) a: Vector<N>,
     pub(super) lambda: Vector<M>,
     pub(super) power: Work,
-    pub(super) energy: Energy,
+    pub(super) energy: f64,
     pub(super) configuration_signs: u8,
 }
 
-/// Energy of a motion where steps are checked.
+/// Energy of a motion, J, where steps are checked.
 #[inline(always)]
 fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     q: &Vector<N>,
     pose: &S::Pose,
     v: &Vector<N>,
-) -> Energy {
-    if system.features().checks { system.energy(q, pose, v) } else { Energy::default() }
+) -> f64 {
+    if system.features().checks { system.energy(q, pose, v) } else { 0.0 }
 }
 
 impl<const N: usize, const M: usize> StepEnd<N, M> {

@@ -32,9 +32,9 @@ pub trait System<const N: usize, const M: usize> {
     fn mass_times(&self, pose: &Self::Pose, x: &Vector<N>) -> Vector<N>;
     /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W; 0 unless [`Features::work`].
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work);
-    /// Kinetic energy, and potential energy of all forces but the inputs; both together change at the rate of their power.
-    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Energy {
-        Energy::default()
+    /// Kinetic energy plus potential energy of all forces but the inputs, J, which changes at the rate of their power.
+    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
+        0.0
     }
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
@@ -225,22 +225,6 @@ pub enum StickingConstraint<const N: usize> {
         /// Generalised friction force that balances the loads, N and N·m.
         force: Vector<N>,
     },
-}
-
-/// Energy of a motion, J.
-#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct Energy {
-    /// Kinetic energy.
-    pub kinetic: f64,
-    /// Potential energy.
-    pub potential: f64,
-}
-
-impl Energy {
-    /// Kinetic and potential energy together, J.
-    pub fn total(self) -> f64 {
-        self.kinetic + self.potential
-    }
 }
 
 /// Work integrated along the path, J, or power, W.

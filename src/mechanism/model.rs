@@ -126,15 +126,14 @@ impl Mechanism {
         product
     }
 
-    /// Kinetic energy, and potential energy of a constant force, J: both legs at once.
-    pub fn energy(&self, q: &Coordinates, v: &Coordinates, force: &Coordinates) -> [f64; 2] {
-        let (mut kinetic, mut work) = (both(0.0), both(0.0));
+    /// Kinetic energy plus potential energy of a constant force, J: both legs at once.
+    pub fn energy(&self, [q, v]: [&Coordinates; 2], force: &Coordinates) -> f64 {
+        let mut energy = both(0.0);
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
             let rate = legs_of(v, i);
-            kinetic += m * rate * rate;
-            work += legs_of(force, i) * legs_of(q, i);
+            energy += both(0.5) * m * rate * rate - legs_of(force, i) * legs_of(q, i);
         }
-        [sum(kinetic) / 2.0, -sum(work)]
+        sum(energy)
     }
 
     /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.

@@ -10,7 +10,7 @@ pub(super) use crate::dynamics::angles::{angles, legs};
 use crate::effects::Motion;
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{
-    AccelerationTangents, CONFIGURATION_SIGNS, Energy, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work,
+    AccelerationTangents, CONFIGURATION_SIGNS, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work,
 };
 use crate::mechanism::constraints::directions_turned;
 use crate::mechanism::legs::Legs2;
@@ -200,12 +200,12 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         self.closure.phi_q_dot_times::<false>(pose, v)
     }
 
-    fn energy(&self, q: &Angles, pose: &Pose, v: &Angles) -> Energy {
+    fn energy(&self, q: &Angles, pose: &Pose, v: &Angles) -> f64 {
         let potential = match self.model().effects.is_empty() {
             true => -self.model().weight_torques.work(pose),
             false => self.potential_with_effects(*q, [pose.u_p, pose.u_d]),
         };
-        Energy { kinetic: self.mass_times(pose, v).dot(v) / 2.0, potential }
+        self.mass_times(pose, v).dot(v) / 2.0 + potential
     }
 
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {

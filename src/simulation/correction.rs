@@ -38,7 +38,7 @@ impl Run {
         };
         let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
             let five_bar = FiveBar::new(model, inputs, &turns);
-            five_bar.energy(q, &five_bar.pose(q), v).total()
+            five_bar.energy(q, &five_bar.pose(q), v)
         };
         let left = assembled(before, self.motion(before));
         let anew @ (q, v) = assembled(model, *motion);

@@ -5,7 +5,7 @@ use crate::dynamics::{Conditions, TipArm};
 use crate::effects::{Inputs, Motion, Slopes, Wrench};
 use crate::hybrid::{Frictional, Mode};
 use crate::integrator::{
-    CONFIGURATION_SIGNS, Energy, Events, Features, Implicit, StepError, StickingConstraint, Stuck, System, TangentPoint, Work,
+    CONFIGURATION_SIGNS, Events, Features, Implicit, StepError, StickingConstraint, Stuck, System, TangentPoint, Work,
 };
 use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
 use crate::mechanism::coordinates::{THETA, angles_by_leg, largest_angle};
@@ -174,13 +174,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.mass_times(x)
     }
 
-    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Energy {
+    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
         if BARE {
-            let [kinetic, potential] = self.model.mechanism.energy(q, v, &self.model.weight);
-            return Energy { kinetic, potential };
+            return self.model.mechanism.energy([q, v], &self.model.weight);
         }
-        let potential = self.model.potential(q, &self.motion(q, pose, v));
-        Energy { kinetic: self.mass_times(pose, v).dot(v) / 2.0, potential }
+        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {

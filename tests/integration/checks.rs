@@ -3,11 +3,11 @@
 
 use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes};
 use fivebar::integrator::{
-    AccelerationTangents, CONFIGURATION_SIGNS, Energy, Events, Features, Implicit, Kkt, Passage, Path, State, StepError, System,
+    AccelerationTangents, CONFIGURATION_SIGNS, Events, Features, Implicit, Kkt, Passage, Path, State, StepError, System,
     TangentPoint, dense, i3alp,
 };
 use fivebar::mechanism::COORDINATES;
-use fivebar::observers;
+use fivebar::observers::{self, Energies};
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Method, Parameters, Simulation};
 use fivebar::vector::Vector;
@@ -57,11 +57,11 @@ impl System<2, 0> for Oscillator {
         *x
     }
     fn forces(&self, q: &Vector<2>, _: &Vector<2>, v: &Vector<2>) -> (Vector<2>, fivebar::integrator::Work) {
-        let untold = if self.0 == Fault::Force { 0.1 * *v } else { Vector::ZERO };
+        let untold = if self.0 == Fault::Force { *v } else { Vector::ZERO };
         (untold - *q, fivebar::integrator::Work::default())
     }
-    fn energy(&self, q: &Vector<2>, _: &Vector<2>, v: &Vector<2>) -> Energy {
-        Energy { kinetic: v.dot(v) / 2.0, potential: q.dot(q) / 2.0 }
+    fn energy(&self, q: &Vector<2>, _: &Vector<2>, v: &Vector<2>) -> f64 {
+        (v.dot(v) + q.dot(q)) / 2.0
     }
     fn factor_mass(&self, _: &Vector<2>, _: f64) -> Scaled {
         Scaled(1.0)
@@ -169,7 +169,7 @@ const TAKEN: [(&str, Taken); 6] = [
 #[test]
 fn every_fault_is_found_by_every_kind_of_step() {
     for (name, taken) in TAKEN {
-        for tolerance in [1e-5, 1e-7, 1e-9] {
+        for tolerance in [1e-8, 1e-10] {
             let found = |fault| taken(Oscillator(fault), tolerance);
             assert_eq!(found(Fault::None), Ok(()), "{name}, {tolerance:e} rad");
             assert!(
@@ -183,20 +183,21 @@ fn every_fault_is_found_by_every_kind_of_step() {
     }
 }
 
-/// A run with the kinetic energy that its state stores replaced by `part` of it, as a program would leave it that had lost the rest.
-fn robbed(simulation: &Simulation, part: f64) -> Simulation {
-    let kinetic = observers::energies(simulation.model(), &simulation.state()).kinetic;
+/// A run whose state stores its energy with `more` J than it has, as a program would leave it that has lost them.
+fn robbed(simulation: &Simulation, more: f64) -> Simulation {
+    let Energies { kinetic, potential, .. } = observers::energies(simulation.model(), &simulation.state());
+    let energy = kinetic + potential;
     let mut bytes = borsh::to_vec(simulation.run()).expect("bytes");
     let mut replaced = 0;
     for at in 0..bytes.len() - 8 {
         let value = f64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
-        // The last digit depends on the order of the sum.
-        if (value / kinetic - 1.0).abs() < 1e-12 {
-            bytes[at..at + 8].copy_from_slice(&(part * kinetic).to_le_bytes());
+        // Steps of 3e-9 rad keep the energy to some 1e-8 of it.
+        if (value / energy - 1.0).abs() < 1e-6 {
+            bytes[at..at + 8].copy_from_slice(&(energy + more).to_le_bytes());
             replaced += 1;
         }
     }
-    assert!(replaced > 0, "the state stores its kinetic energy");
+    assert!(replaced > 0, "the state stores its energy");
     Simulation::restored(simulation.parameters(), borsh::from_slice(&bytes).expect("a run")).expect("a state")
 }
 
@@ -208,15 +209,15 @@ fn falling(method: Method, checks: bool) -> Simulation {
     simulation
 }
 
-/// A step that loses a thousandth of the kinetic energy is refused with its sentence, and nothing has changed.
+/// A step that loses 2 mJ, a hundredth of the energy, is refused with its sentence, and nothing has changed.
 #[test]
 fn a_five_bar_that_loses_energy_is_stopped() {
     for method in [Method::I3alp, Method::Dop853, Method::Automatic, Method::I3alpConserving] {
         let sound = falling(method, true);
         let ahead =
             |mut simulation: Simulation| simulation.advance(&default_inputs(), 1e-3, 100).map(|()| simulation.state().core.q);
-        assert!(ahead(robbed(&sound, 1.0)).is_ok(), "{method:?}");
-        let before = robbed(&sound, 1.001);
+        assert!(ahead(robbed(&sound, 0.0)).is_ok(), "{method:?}");
+        let before = robbed(&sound, 2e-3);
         let mut stopped = before.clone();
         let failure = stopped.advance(&default_inputs(), 1e-3, 100).expect_err("a loss");
         assert!(matches!(failure.cause, StepError::Imbalance { off, admissible } if off < -admissible), "{method:?}: {failure}");
@@ -236,7 +237,7 @@ fn checks_change_no_motion() {
     }
 }
 
-/// Steps of fixed length are counted where they fail: three of the four links turn by a tenth of a turn in each.
+/// Steps of fixed length are counted where they fail: links turn by a tenth of a turn in each.
 #[test]
 fn steps_of_fixed_length_are_counted() {
     for (method, adaptive) in [(Method::I3alp, false), (Method::I3alpPrinted, false), (Method::Rk4, false)] {
@@ -244,7 +245,7 @@ fn steps_of_fixed_length_are_counted() {
             let mut parameters = default_parameters();
             let settings = &mut parameters.settings;
             (settings.method, settings.adaptive, settings.step_size, settings.checks) = (method, adaptive, step_size, checks);
-            parameters.start.omega = [30.0, -25.0];
+            (parameters.start.theta, parameters.start.omega) = ([1.2, 1.9], [20.0, -15.0]);
             let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
             for _ in 0..20 {
                 if simulation.advance(&default_inputs(), step_size, 1).is_err() {

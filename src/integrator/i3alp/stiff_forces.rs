@@ -34,9 +34,9 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     }
     let start_pose = system.pose(&from.q);
     let driven = drive_work(system, h, (from, &start_pose), (to, pose));
-    let before = system.energy(&from.q, &start_pose, &from.v).total();
+    let before = system.energy(&from.q, &start_pose, &from.v);
     let done = h / 2.0 * (from.power.net() + to.power.net()) + driven - separated;
-    let balance = system.energy(&to.q, pose, &to.v).total() - before - done;
+    let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - from.work.net();
     // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
     let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
