@@ -20,9 +20,7 @@ mod newton;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::{Books, Checked, Imbalance};
-use super::{
-    Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium,
-};
+use super::{Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Step, from_equilibrium};
 use newton::{IterationBudget, ResidualBounds, StopRule, staggered_newton};
