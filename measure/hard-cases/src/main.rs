@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Extent, Row, Setting, Verdict, books, ends, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Setting, Verdict, books, checks, ends, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -85,6 +85,15 @@ enum Task {
         #[arg(long, value_delimiter = ',', default_value = "1e-4,1e-6,3e-9,1e-12")]
         tolerances: Vec<f64>,
     },
+    /// Run random scenes of every kind by every method that checks its steps, at tolerances from 1e-11 to 1e-3 rad: no check stops one
+    Checks {
+        /// How many scenes
+        #[arg(long, default_value_t = 20_000)]
+        scenes: u64,
+        /// The number of the first
+        #[arg(long, default_value_t = 0)]
+        from: u64,
+    },
     /// Compute the ends of the independent programs in the random scenes with kinks, and add missing ones to a table
     Ends {
         /// The table
@@ -153,6 +162,11 @@ impl Task {
                 books::write_markdown(&rows, io::stdout())?;
                 books::write_csv(&rows, file(&out, "books.csv")?)?;
                 Ok(rows.iter().all(books::Books::is_met))
+            }
+            Self::Checks { scenes, from } => {
+                let rows = checks::measure(from, scenes);
+                checks::write_markdown(&rows, io::stdout())?;
+                Ok(rows.iter().all(checks::Row::is_met))
             }
             Self::Ends { table, only, count } => {
                 ends::add(&table, &only, count)?;

@@ -19,10 +19,10 @@ use crate::trial::{Span, Trial};
 use crate::watch::Watch;
 
 /// How a random scene is made: its parameters, its inputs, and how long it is followed, s.
-type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
+pub(crate) type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
 
 /// The kinds of scenes, by name.
-const KINDS: [(&str, Scene); 10] = [
+pub(crate) const KINDS: [(&str, Scene); 10] = [
     ("slow touches", slow_touch),
     ("fast touches", fast_touch),
     ("stops", stops),
