@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, SMatrix, Vector4};
 
 use super::belief::{Bank, Belief, Member};
-use super::constants::{LEAST_TORQUE_DETERMINANT, MODELS};
+use super::constants::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
 use super::error_state::{FORCE, GEOMETRY};
 use super::hypotheses::Hypothesis;
 use super::learning::Learning;
@@ -134,15 +134,12 @@ fn by_geometry<const R: usize>(
     }
     let by_encoders = by_error * frame.holding();
     let variances = Matrix2::from_diagonal(&parameters.variances_of_encoders(&motion.theta).into());
-    let further = by_encoders * variances * by_encoders.transpose();
     let while_held = by_parameters + by_error * frame.held_by_geometry();
-    let added = learning.map_or_else(
-        || {
-            let moved = while_held * SMatrix::from_diagonal(&parameters.sigma_of_geometry());
-            [moved * moved.transpose(); MODELS]
-        },
-        |learning| learning.added_moments(&belief.bank, by_error, [by_parameters, &while_held]),
-    );
+    let moved = while_held * SMatrix::from_diagonal(&constants.unlearned_geometry());
+    let further = by_encoders * variances * by_encoders.transpose() + moved * moved.transpose();
+    let added = learning.map_or([SMatrix::zeros(); MODELS], |learning| {
+        learning.added_moments(&belief.bank, by_error, [by_parameters, &while_held])
+    });
     added.map(|added| added + further)
 }
 
@@ -164,10 +161,12 @@ fn tip_of_models(
 ) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = constants.linkage.frame(&motion.theta);
     let (tip, added) = (frame.tip(), tip_by_geometry(constants, (motion, &frame), (belief, learning)));
+    // Where exact links lie folded back onto each other, the tip is on the motors' axis whatever their angles are.
+    let least = Matrix2::from_diagonal_element((LEAST_SIGMA * constants.linkage.length).powi(2));
     std::array::from_fn(|j| {
         let Member { weight, error, covariance } = &belief.bank.members[j];
         let off: Pair = tip * error.fixed_rows::<2>(0);
-        (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + added[j])
+        (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + added[j] + least)
     })
 }
 

@@ -103,6 +103,8 @@ pub(super) const COMPARED_BELOW: f64 = 0.2;
 pub(super) const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 /// Largest rate of a credible estimate, rad/s.
 pub(super) const LARGEST_RATE: f64 = 2e3;
+/// Largest element of a transition: covariances that it moves do not overflow.
+pub(super) const LARGEST_GROWTH: f64 = 1e100;
 
 // ---- Closed loop.
 

@@ -55,7 +55,7 @@ const MASS_COUNT: f64 = MASSES.end as f64;
 pub(super) struct ReadingErrors {
     /// Derivatives of each by lengths and mounting angles.
     pub(super) rows: [Shown; 2],
-    /// Standard deviations of the errors by discs and scales, rad.
+    /// Standard deviations of the errors by discs and scales, and by lengths that are not learned, rad.
     pub(super) further: [f64; 2],
 }
 

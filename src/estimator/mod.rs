@@ -51,7 +51,7 @@ use belief::{Bank, Innovation};
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS,
+    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LARGEST_RATE,
     LARGEST_RATE_VARIANCE, LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS,
     NEAR_SINGULARITY,
 };
@@ -109,7 +109,7 @@ pub struct Estimator {
     forecast: Forecast,
     alarm: Alarm,
     causes: Causes,
-    /// Whether one encoder alone has lost the machine, which may be anywhere until both have shown it.
+    /// Whether the machine has been given up, which may be anywhere until both encoders have shown it.
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
@@ -170,6 +170,11 @@ impl Estimator {
         // Samples of encoders that are believed end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
+        }
+        if motion.fastest() >= LARGEST_RATE {
+            // No machine turns so fast: what the estimate says of this one is worthless.
+            self.give_up(constants);
+            return Some(LinkState { omega: Links::zeros(), ..motion });
         }
         if samples.iter().all(Option::is_none) {
             return None;
@@ -261,8 +266,12 @@ impl Estimator {
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
     fn errors_beside_learned(&self, constants: &Constants, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
-        let further = || constants.parameters.variances_of_encoders(&motion.theta).map(f64::sqrt);
-        self.learning.is_some().then(|| ReadingErrors { rows: frame.readings_by_geometry(), further: further() })
+        self.learning.is_some().then(|| {
+            let by_lengths = frame.motors_by_lengths(constants.unlearned[0]);
+            let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
+            let further = [0, 1].map(|i| (by_lengths[i] + by_encoders[i]).sqrt());
+            ReadingErrors { rows: frame.readings_by_geometry(), further }
+        })
     }
 
     /// Standard deviation and known part, rad, of the persistent error of each encoder.
@@ -276,10 +285,10 @@ impl Estimator {
             let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
             return [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]));
         }
-        let Parameters { sigma0_length, sigma0_offset, .. } = constants.parameters;
-        let by_lengths = frame.motors_by_lengths(sigma0_length);
+        let [length, offset] = constants.unlearned;
+        let by_lengths = frame.motors_by_lengths(length);
         let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
-        [0, 1].map(|i| ((by_lengths[i] + sigma0_offset * sigma0_offset + by_encoders[i]).sqrt(), 0.0))
+        [0, 1].map(|i| ((by_lengths[i] + offset * offset + by_encoders[i]).sqrt(), 0.0))
     }
 
     /// Measurement update of the bank by the samples that pass their gates, one after the other.
@@ -504,21 +513,26 @@ impl Estimator {
         constants.linkage.frame(&motion.theta)
     }
 
-    /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
+    /// Gives up the machine where one encoder alone, which has long been used, does not follow it.
     fn give_up_by_one(&mut self, constants: &Constants, frame: &Frame) {
         let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
         let [left, right] = &self.encoders;
         let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
         if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
-            self.belief = Belief::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
-            (self.adrift, self.unaided) = (true, Default::default());
-            self.forecast.end();
-            self.causes.close(false);
-            self.learn_anew(constants);
-            self.end_doubt();
-            self.encoders.iter_mut().for_each(Encoder::settle_anew);
+            self.give_up(constants);
         }
+    }
+
+    /// Gives up the machine: it may be anywhere until both encoders show it.
+    fn give_up(&mut self, constants: &Constants) {
+        self.belief = Belief::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
+        (self.adrift, self.unaided) = (true, Default::default());
+        self.forecast.end();
+        self.causes.close(false);
+        self.learn_anew(constants);
+        self.end_doubt();
+        self.encoders.iter_mut().for_each(Encoder::settle_anew);
     }
 
     /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
@@ -633,7 +647,7 @@ impl Estimator {
         }
     }
 
-    /// Whether no samples are used: no encoder is believed, or one alone has lost the machine.
+    /// Whether no samples are used: no encoder is believed, or the machine has been given up.
     pub fn is_coasting(&self) -> bool {
         self.adrift || !self.encoders.iter().any(Encoder::is_believed)
     }

@@ -3,7 +3,7 @@
 use nalgebra::SVector;
 
 use super::constants::UNKNOWN_FORCE;
-use super::error_state::{GEOMETRY, LENGTHS, Learned};
+use super::error_state::{GEOMETRY, LENGTHS, Learned, OFFSETS};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::{Linkage, Links, MEASURED};
@@ -83,11 +83,6 @@ impl Parameters {
         })
     }
 
-    /// Standard deviations of lengths, m, and mounting angles, rad, before any sample.
-    pub(super) fn sigma_of_geometry(&self) -> SVector<f64, GEOMETRY> {
-        SVector::from_fn(|i, _| if i < LENGTH_COUNT { self.sigma0_length } else { self.sigma0_offset })
-    }
-
     /// Refuses delays that the history does not reach, or that learning does not take; `step_size` is the macro step, s.
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
         if self.learn_enabled && self.max_delay > 0.0 {
@@ -130,6 +125,8 @@ pub struct Constants {
     pub linkage: Linkage,
     /// The parameters in force.
     pub parameters: Parameters,
+    /// Standard deviations of lengths, m, and of mounting angles, rad, that are not learned; 0 of those that are.
+    pub(super) unlearned: [f64; 2],
     /// Torque scale of the unknown force, N·m.
     torque_scale: f64,
     /// Values and standard deviations of what is learned, before any sample; boxed, so that it costs nothing where nothing is learned.
@@ -146,9 +143,18 @@ impl Constants {
         };
         let weight_torque = (weight(0, 1) + weight(3, 2)) / 2.0;
         let torque_scale = if parameters.torque_scale > 0.0 { parameters.torque_scale } else { weight_torque };
+        let is_learned = |i: usize| prior.is_some_and(|prior| prior.sigma[i] > 0.0);
+        let unlearned = |sigma: f64, i: usize| if is_learned(i) { 0.0 } else { sigma };
+        let unlearned = [unlearned(parameters.sigma0_length, LENGTHS.start), unlearned(parameters.sigma0_offset, OFFSETS.start)];
         let prior = prior.map(Box::new);
         let nominal = std::array::from_fn(|i| geometry.links.get(i).map_or(geometry.base_distance, |link| link.length));
-        Self { geometry: *geometry, nominal, linkage: Linkage::new(geometry), parameters: parameters.clone(), torque_scale, prior }
+        let (geometry, linkage, parameters) = (*geometry, Linkage::new(geometry), parameters.clone());
+        Self { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior }
+    }
+
+    /// Standard deviations of lengths, m, and mounting angles, rad, that are not learned.
+    pub(super) fn unlearned_geometry(&self) -> SVector<f64, GEOMETRY> {
+        SVector::from_fn(|i, _| self.unlearned[usize::from(i >= LENGTH_COUNT)])
     }
 
     /// Length of link i or of the base as the parameters say, m.

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Matrix4};
 
-use super::constants::{AGREEMENT, COMPARED_BELOW, NEAR_VERTEX, PERSISTENT_TIME};
+use super::constants::{AGREEMENT, COMPARED_BELOW, LARGEST_GROWTH, NEAR_VERTEX, PERSISTENT_TIME};
 use super::error_state::{FORCE, Matrix, Transition, turn_errors};
 use super::flow::Flow;
 use super::tangent::{Frame, LinkState, Links, wrapped};
@@ -43,7 +43,7 @@ impl Propagation {
         // NaN counts as near a vertex.
         let held = !(smallest > NEAR_VERTEX && (smallest > COMPARED_BELOW || agrees()));
         let f = if held { straight(from, to, h) } else { transition(from, to, flow) };
-        let (f, held) = if f.iter().all(|x| x.is_finite()) { (f, held) } else { (straight(from, to, h), true) };
+        let (f, held) = if f.iter().all(|x| x.abs() < LARGEST_GROWTH) { (f, held) } else { (straight(from, to, h), true) };
         Self { from: *from, to: *to, f, mass, steps: flow.steps, held }
     }
 

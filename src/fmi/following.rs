@@ -2,7 +2,7 @@
 
 use crate::estimator::Fault;
 use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS};
-use crate::simulation::Following;
+use crate::simulation::{Following, NEARLY_IN_PAIRS};
 
 /// Warnings after a step from `point`, s: faults of encoders, a restart of the estimate unless the samples before had `restarted` it, and learned values
 /// that have come to a bound.
@@ -20,6 +20,21 @@ pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -
         warnings.extend(following.take_bounds().into_iter().map(|reached| bound_message(reached, point)));
     }
     warnings
+}
+
+/// The warning at the start about uncertain lengths that are not learned.
+pub(super) fn unlearned_lengths(following: &Following) -> Option<String> {
+    let parameters = following.parameters();
+    let sigma = parameters.estimator.sigma0_length;
+    (parameters.estimator.learn_enabled && sigma > 0.0 && !parameters.learns_lengths()).then(|| {
+        let [pair, base] = NEARLY_IN_PAIRS.map(|times| times * sigma);
+        format!(
+            "link[i].length and base.distance are not learned, but stay uncertain by estimator.sigma0.length = {sigma:?} m: base.distance = {:?} m is \
+             at most {base:?} m, and the lengths are equal in pairs to {pair:?} m, so that their errors decide how the machine leaves a posture with all \
+             links in line.",
+            parameters.geometry.base_distance
+        )
+    })
 }
 
 /// The warning about a learned value that was moved to one of its bounds.

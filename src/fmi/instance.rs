@@ -8,7 +8,7 @@ use super::messages::{Log, Status};
 use super::own::Unit;
 use super::snapshot::Scene;
 use super::values::{check_computed, check_finite, check_settable, check_value, find, lookup};
-use super::{CallError, Kind, Snapshot, Stage, computed};
+use super::{CallError, Kind, Snapshot, Stage, computed, following};
 use crate::observers::{Observation, Observed};
 use crate::simulation::{Method, bindings};
 use crate::variables::{FmiType, VARIABLES, Value, Variable};
@@ -127,6 +127,9 @@ impl Instance {
                 ),
             }
         });
+        if let Some(text) = scene.following().and_then(following::unlearned_lengths) {
+            self.log.push(Status::Warning, || text);
+        }
         let now = self.change();
         now.scene = Some(scene);
         now.stage = match kind {

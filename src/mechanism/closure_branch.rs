@@ -78,14 +78,25 @@ impl ClosureBranch {
         (deviation <= largest && deviations.iter().all(separate)).then_some(nearest)
     }
 
-    /// Whether a mechanism has the branch, to the round-off of its lengths.
-    pub fn is_of(self, geometry: &Geometry) -> bool {
+    /// Whether a mechanism has some branch but for differences of up to `length`, m, in its pairs, and a base of up to `base`, m.
+    pub fn any_is_nearly_of(geometry: &Geometry, [length, base]: [f64; 2]) -> bool {
+        let are_near = |[x, y]: [f64; 2]| (x - y).abs() <= length;
+        geometry.base_distance <= base && Self::ALL.into_iter().any(|branch| branch.pairs(geometry).into_iter().all(are_near))
+    }
+
+    /// Lengths of both pairs, m.
+    fn pairs(self, geometry: &Geometry) -> [[f64; 2]; 2] {
         let [left, distal_left, distal_right, right] = geometry.lengths();
-        let pairs = match self {
+        match self {
             Self::Parallelogram | Self::CrossedParallelogram => [[left, distal_right], [right, distal_left]],
             Self::Coincident | Self::Kite => [[left, right], [distal_left, distal_right]],
             Self::Folded | Self::ElbowKite => [[left, distal_left], [right, distal_right]],
-        };
+        }
+    }
+
+    /// Whether a mechanism has the branch, to the round-off of its lengths.
+    pub fn is_of(self, geometry: &Geometry) -> bool {
+        let pairs = self.pairs(geometry);
         let [[one, _], [other, _]] = pairs;
         let are_equal = |[x, y]: [f64; 2]| (x - y).abs() <= 4.0 * f64::EPSILON * x;
         geometry.base_distance == 0.0 && pairs.into_iter().all(are_equal) && !(self.is_mirrored() && are_equal([one, other]))

@@ -5,7 +5,6 @@ use std::f64::consts::TAU;
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bindings::check_bounds;
 use super::learned::Perturbed;
 use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
 use super::run::MacroSteps;
@@ -63,7 +62,7 @@ impl Following {
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
-        check_bounds(parameters)?;
+        Model::new(parameters)?;
         let mut machine = parameters.clone();
         let mut constants = constants_of(parameters);
         if let Some(learned) = estimate.estimator.learned() {
@@ -118,13 +117,13 @@ impl Following {
 
     /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
-        let Self { simulation: Simulation { model, run, parameters: machine }, constants, estimate, .. } = self;
+        let Self { parameters, simulation: Simulation { model, run, parameters: machine }, constants, estimate } = self;
         let before = std::mem::replace(&mut estimate.inputs, *inputs);
         let (turns, from) = (run.turns, run.motion(model));
         let learned = estimate.estimator.learned();
         let [before, inputs] = &[&before, inputs].map(|inputs| by_true_angles(model, inputs, learned.as_ref()));
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
-        let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine));
+        let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine, parameters.learns_lengths()));
         let scene = FollowedScene { model, inputs, before, turns: &turns, learned: perturbed.as_ref() };
         estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
@@ -156,7 +155,8 @@ impl Following {
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters.clone() };
-        check_bounds(&tuned)?;
+        // Refused by what the master has set: learned values within their bounds are no reason to refuse it.
+        Model::new(&tuned)?;
         self.estimate.estimator.begin_anew_where_tuned(&self.constants, tuned.prior().as_ref());
         let mut machine = tuned.clone();
         // A payload that joins changes the masses.

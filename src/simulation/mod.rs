@@ -34,6 +34,7 @@ pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 use bindings::check_bounds;
 pub use following::{Estimate, Following};
+pub(crate) use learned::NEARLY_IN_PAIRS;
 pub use learned::Perturbed;
 pub use linearised::FollowedScene;
 pub use model::{Model, Parameters};
