@@ -628,7 +628,8 @@ fn a_value_at_its_bound_is_told_once() {
 fn the_log_says_that_lengths_are_not_learned() {
     let lengths = [("link[1].length", 0.25), ("link[2].length", 0.2), ("link[3].length", 0.2), ("link[4].length", 0.25)];
     for (base, sigma, expected) in [(0.0, 2e-4, 1), (0.1, 2e-4, 0), (0.0, 0.0, 0)] {
-        let values = [&lengths[..], &[("base.distance", base), ("estimator.sigma0.length", sigma)]].concat();
+        let values =
+            [&lengths[..], &[("base.distance", base), ("estimator.sigma0.length", sigma), ("init.theta[2]", 1.2)]].concat();
         let host = host(true, &values);
         assert_eq!(host.call(fivebar::ffi::fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
         let mut lines = host.take();
