@@ -103,6 +103,9 @@ pub(super) const COMPARED_BELOW: f64 = 0.2;
 pub(super) const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 /// Largest rate of a credible estimate, rad/s.
 pub(super) const LARGEST_RATE: f64 = 2e3;
+/// Rate from which on an estimate begins again, anywhere and at rest, rad/s. Some that reach 4e3 by a force that samples take back find the machine
+/// themselves; with wild samples some reach 2e4, where transitions overflow and the run fails (`wild_samples_leave_a_band`).
+pub(super) const HOPELESS_RATE: f64 = 1e4;
 /// Largest element of a transition: covariances that it moves do not overflow.
 pub(super) const LARGEST_GROWTH: f64 = 1e100;
 

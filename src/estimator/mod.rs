@@ -51,9 +51,8 @@ use belief::{Bank, Innovation};
 pub use cause::Cause;
 use cause::Causes;
 use constants::{
-    ANYWHERE, BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, LARGEST_NIS, LARGEST_RATE,
-    LARGEST_RATE_VARIANCE, LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS,
-    NEAR_SINGULARITY,
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, HOPELESS_RATE, LARGEST_NIS,
+    LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
@@ -109,7 +108,7 @@ pub struct Estimator {
     forecast: Forecast,
     alarm: Alarm,
     causes: Causes,
-    /// Whether the machine has been given up, which may be anywhere until both encoders have shown it.
+    /// Whether one encoder alone has lost the machine, which may be anywhere until both have shown it.
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
@@ -171,9 +170,8 @@ impl Estimator {
         if !self.is_coasting() {
             self.forecast.end();
         }
-        if motion.fastest() >= LARGEST_RATE {
-            // No machine turns so fast: what the estimate says of this one is worthless.
-            self.give_up(constants);
+        if motion.fastest() >= HOPELESS_RATE {
+            self.forget(constants, Belief::new(constants.variances_anywhere()));
             return Some(LinkState { omega: Links::zeros(), ..motion });
         }
         if samples.iter().all(Option::is_none) {
@@ -241,11 +239,7 @@ impl Estimator {
         });
         let Some((mut error, turn, corrected)) = self.belief.inject_error(&constants.linkage, frame, motion) else {
             // No closed configuration is near the corrected one: the covariance is worthless.
-            self.belief.bank = Bank::new(constants.start_variances());
-            self.unaided = Default::default();
-            self.causes.close(false);
-            self.learn_anew(constants);
-            self.end_doubt();
+            self.forget(constants, Belief { bank: Bank::new(constants.start_variances()), ..self.belief });
             return;
         };
         if let Some(((_, change), errors)) = learned.as_ref().zip(errors) {
@@ -513,26 +507,26 @@ impl Estimator {
         constants.linkage.frame(&motion.theta)
     }
 
-    /// Gives up the machine where one encoder alone, which has long been used, does not follow it.
+    /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
     fn give_up_by_one(&mut self, constants: &Constants, frame: &Frame) {
         let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
         let [left, right] = &self.encoders;
         let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
         if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
-            self.give_up(constants);
+            self.forget(constants, Belief::new(constants.variances_anywhere()));
+            self.adrift = true;
+            self.forecast.end();
+            self.encoders.iter_mut().for_each(Encoder::settle_anew);
         }
     }
 
-    /// Gives up the machine: it may be anywhere until both encoders show it.
-    fn give_up(&mut self, constants: &Constants) {
-        self.belief = Belief::new([ANYWHERE, LARGEST_RATE_VARIANCE, constants.torque_scale().powi(2)]);
-        (self.adrift, self.unaided) = (true, Default::default());
-        self.forecast.end();
+    /// Replaces a belief that is worthless, and forgets what has been concluded from it.
+    fn forget(&mut self, constants: &Constants, belief: Belief) {
+        (self.belief, self.unaided) = (belief, Default::default());
         self.causes.close(false);
         self.learn_anew(constants);
         self.end_doubt();
-        self.encoders.iter_mut().for_each(Encoder::settle_anew);
     }
 
     /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
@@ -647,7 +641,7 @@ impl Estimator {
         }
     }
 
-    /// Whether no samples are used: no encoder is believed, or the machine has been given up.
+    /// Whether no samples are used: no encoder is believed, or one alone has lost the machine.
     pub fn is_coasting(&self) -> bool {
         self.adrift || !self.encoders.iter().any(Encoder::is_believed)
     }

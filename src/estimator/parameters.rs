@@ -2,7 +2,7 @@
 
 use nalgebra::SVector;
 
-use super::constants::UNKNOWN_FORCE;
+use super::constants::{ANYWHERE, LARGEST_RATE_VARIANCE, UNKNOWN_FORCE};
 use super::error_state::{GEOMETRY, LENGTHS, Learned, OFFSETS};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
@@ -182,6 +182,11 @@ impl Constants {
     pub(super) fn start_variances(&self) -> [f64; 3] {
         let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
         [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale].map(|sigma| sigma * sigma)
+    }
+
+    /// Variances of angles, rad², rates, rad²/s², and unknown force, (N·m)², of a machine that may be anywhere.
+    pub(super) fn variances_anywhere(&self) -> [f64; 3] {
+        [ANYWHERE, LARGEST_RATE_VARIANCE, self.torque_scale * self.torque_scale]
     }
 }
 
