@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import paho.mqtt.client as mqtt
 import pytest
@@ -18,7 +19,7 @@ from conftest import PATIENCE, REPOSITORY
 from conftest import started as addresses
 from fivebar import simulate
 from fivebar.twin import config as configuration
-from fivebar.twin import figures
+from fivebar.twin import figures, starter
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.follow import Twin
@@ -28,6 +29,7 @@ from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import free_port
 from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
+from twin_support import recorded
 
 COMMAND = [sys.executable, "-m", "fivebar"]
 
@@ -242,3 +244,17 @@ def test_a_recording_takes_the_place_of_any_machine(tmp_path: Path, fmu: Path, s
     samples = json.loads((tmp_path / "out" / "summary.json").read_text())["samples"]
     # Every communication point of 1.6 s, each ms.
     assert samples["published"] == samples["estimated"] == samples["followed"] == 1601 and samples["lost"] == 0, text
+
+
+def test_samples_of_any_machine_are_counted(
+    tmp_path: Path, fmu: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the stand-in nobody says what was published: "0 samples, 400 estimates" was told of publish_machine.py."""
+    library = Library(fmu)
+    done = recorded(configured(tmp_path, fmu, library, "pick_and_place"), library, 40)
+    library.close()
+    lives = {"follow": [done.twin.status()], "watch": [done.watch.status()]}
+    monkeypatch.setattr(time, "monotonic", lambda: 1.5)
+    next(lines := starter._progress(SimpleNamespace(status=lambda: lives), 0.0, 10.0))
+    next(lines)
+    assert "1.5 of 10 s   40 samples, 40 estimates" in capsys.readouterr().out

@@ -527,8 +527,10 @@ def _progress(run: Run, begin: float, seconds: float) -> Iterator[None]:
         lives = run.status()
         watch = lives.get("watch", [{}])[-1]
         of = f" of {seconds:g}" if math.isfinite(seconds) else ""
+        # Only the stand-in says how many samples it has published; those of any other machine are counted where they arrive.
+        samples = max(total(lives.get("machine", []), "published"), total(lives.get("watch", []), "samples"))
         line = (
-            f"{now - begin:6.1f}{of} s   {total(lives.get('machine', []), 'published')} samples, "
+            f"{now - begin:6.1f}{of} s   {samples} samples, "
             f"{total(lives.get('follow', []), 'estimated')} estimates, p99 {watch.get('latency_ms', {}).get('p99', 0):.1f} ms, "
             f"{watch.get('alarms', 0)} alarms"
         )

@@ -338,6 +338,7 @@ class Watch(Worker):
     def status(self) -> dict[str, Any]:
         quantiles = {f"p{share}": 1e3 * self.latency.quantile(share / 100) for share in (50, 90, 99)}
         return {
+            "samples": self.samples,
             "estimates": self.estimates,
             "alarms": self.alarms,
             "state": self.anomalies.state,
