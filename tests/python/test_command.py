@@ -246,6 +246,12 @@ def test_missing_extras_are_one_sentence(
             and sentence.count("\n") == 1
         )
         assert "pyarrow" in sentence and sentence.endswith(f"pip install 'fivebar[{extra}]' installs what is needed\n")
+    # Only those who have a cluster need its packages.
+    monkeypatch.setattr(extras, "_installed", lambda name: None if name == "distributed" else installed(name))
+    for words in (["ensemble"], ["what-if", "--config", "x"]):
+        assert main([*words, "--scheduler", "127.0.0.1:8786"]) == 2
+        sentence = "distributed is needed and not installed: pip install 'fivebar[cluster]' installs what is needed\n"
+        assert capsys.readouterr().err == f"fivebar {words[0]}: {sentence}"
     assert list(here.iterdir()) == []
 
 
@@ -276,11 +282,11 @@ from importlib import metadata, import_module
 from packaging.requirements import Requirement
 def closure(texts, extra, found):
     for requirement in map(Requirement, texts):
-        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+        if requirement.marker is None or any(requirement.marker.evaluate({"extra": each}) for each in extra.split()):
             name = requirement.name.lower().replace("_", "-")
             if name not in found:
                 found.add(name)
-                closure(metadata.requires(name) or (), "", found)
+                closure(metadata.requires(name) or (), "none", found)
     return found
 allowed = closure(metadata.requires("fivebar"), sys.argv[1], {"fivebar"})
 blocked = {top for top, owners in metadata.packages_distributions().items()
@@ -297,13 +303,20 @@ print(len(blocked))
 
 
 @pytest.mark.parametrize(
-    ("extra", "folder"), [("", "."), ("twin", "twin"), ("calibrate", "twin/calibrate"), ("ensemble", "twin/ensemble")]
+    ("extra", "folder"),
+    [
+        ("none", "."),
+        ("twin", "twin"),
+        ("calibrate", "twin/calibrate"),
+        ("ensemble", "twin/ensemble"),
+        ("ensemble cluster", "twin/ensemble"),
+    ],
 )
 def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
     """Each module that its subcommands load, with every package out of sight that neither the core nor the extra asks for."""
     root = Path(fivebar.__file__).parent
-    files = sorted((root / folder).glob("*.py"))
-    if not extra:
+    files = [file for file in sorted((root / folder).glob("*.py")) if file.stem != "cluster" or "cluster" in extra]
+    if extra == "none":
         files += sorted((root / "commands").glob("*.py"))
     modules = [
         ".".join(("fivebar", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__") for file in files

@@ -7,7 +7,7 @@ from importlib import metadata
 
 from packaging.requirements import Requirement
 
-EXTRAS = ("twin", "calibrate", "ensemble")
+EXTRAS = ("twin", "calibrate", "ensemble", "cluster")
 
 
 def closure(extras: tuple[str, ...]) -> dict[str, metadata.Distribution]:

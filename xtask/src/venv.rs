@@ -164,7 +164,7 @@ fn install(group: &str) -> Result<()> {
     let mut install = uv_pip_install()?;
     install.args(["--constraints", LOCK, "--build-constraints", LOCK, "--group", &format!("{PROJECT}:{group}")]);
     if group == "test" {
-        install.args(["--editable", "python[all]"]);
+        install.args(["--editable", "python[all,cluster]"]);
     }
     process::run(&mut install).context("the Python packages could not be installed")
 }

@@ -34,7 +34,11 @@ from fivebar.commands import options
     metavar="N",
     help="Processes on this machine; 0: all in this one.",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="A scheduler of Dask, in the place of processes on this machine.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="A scheduler of Dask, in the place of processes on this machine; needs fivebar[cluster].",
+)
 @click.option("--measure", is_flag=True, help="Run all in one process as well, and say how efficient the workers are.")
 @options.fmu()
 @options.out("./ensemble/")
@@ -53,6 +57,8 @@ def ensemble(scene: str | None, state: Path | None, fmu: Path | None, out: Path 
     if scene is not None and state is not None:
         raise click.UsageError("--scene and --state are two starts, and one is needed")
     options.need("ensemble")
+    if given["scheduler"]:
+        options.need("cluster")
     from fivebar import shipped
     from fivebar.twin.ensemble import command
 

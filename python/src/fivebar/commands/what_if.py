@@ -30,7 +30,11 @@ from fivebar.commands import options
     metavar="N",
     help="How many snapshots are answered; 0: until Ctrl-C.",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="A scheduler of Dask; else all in this process.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="A scheduler of Dask, which needs fivebar[cluster]; else all in this process.",
+)
 def what_if(**given: Any) -> int:
     """Compare commands from the running twin's state.
 
@@ -42,6 +46,8 @@ def what_if(**given: Any) -> int:
     fivebar what-if --config twin/runs/20261124-060000-1234/twin.json
     """
     options.need("ensemble")
+    if given["scheduler"]:
+        options.need("cluster")
     from fivebar.twin.ensemble import what_if as work
 
     return work.run(work.Options(**given))

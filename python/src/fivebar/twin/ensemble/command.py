@@ -1,14 +1,14 @@
-"""`fivebar ensemble`: many runs that differ as much as one does not know, on Dask."""
+"""`fivebar ensemble`: many runs that differ as much as one does not know, on processes of this machine or on a cluster."""
 
 import base64
 import json
 import math
 import sys
 import time
-import uuid
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fivebar import scene as scenes
 from fivebar.twin import config, scene
@@ -17,6 +17,10 @@ from fivebar.twin.calibrate.scenes import KEPT_OUT
 from fivebar.twin.ensemble.member import STATE, Plan, Runner, spreads
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library, Unit
+
+if TYPE_CHECKING:
+    from fivebar.twin.ensemble.cluster import Cluster
+    from fivebar.twin.ensemble.processes import Processes
 
 USUAL: Final = {"theta[1]": 2e-3, "theta[2]": 2e-3, "link[1,4].mass": 0.01, "link[2,3].mass": 0.01}
 """Spreads if nothing is said: 2 mrad where a run begins, 1 % of the masses."""
@@ -49,7 +53,7 @@ class Options:
     """Processes on this machine; 0 is none but this one."""
 
     scheduler: str | None
-    """Address of a scheduler of Dask."""
+    """Address of a scheduler of Dask, in the place of processes on this machine."""
 
     measure: bool
     """Whether to run all in one process as well."""
@@ -197,31 +201,30 @@ def uncertainty(unit: Unit) -> dict[str, float]:
 
 
 def _on_workers(options: Options, fmu: bytes, plan: Plan, file: Path) -> dict[str, Any]:
-    from fivebar.twin.ensemble import cluster, results
+    from fivebar.twin.ensemble import results
 
     begun = time.perf_counter()
-    client, own = cluster.client(options.scheduler, options.workers)
-    try:
-        client.wait_for_workers(1, timeout=60)
-        ready, cpu, before = time.perf_counter(), time.process_time(), client.run(time.process_time)
-        show = Progress("workers", options.members)
-        results.write(
-            file, plan, cluster.tables(client, fmu, plan, options.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show
-        )
-        wall = time.perf_counter() - ready
-        after = client.run(time.process_time)
-        # A worker that came later began with 0.
-        spent = sum(seconds - before.get(address, 0.0) for address, seconds in after.items())
+    with closing(_workers(options)) as workers:
+        ready, cpu = time.perf_counter(), time.process_time()
+        results.write(file, plan, workers.tables(fmu, plan, options.members), Progress("workers", options.members))
+        wall, cpu = time.perf_counter() - ready, time.process_time() - cpu
         return {
-            "workers": len(after),
+            "workers": workers.count(),
             "start_s": ready - begun,
             "wall_s": wall,
-            "cpu_s": spent + time.process_time() - cpu,
+            "cpu_s": workers.spent() + cpu,
         }
-    finally:
-        client.close()
-        if own is not None:
-            own.close()
+
+
+def _workers(options: Options) -> "Cluster | Processes":
+    """Those of a scheduler, if there is one, or else of this machine."""
+    if options.scheduler:
+        from fivebar.twin.ensemble.cluster import Cluster
+
+        return Cluster(options.scheduler)
+    from fivebar.twin.ensemble.processes import Processes
+
+    return Processes(options.workers)
 
 
 class Progress:

@@ -71,9 +71,9 @@ class Plan:
 
 
 class Runner:
-    """An instance that runs members of a plan."""
+    """An instance that runs members of a plan; `shown` are the values that are kept."""
 
-    def __init__(self, library: Library, plan: Plan):
+    def __init__(self, library: Library, plan: Plan, shown: tuple[str, ...] = SHOWN):
         self.library, self.plan = library, plan
         self.unit = Unit(library, "member")
         self.of_state = [name for name in plan.spreads if name in STATE]
@@ -88,7 +88,7 @@ class Runner:
             self.unit.start(self.values)
         self.base = self.unit.store()
         self.begin = self.unit.get([*STATE, "mode.assembly"])
-        self.shown, self.passes = Reader(self.unit, SHOWN), Reader(self.unit, PASSES)
+        self.shown, self.passes = Reader(self.unit, shown), Reader(self.unit, PASSES)
         self.inputs = (fmi2.fmi2ValueReference * len(plan.names))(
             *(library.variable(name).valueReference for name in plan.names)
         )
@@ -146,7 +146,7 @@ class Runner:
     def run(self, member: int) -> dict[str, Any]:
         """A member from its begin to its end."""
         plan, unit = self.plan, self.unit
-        shown = np.full((plan.points, len(SHOWN)), np.nan, dtype=np.float32)
+        shown = np.full((plan.points, len(self.shown.names)), np.nan, dtype=np.float32)
         result: dict[str, Any] = {
             "member": member,
             "failed": "",

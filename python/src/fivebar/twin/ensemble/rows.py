@@ -1,10 +1,11 @@
-"""Members as rows of tables, and as many as one likes in this process."""
+"""Members as rows of tables: chunks in this process, or on workers and back in their order."""
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import pyarrow as pa
 
@@ -13,6 +14,9 @@ from fivebar.twin.unit import Library
 
 CHUNK: Final = 200
 """Members in one task: a row group of the results, whatever the number of workers."""
+
+WINDOW: Final = 8
+"""Chunks a worker may have under way or waiting to be written."""
 
 
 def table(plan: Plan, results: list[dict[str, Any]]) -> pa.Table:
@@ -45,7 +49,7 @@ def library_of(fmu: bytes) -> Library:
 
 
 def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """Tables of the members, computed in this process without Dask."""
+    """Tables of the members, computed in this process."""
     library = library_of(fmu)
     try:
         yield from here(library, plan, members)
@@ -61,3 +65,36 @@ def here(library: Library, plan: Plan, members: int) -> Iterator[pa.Table]:
             yield table(plan, [runner.run(member) for member in range(first, min(first + CHUNK, members))])
     finally:
         runner.close()
+
+
+class Submitted(Protocol):
+    """A chunk under way."""
+
+    def result(self) -> bytes:
+        """Its table as bytes of Arrow, as soon as it is done."""
+
+
+def in_order(submit: Callable[[int, int], Submitted], workers: Callable[[], int], members: int) -> Iterator[pa.Table]:
+    """Tables of the members in their order; `submit` takes the first member of a chunk and how many it has.
+
+    No more than `WINDOW` chunks for each worker are under way or waiting for their turn: memory is bounded however many members there are.
+    """
+    under_way: deque[Submitted] = deque()
+    first = written = most = 0
+    while first < members or under_way:
+        if written % 16 == 0:
+            most = WINDOW * max(1, workers())
+        while first < members and len(under_way) < most:
+            under_way.append(submit(first, min(CHUNK, members - first)))
+            first += CHUNK
+        yield pa.ipc.open_stream(under_way.popleft().result()).read_all()
+        written += 1
+
+
+def chunk(runner: Runner, first: int, count: int) -> bytes:
+    """Some members as bytes of Arrow."""
+    content = table(runner.plan, [runner.run(member) for member in range(first, first + count)])
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, content.schema) as writer:
+        writer.write_table(content)
+    return sink.getvalue().to_pybytes()

@@ -1,16 +1,17 @@
 """`fivebar what-if`: outcomes of some commands, each from the running twin's snapshot; ranked, and published as `whatif`.
 
-A command is a way of the drives' inputs from the snapshot on. Each is run by some members that differ as much as the twin is uncertain,
-the same members for all commands, so that their outcomes differ by the commands alone. The better one meets a singularity less
-probably; among equals the one whose 95 % of tips end nearer to the goal, or, without a goal, closer together.
+A command is a way of the drives' inputs from the snapshot on. Where it leads, and the radius that holds the tip with 95 %, is the twin's
+own forecast along it: all that the twin does not know is in it, forces, lengths and encoders included. How probably it meets a singularity
+is told by some members that begin as uncertain as the twin is, the same for all commands, so that outcomes differ by the commands alone.
+The better command meets one less probably; among equals the one whose 95 % of tips end nearer to the goal, or, without a goal, closer together.
 """
 
 import base64
 import math
 import threading
 import time
-import uuid
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,15 +24,17 @@ from fivebar.twin import config as configuration
 from fivebar.twin import process
 from fivebar.twin.bus import Bus
 from fivebar.twin.ensemble.command import of_state
-from fivebar.twin.ensemble.member import Plan
+from fivebar.twin.ensemble.member import Plan, Runner
 from fivebar.twin.ensemble.rows import here
 from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.forecast import RADIUS
 from fivebar.twin.messages import INPUTS, Message, decode, encode
 from fivebar.twin.unit import Library
 
 PERIOD: Final = 0.005
 POINTS: Final = 10
 MOST_CANDIDATES: Final = 50
+FORECAST: Final = ("tip.x", "tip.y", RADIUS)
 TURN: Final = 0.15
 """rad: how far the commands go that are compared if none are given."""
 
@@ -143,36 +146,36 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
     return found, goal
 
 
-def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list[float] | None) -> dict[str, Any]:
-    """Outcome of a command: probabilities, spread of the tip, score."""
-    content = pa.concat_tables(tables)
-    x, y = (np.stack(list(content[name].to_numpy())).astype(float) for name in ("tip.x", "tip.y"))
-    ended = np.isfinite(x).all(axis=1)
-    times = content["singular.time"].to_numpy(zero_copy_only=False)
+def outcome(name: str, members: pa.Table, ahead: np.ndarray, goal: list[float] | None) -> dict[str, Any]:
+    """Outcome of a command: probability of a singularity, the tip's way with its bands, score. `ahead` are rows of x, y and radius, m."""
+    failed = sum(sentence != "" for sentence in members["failed"].to_pylist())
+    times = members["singular.time"].to_numpy()
     met = times[np.isfinite(times)]
-    if not ended.any():
-        return {
-            "name": candidate.name,
-            "failed": len(x),
-            "singular": {"probability": 1.0, "time": None},
-            "score": math.inf,
-        }
-    x, y = x[ended], y[ended]
-    centre = np.array([np.median(x[:, -1]), np.median(y[:, -1])])
-    aim = np.array(goal) if goal is not None else centre
-    far = float(np.quantile(np.hypot(x[:, -1] - aim[0], y[:, -1] - aim[1]), 0.95))
+    probability = len(met) / len(times) if failed < len(times) else 1.0
+    found = {
+        "name": name,
+        "failed": failed,
+        "singular": {"probability": probability, "time": float(np.median(met)) if len(met) else None},
+        "score": math.inf,
+    }
+    if failed == len(times) or not np.isfinite(ahead).all():
+        return found
+    x, y, radius = (float(value) for value in ahead[-1])
+    far = radius + (math.dist((x, y), goal) if goal is not None else 0.0)
     bands = {
-        name: np.quantile(values, (0.025, 0.5, 0.975), axis=0).T.round(7).tolist()
-        for name, values in (("tip.x", x), ("tip.y", y))
+        axis: np.column_stack([middle - ahead[:, 2], middle, middle + ahead[:, 2]]).round(7).tolist()
+        for axis, middle in (("tip.x", ahead[:, 0]), ("tip.y", ahead[:, 1]))
     }
-    return {
-        "name": candidate.name,
-        "failed": int(len(ended) - ended.sum()),
-        "singular": {"probability": len(met) / len(times), "time": float(np.median(met)) if len(met) else None},
-        "end": {"tip.x": float(centre[0]), "tip.y": float(centre[1]), "within95": far},
-        "bands": bands,
-        "score": far,
-    }
+    return found | {"end": {"tip.x": x, "tip.y": y, "within95": far}, "bands": bands, "score": far}
+
+
+def forecast(library: Library, plan: Plan) -> np.ndarray:
+    """The twin's own forecast along a command, (points, 3): tip and the radius that holds it with 95 %, m; NaN from where it fails on."""
+    runner = Runner(library, replace(plan, spreads={}), FORECAST)
+    try:
+        return np.asarray(runner.run(0)["shown"], dtype=float)
+    finally:
+        runner.close()
 
 
 def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -202,7 +205,10 @@ def compare(
             replace(plan, names=names, commands=c.rows(told, names, options.seconds), period=PERIOD) for c in chosen
         ]
         results = _all(fmu, library, plans, options)
-        found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, results, strict=True)]
+        found = [
+            outcome(c.name, members, forecast(library, p), goal)
+            for c, p, members in zip(chosen, plans, results, strict=True)
+        ]
     except TwinError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError):
@@ -219,22 +225,17 @@ def compare(
     }
 
 
-def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> Iterator[list[pa.Table]]:
+def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> Iterator[pa.Table]:
     """The members of each plan; here, or on workers."""
     if not options.scheduler:
         for plan in plans:
-            yield list(here(library, plan, options.members))
+            yield pa.concat_tables(here(library, plan, options.members))
         return
-    from fivebar.twin.ensemble import cluster
+    from fivebar.twin.ensemble.cluster import Cluster
 
-    client, _ = cluster.client(options.scheduler, 0)
-    try:
+    with closing(Cluster(options.scheduler)) as cluster:
         for plan in plans:
-            yield list(
-                cluster.tables(client, fmu.read_bytes(), plan, options.members, f"what-if-{uuid.uuid4().hex[:12]}")
-            )
-    finally:
-        client.close()
+            yield pa.concat_tables(cluster.tables(fmu.read_bytes(), plan, options.members))
 
 
 def run(options: Options) -> int:
@@ -286,9 +287,9 @@ def _print(answer: dict[str, Any]) -> None:
     for one in answer["candidates"]:
         end = one.get("end")
         where = (
-            f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.2f} mm"
+            f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.3g} mm"
             if end
-            else "no member came to its end"
+            else "nobody knows where it ends"
         )
         print(
             f"  {one['rank']:2}. {one['name']:24} singularity {one['singular']['probability']:4.0%}  {where}",
