@@ -6,30 +6,41 @@ import itertools
 import json
 import logging
 import re
+import threading
+import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from conftest import PATIENCE
+from browser import open_browser
+from conftest import PATIENCE, wait_until
 from fivebar.twin import dashboard, scene
 from fivebar.twin.config import Broker, Config
-from fivebar.twin.dashboard import FILES, KEPT, Pace, Server, topic_of
+from fivebar.twin.dashboard import FILES, KEPT, TRAIL, Pace, Server, packet_from, topic_of
 from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.soak import machine
 from fivebar.twin.starter import free_port
+from fivebar.twin.unit import Library
 from fivebar.variables import of_unit
+from twin_support import follower
 
 
-def packet(kind: str, seq: int, qos: int = 0) -> bytes:
+def packet(kind: str, seq: int, qos: int = 0, **content: Any) -> bytes:
     """MQTT's packet with a message."""
     name = topic("bench", kind).encode()
-    body = len(name).to_bytes(2) + name + (b"\0\1" if qos else b"") + encode(Message(kind, "bench", 5, seq, {}))
+    message = encode(Message(kind, "bench", 5_000_000 * seq, seq, content.pop("fields", {}), content))
+    body = len(name).to_bytes(2) + name + (b"\0\1" if qos else b"") + message
     return bytes([0x30 | qos << 1, len(body) & 0x7F | 0x80, len(body) >> 7]) + body
 
 
-def seqs(sent: bytes) -> list[int]:
+def seqs(sent: "bytes | tuple[list[list[float]], bytes]") -> list[int]:
+    """Numbers of the messages in what a page gets."""
+    sent = sent[1] if isinstance(sent, tuple) else sent
     return [int(found) for found in re.findall(rb'"seq":(\d+)', sent)]
 
 
@@ -42,15 +53,15 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
     """A slow page was 2.3 s behind: everything waited for it. Messages that come once, such as alarms, reach it nevertheless, and at once."""
 
     async def told() -> None:
-        pace = Pace()
+        pace = Pace(300)
         assert pace.put(packet("est", 0))
         assert seqs(await pace.next()) == [0], "a page that does not say what it has drawn gets everything"
         pace.tell(1)
         pace.put(packet("est", 1))
         assert seqs(await pace.next()) == [1]
         for seq in range(2, 500):
-            pace.put(packet("est", seq))
             pace.put(packet("meas", seq))
+            pace.put(packet("est", seq))
         pace.put(packet("alarm", 500, qos=1))
         assert seqs(await pace.next()) == [500]
         with pytest.raises(asyncio.TimeoutError):
@@ -61,6 +72,35 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
             await asyncio.wait_for(pace.next(), 0.05)
         pace.tell(2)
         assert seqs(await pace.next()) == [seq for seq in range(500 - KEPT, 500) for _ in (0, 1)], "and in their order"
+
+    asyncio.run(told())
+
+
+def test_an_estimate_comes_behind_its_sample_and_the_path_has_all_points() -> None:
+    """Estimates that are 20 samples late come with their own; of those left out, and not of what is no estimate, there are the tip's places."""
+    angles = {"measured.theta[1]": 2.0, "measured.theta[2]": 1.0}
+    names = ("theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y", "estimated.status")
+    late, last = 20, 299
+
+    async def told() -> None:
+        pace = Pace(300)
+        pace.tell(0)
+        for seq in range(last + late + 1):
+            pace.put(packet("meas", seq, fields=angles))
+            if seq >= late:
+                pace.put(
+                    packet("est", seq - late, fields=dict.fromkeys(names, 0.001 * (seq - late)), after=0, inputs=[])
+                )
+        pace.put(packet("est", last + 1))
+        trail, sent = await pace.next()
+        # The newest of the eight is no message, and the page tells so.
+        kept = range(last + 2 - KEPT, last + 1)
+        assert seqs(sent) == [*(seq for seq in kept for _ in "12"), last + 1]
+        assert re.findall(rb"fivebar/bench/(\w+)", sent) == [*(b"meas", b"est") * len(kept), b"est"]
+        assert np.array(trail) == pytest.approx(np.arange(kept[0])[:, None] * [0.005, 0.001, 0.001])
+        pace.put(packet("forecast", 1))
+        pace.tell(2 * len(kept) + 1)
+        assert (await pace.next())[0] == []
 
     asyncio.run(told())
 
@@ -103,6 +143,98 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
                 assert seqs(await page.recv()) == list(range(600 - KEPT, 600))
 
     asyncio.run(asyncio.wait_for(through(), PATIENCE))
+
+
+# --- what is drawn --------------------------------------------------------------------------------------------------------------------
+
+SLOW = """
+const busy = () => { const end = performance.now() + 300; while (performance.now() < end); requestAnimationFrame(busy); };
+requestAnimationFrame(busy);
+const pen = CanvasRenderingContext2D.prototype, { clearRect, beginPath, moveTo, lineTo, stroke } = pen;
+let path = [];
+window.pictures = [];
+pen.clearRect = function (...given) { if (this.canvas.id === "canvas") pictures.push([]); clearRect.apply(this, given); };
+pen.beginPath = function () { path = []; beginPath.call(this); };
+pen.moveTo = function (x, y) { path.push([x, y]); moveTo.call(this, x, y); };
+pen.lineTo = function (x, y) { path.push([x, y]); lineTo.call(this, x, y); };
+pen.stroke = function () {
+  if (this.canvas.id === "canvas" && pictures.length) pictures.at(-1).push([this.strokeStyle, this.lineWidth, this.getLineDash().length > 0, path]);
+  stroke.call(this);
+};"""
+"""A page that takes 300 ms for a picture, and what it draws."""
+
+LAG = 8
+"""Samples by which estimates come late."""
+
+
+async def driven(config: Config, pairs: list[tuple[Message, Message]], stop: asyncio.Event) -> None:
+    """A broker with that much of MQTT, which sends samples in real time, and each one's estimate later."""
+
+    async def broker(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet_from(reader)
+        writer.write(b"\x20\x02\0\0")
+        asked_for = await packet_from(reader)
+        writer.write(b"\x90\x07" + asked_for[2:4] + bytes(5))
+        begin = time.time_ns()
+        for k in range(len(pairs)):
+            now = begin + k * 5_000_000
+            await asyncio.sleep(max(0.0, 1e-9 * (now - time.time_ns())))
+            late = max(k - LAG, 0)
+            for message, at in ((pairs[k][0], now), (pairs[late][1], begin + late * 5_000_000 + 1_000_000)):
+                body = encode(replace(message, unit=config.unit, time=at))
+                subject = topic(config.unit, message.kind).encode()
+                content = len(subject).to_bytes(2) + subject + body
+                writer.write(bytes([0x30, len(content) & 0x7F | 0x80, len(content) >> 7]) + content)
+            await writer.drain()
+
+    async with await asyncio.start_server(broker, "127.0.0.1", config.broker.port), Server(config).listening():
+        await stop.wait()
+
+
+@pytest.mark.full
+def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Config, tmp_path: Path) -> None:
+    """Each picture has all points of the last 1.5 s of the path, where 8 of 60 were there and joined by a chord; and the machine is drawn by the
+    sample that the estimate is of, where the newest one was 8 samples or 26 mm ahead."""
+    library = Library(Path(config.fmu))
+    source, twin = machine(config, library), follower(config, library)
+    pairs = [(sample, twin.estimate()) for sample in (source.next() for _ in range(2000)) if twin.meas(sample)]
+    source.close()
+    twin.close()
+    library.close()
+    loop, stop = asyncio.new_event_loop(), asyncio.Event()
+    thread = threading.Thread(target=loop.run_until_complete, args=(driven(config, pairs, stop),))
+    thread.start()
+    try:
+        with open_browser(f"http://127.0.0.1:{config.dashboard_port}/", tmp_path) as browser:
+            colours = browser.execute_script(
+                f"{SLOW} const style = getComputedStyle(document.documentElement);"
+                "return ['tip', 'ink', 'left'].map((name) => style.getPropertyValue('--' + name).trim())"
+            )
+            wait_until(lambda: browser.execute_script("return pictures.length") > 21)
+            # After the first 1.5 s.
+            pictures = browser.execute_script("return pictures.slice(8, 21)")
+    finally:
+        loop.call_soon_threadsafe(stop.set)
+        thread.join()
+    tip, ink, left = colours
+    apart, moved = [], []
+    for picture in pictures:
+        # Pieces of the path share their ends.
+        points = sum(
+            len(path) - 1 for colour, _, dashed, path in picture if colour == tip and not dashed and len(path) > 1
+        )
+        assert points >= 0.98 * TRAIL / config.period, points
+        [elbow] = [
+            path[1]
+            for colour, _, dashed, path in picture
+            if colour == left and len(path) == 2 and path[0][1] > path[1][1]
+        ][:1]
+        [sample] = [path[1] for colour, width, dashed, path in picture if colour == ink and dashed]
+        apart.append(np.hypot(*np.subtract(elbow, sample)))
+        moved.append(elbow)
+    assert np.ptp(moved, axis=0).max() > 30, "pixels"
+    # The estimate is for 1 ms after its sample: 1 mm at the fastest, and some pixels are a millimetre.
+    assert max(apart) < 3, apart
 
 
 async def asked(port: int, *lines: str) -> bytes:

@@ -2,7 +2,8 @@
 
 The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn N` when it has drawn
 the N messages that it got; until then it gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is
-slow leaves out, and is not late.
+slow leaves out, and is not late. An estimate comes right behind its sample, and of those left out a page gets the tip's places: the path
+that it draws has all its points.
 
 A page of another site must not reach the broker through the user's browser: the names of host and origin are checked, and the page
 may load nothing from elsewhere.
@@ -12,11 +13,12 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import ssl
 from collections import deque
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
@@ -28,8 +30,9 @@ from fivebar.borders import REACH, outline
 from fivebar.kinematics import GEOMETRY, Machine
 from fivebar.twin import priority, process, scene, setup
 from fivebar.twin.config import Config
+from fivebar.twin.errors import Refused
 from fivebar.twin.follower import LEARNED
-from fivebar.twin.messages import SCHEMA_FILE
+from fivebar.twin.messages import SCHEMA_FILE, TRACKED, Message, decode
 from fivebar.twin.scene import Scene
 from fivebar.twin.unit import Library, Unit, UnitError
 from fivebar.twin.watch import CAUSES
@@ -51,7 +54,10 @@ SKIPPED: Final = ("meas", "est", "forecast")
 """Kinds of which a page that is slow gets the newest only."""
 
 KEPT: Final = 8
-"""Messages of each of these kinds that wait while a page draws: as many as come between two pictures of a fast page."""
+"""Estimates with their samples, and forecasts, that wait while a page draws: as many as come between two pictures of a fast page."""
+
+TRAIL: Final = 1.5
+"""s of the tip's path that a page draws."""
 
 WAITING: Final = 1000
 """Other packets that may wait for a page that takes nothing; then it is left."""
@@ -89,6 +95,7 @@ def about(config: Config) -> dict[str, Any]:
             "stops": stops if switched("stop.enabled") else None,
             "plane": plane if switched("contact.enabled") else None,
             "period": config.period,
+            "trail": TRAIL,
             "horizon": config.horizon,
             "statuses": {
                 int(item.value): item.description for item in library.variable("estimated.status").declaredType.items
@@ -190,7 +197,7 @@ class Server:
             log.warning("no way to the broker: %s", error)
             return
         self.pages += 1
-        pace = Pace()
+        pace = Pace(math.ceil(TRAIL / self.config.period))
         ways = {
             asyncio.create_task(way)
             for way in (_to_broker(page, writer, pace), _from_broker(reader, pace), _to_page(page, pace))
@@ -205,13 +212,31 @@ class Server:
             self.pages -= 1
 
 
-class Pace:
-    """Queue of a page: packets in their order, and of skipped kinds the newest."""
+class Waiting(NamedTuple):
+    """Packets that go to a page together."""
 
-    def __init__(self) -> None:
+    number: int
+    """Of the last one among all packets."""
+
+    packets: tuple[bytes, ...]
+    message: Message | None
+    """In the last one; None where it is none, of which the page tells."""
+
+
+class Pace:
+    """Queue of a page: packets in their order, and of skipped kinds the newest. `points` are as many as its path of the tip has."""
+
+    def __init__(self, points: int) -> None:
         self.come = asyncio.Event()
         self.others: deque[tuple[int, bytes]] = deque()
-        self.newest: dict[bytes, deque[tuple[int, bytes]]] = {}
+        self.newest: dict[str, deque[Waiting]] = {}
+        self.points = points
+        self.samples: dict[int, bytes] = {}
+        """Packets of samples by number, whose estimate has not come yet."""
+
+        self.trail: deque[tuple[float, ...]] = deque(maxlen=points)
+        """Times, s, and places of the tip of estimates left out since the page got some."""
+
         self.count = 0
         self.sent = self.drawn = 0
         """Messages of kinds that are skipped: that the page got, and that it has drawn."""
@@ -222,34 +247,53 @@ class Pace:
     def put(self, packet: bytes) -> bool:
         """A packet of the broker; whether there is room for it."""
         self.count += 1
-        subject = topic_of(packet)
-        skipped = subject is not None and subject.rpartition(b"/")[2].decode("ascii", "replace") in SKIPPED
-        if skipped and self.says and subject is not None:
-            self.newest.setdefault(subject, deque(maxlen=KEPT)).append((self.count, packet))
+        subject = topic_of(packet) or b""
+        kind = subject.rpartition(b"/")[2].decode("ascii", "replace")
+        if kind in SKIPPED and self.says:
+            self._wait(kind, subject, packet)
         else:
-            self.sent += skipped
+            self.sent += kind in SKIPPED
             self.others.append((self.count, packet))
         self.come.set()
         return len(self.others) <= WAITING
+
+    def _wait(self, kind: str, subject: bytes, packet: bytes) -> None:
+        try:
+            message = decode(subject.decode("ascii", "replace"), packet[packet.index(subject) + len(subject) :])
+        except Refused:
+            message = None
+        if kind == "meas" and message is not None:
+            self.samples[message.seq] = packet
+            if len(self.samples) > self.points:
+                del self.samples[next(iter(self.samples))]
+            return
+        sample = self.samples.pop(message.seq, None) if kind == "est" and message is not None else None
+        waiting = self.newest.setdefault(kind, deque())
+        waiting.append(Waiting(self.count, (packet,) if sample is None else (sample, packet), message))
+        if len(waiting) > KEPT and (left := waiting.popleft().message) is not None and kind == "est":
+            self.trail.append((1e-9 * left.time, *(left.fields[name] for name in TRACKED)))
 
     def tell(self, drawn: int) -> None:
         """The page has drawn so many."""
         self.says, self.drawn = True, drawn
         self.come.set()
 
-    async def next(self) -> bytes:
-        """The next packet, as soon as there is one."""
+    async def next(self) -> tuple[list[tuple[float, ...]], bytes]:
+        """Places of the tip before those of the next packets, and these packets, as soon as there are some."""
         while True:
             self.come.clear()
             taken = list(self.others)
             self.others.clear()
+            trail: list[tuple[float, ...]] = []
             if self.drawn >= self.sent:
                 held = [each for kind in self.newest.values() for each in kind]
                 self.newest.clear()
-                self.sent += len(held)
-                taken += held
+                trail = list(self.trail)
+                self.trail.clear()
+                self.sent += sum(len(each.packets) for each in held)
+                taken += [(each.number, b"".join(each.packets)) for each in held]
             if taken:
-                return b"".join(packet for _, packet in sorted(taken))
+                return trail, b"".join(packet for _, packet in sorted(taken))
             await self.come.wait()
 
 
@@ -294,7 +338,10 @@ async def _from_broker(reader: asyncio.StreamReader, pace: Pace) -> None:
 async def _to_page(page: ServerConnection, pace: Pace) -> None:
     with contextlib.suppress(ConnectionClosed, OSError):
         while True:
-            await page.send(await pace.next())
+            trail, packets = await pace.next()
+            if trail:
+                await page.send(json.dumps(trail))
+            await page.send(packets)
 
 
 def run(file: Path) -> int:

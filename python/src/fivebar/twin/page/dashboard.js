@@ -4,7 +4,7 @@ import { Validator } from "./json-schema/validator.js";
 
 const byId = (id) => document.getElementById(id);
 const SHOWN = 20;        // s that the charts show
-const TRAIL = 1.5;       // s of the tip's path that stay visible
+const STROKE = 10;       // points of the tip's path in a stroke, which has one strength
 const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
 const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
 const STALE = 1000;      // ms without an estimate, or behind the soonest one, after which nothing of the page is live
@@ -18,7 +18,7 @@ const PANEL = 500;       // ms between two drawings of what is learned
 const KEPT = 400;        // points of the course of what is learned; older ones are thinned out
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
-const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], soonest: Infinity, behind: 0, link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
+const state = { about: null, est: null, newest: null, sample: null, box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], soonest: Infinity, behind: 0, link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
 let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
@@ -56,11 +56,14 @@ function problem(id, text) {
   byId(id).hidden = false;
 }
 
+/** A sample, which an estimate comes right behind. */
 function takeSample(message) {
-  state.meas = message;
-  state.samples.set(message.seq, message);
-  // Those few that an estimate may still come for.
-  if (state.samples.size > 40) state.samples.delete(state.samples.keys().next().value);
+  state.newest = message;
+}
+
+/** Places of the tip, [s, m, m], of estimates that this page was too slow for. */
+function takeTrail(places) {
+  state.trail.push(...places);
 }
 
 function takeEstimate(message) {
@@ -72,6 +75,7 @@ function takeEstimate(message) {
   state.soonest = message.time < state.est?.time ? delay : Math.min(delay, state.soonest);
   state.behind = delay - state.soonest;
   state.est = message;
+  state.sample = state.newest?.seq === message.seq ? state.newest : null;
   state.arrived = performance.now();
   state.first ||= seconds;
   state.count += 1;
@@ -79,13 +83,13 @@ function takeEstimate(message) {
   if (state.delays.length > 50) state.delays.shift();
   if (state.count % EVERY === 0) remember(message);
   state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
-  while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
+  while (state.trail[0][0] < seconds - state.about.trail || state.trail[0][0] > seconds) state.trail.shift();
 }
 
 /** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much, with its acceleration,
  * since 3.5 m/s² would be seen as 2 µm of error within 1 ms. */
 function remember(message) {
-  const fields = message.fields, sample = state.samples.get(message.seq), machine = sample ? machinePose(sample) : null, seconds = message.time / 1e9;
+  const fields = message.fields, { sample } = state, machine = machinePose(sample), seconds = message.time / 1e9;
   const since = sample ? (message.time - sample.time) / 1e9 : 0;
   const back = ["x", "y"].map((axis) => fields[`tip.${axis}`] - since * ((fields[`tip.v${axis}`] ?? 0) - since / 2 * (fields[`tip.a${axis}`] ?? 0)));
   state.history.push({
@@ -158,8 +162,9 @@ function twinPose() {
   return { left, right, tip: [f["tip.x"], f["tip.y"]], direct: Math.abs(Math.sin(d2 - d1)), inverse: [Math.abs(Math.sin(d1 - p1)), Math.abs(Math.sin(d2 - p2))] };
 }
 
-/** The machine as its encoders see it: the loop closed on the side that the twin knows; the tip of a tracker, if there is one. */
+/** The machine as its encoders see it: the loop closed on the side that the twin knows; the tip of a tracker, if there is one. Null without a sample. */
 function machinePose(sample) {
+  if (!sample) return null;
   const f = sample.fields, { base, lengths: [l1, l2, l3, l4] } = state.about;
   const [p1, p2] = [f["measured.theta[1]"], f["measured.theta[2]"]];
   const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
@@ -215,14 +220,15 @@ function drawStage() {
 
   drawGround(pen, width, height, at, stroke);
   if (!state.est) return;
-  const live = age() < STALE, twin = twinPose(), machine = state.meas ? machinePose(state.meas) : null;
+  // By the estimate's own sample: a newer one shows how far the machine has gone since, and not the twin's error.
+  const live = age() < STALE, twin = twinPose(), machine = machinePose(state.sample);
   const size = Math.min(Math.max(scale * 0.02, 5), 9);
   pen.globalAlpha = 1;
 
   if (live) drawForecast(pen, at, stroke, twin);
-  state.trail.forEach((p, i) => {
-    if (i && i % 2 === 0) stroke([state.trail[i - 2].slice(1), p.slice(1)], colours.tip, 2.2, 0.9 * (i / state.trail.length) ** 1.5);
-  });
+  for (let i = 0; i < state.trail.length - 1; i += STROKE) {
+    stroke(state.trail.slice(i, i + STROKE + 1).map(([, x, y]) => [x, y]), colours.tip, 2.2, 0.9 * (Math.min(i + STROKE, state.trail.length) / state.trail.length) ** 1.5);
+  }
   // A direct singularity glows in beads, an inverse one in a band: hues alone do not tell them to everybody.
   const glow = (points, measure, colour, beads = []) => { if (measure < GLOW) stroke(points, colour, size * 3.2, 0.75 * (1 - measure / GLOW), beads); };
   glow([[0, 0], twin.left, twin.tip], twin.inverse[0], colours.inverse);
@@ -517,6 +523,12 @@ function connect(user, password) {
 function opened(address, protocols) {
   handled = 0;
   socket = new WebSocket(address, protocols);
+  // What is text is for this page, and no packet.
+  socket.addEventListener("message", (event) => {
+    if (typeof event.data !== "string") return;
+    event.stopImmediatePropagation();
+    takeTrail(JSON.parse(event.data));
+  });
   return socket;
 }
 
