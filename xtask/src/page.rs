@@ -34,9 +34,10 @@ pub(crate) fn page() -> Result<()> {
 
     let whole = whole(&library, &unit, &licenses)?;
     ensure!(whole.len() < LARGEST, "the page has {} bytes, which must be less than {LARGEST}", whole.len());
-    let folder = paths::in_root("target/page");
+    let file = paths::page();
+    let folder = file.parent().context("the page lies in a folder")?;
     if folder.exists() {
-        fs::remove_dir_all(&folder)?;
+        fs::remove_dir_all(folder)?;
     }
     let site = folder.join("site");
     fs::create_dir_all(&site)?;
@@ -47,7 +48,6 @@ pub(crate) fn page() -> Result<()> {
     fs::write(site.join("fivebar.wasm"), &library)?;
     fs::write(site.join("unit.json"), unit)?;
     fs::write(site.join("licenses.txt"), licenses)?;
-    let file = folder.join("fivebar.html");
     fs::write(&file, &whole)?;
     println!("{}: {} bytes, of which the library, packed, has {}", paths::short(&file), whole.len(), packed(&library)?.len());
     println!("{}: for a web server; the library has {} bytes", paths::short(&site), library.len());

@@ -27,6 +27,11 @@ pub(crate) fn fmu_for_all_platforms(name: &str) -> PathBuf {
     in_root("target/fmu/all-platforms").join(name).with_extension("fmu")
 }
 
+/// The live page, in one file.
+pub(crate) fn page() -> PathBuf {
+    in_root("target/page/fivebar.html")
+}
+
 /// Folder in which the master fmi-sim is installed.
 pub(crate) fn fmi_sim() -> PathBuf {
     in_root("target/fmi-sim")

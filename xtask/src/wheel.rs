@@ -23,6 +23,9 @@ pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
 
 /// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds to the package what is shipped.
 pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
+    if let Some(sentence) = missing(&paths::page()) {
+        println!("{sentence}");
+    }
     process::run(
         venv::python(Packages::Usual)?
             .args(["-m", "hatchling", "build", "--directory"])
@@ -31,4 +34,26 @@ pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
             .current_dir(paths::in_root("python"))
             .env("FIVEBAR_FMU", fmu),
     )
+}
+
+/// A sentence if there is no live page for the package to carry.
+fn missing(page: &Path) -> Option<String> {
+    (!page.is_file()).then(|| {
+        format!(
+            "the package comes without the live page, for there is no {}: `cargo xtask page`, which needs `.ci/setup-page`, makes it",
+            paths::short(page)
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_that_is_missing_is_told() {
+        assert_eq!(missing(&paths::in_root("README.md")), None);
+        let sentence = missing(&paths::in_root("target/no/fivebar.html")).unwrap();
+        assert!(sentence.contains("no target/no/fivebar.html: `cargo xtask page`") && sentence.contains("`.ci/setup-page`"));
+    }
 }

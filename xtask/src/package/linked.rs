@@ -36,13 +36,13 @@ pub(super) struct LinkedCrate {
 
 impl Linked {
     /// Asks cargo, and the compiler that a function starts.
-    pub(super) fn read(rustc: impl Fn() -> Command, platforms: &[Platform]) -> Result<Self> {
-        let version = process::output(rustc().arg("--version"))?;
+    pub(super) fn read(rustc: impl Fn() -> Result<Command>, platforms: &[Platform]) -> Result<Self> {
+        let version = process::output(rustc()?.arg("--version"))?;
         let mut options = vec!["--locked".to_owned()];
         for platform in platforms {
             let triple = match platform.cross {
                 Some(triple) => triple.to_owned(),
-                None => process::output(rustc().args(["--print", "host-tuple"]))?.trim().to_owned(),
+                None => process::output(rustc()?.args(["--print", "host-tuple"]))?.trim().to_owned(),
             };
             options.extend(["--filter-platform".into(), triple]);
         }

@@ -93,7 +93,7 @@ fn description() -> Result<ModelDescription> {
 /// The unit's library for a browser, and the licence files of everything in it by their names.
 pub(crate) fn web() -> Result<(Vec<u8>, Files)> {
     let platform = platform::Platform::web();
-    let mut linked = linked::Linked::read(platform::debian_rustc, std::slice::from_ref(&platform))?;
+    let mut linked = linked::Linked::read(platform::web_rustc, std::slice::from_ref(&platform))?;
     let library = library::build(&platform, &linked).context("the library for a browser")?;
     linked.crates.retain(|crate_| library.built.contains(&crate_.id));
     let licenses = licenses::collect(&linked, &[platform::standard_library_license()])?;

@@ -105,11 +105,15 @@ impl Scope {
         }
     }
 
-    /// The compiler whose standard library is linked.
-    pub(super) fn rustc(self) -> Command {
+    /// The compiler whose standard library is linked, and which is asked first: fails where what it needs is missing.
+    pub(super) fn rustc(self) -> Result<Command> {
         match self {
-            Self::Here => process::program(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())),
-            Self::All => debian_rustc(),
+            Self::Here => Ok(process::program(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))),
+            Self::All => debian_rustc(
+                "cargo xtask package --all-platforms",
+                ".ci/setup-platforms",
+                &[(WINDOWS_LINKER, "gcc-mingw-w64-x86-64"), (MAC_LINKER, "lld-19")],
+            ),
         }
     }
 
@@ -208,9 +212,16 @@ impl Platform {
     }
 }
 
-/// Debian's compiler.
-pub(super) fn debian_rustc() -> Command {
-    process::program(Path::new(DEBIAN).join("rustc"))
+/// The compiler for the browser; fails where what it needs is missing.
+pub(super) fn web_rustc() -> Result<Command> {
+    debian_rustc("cargo xtask page", ".ci/setup-page", &[(WEB_LINKER, "lld")])
+}
+
+/// Debian's compiler; fails where it, the sources of its standard library or a linker are missing, which `script` installs.
+fn debian_rustc(command: &str, script: &str, linkers: &[(&str, &str)]) -> Result<Command> {
+    let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src")];
+    process::need(command, script, &[&rust, linkers].concat())?;
+    Ok(process::program(Path::new(DEBIAN).join("rustc")))
 }
 
 /// Licence of what Debian's standard library has from others: name in the folder of licences, and file.
@@ -223,8 +234,6 @@ pub(super) fn standard_library_license() -> (&'static str, PathBuf) {
 /// what macOS's system library has; the linker for Windows is Debian's, because Debian's Rust links a library there that zig does not
 /// have.
 fn cross(command: &str, triple: &str) -> Result<Command> {
-    let linkers = [(WINDOWS_LINKER, "gcc-mingw-w64-x86-64"), (MAC_LINKER, "lld-19")];
-    need_debian("cargo xtask package --all-platforms", ".ci/setup-platforms", &linkers)?;
     let python = venv::python(Packages::Platforms)?;
     let programs = Path::new(python.get_program()).parent().context("Python lies in a folder")?;
     let (program, target) = if triple.ends_with("linux-gnu") {
@@ -285,7 +294,6 @@ fn windows_libraries(folder: &Path) -> Result<()> {
 
 /// A command of cargo, optimised, for the browser, where a panic is a trap.
 fn web(command: &str) -> Result<Command> {
-    need_debian("cargo xtask page", ".ci/setup-page", &[(WEB_LINKER, "lld")])?;
     let mut cargo = process::program(Path::new(DEBIAN).join("cargo"));
     cargo.args([command, "--release", "--target", WEB]);
     build_standard_library(&mut cargo, "panic_abort", "optimize_for_size");
@@ -293,12 +301,6 @@ fn web(command: &str) -> Result<Command> {
         .env("PATH", env::join_paths([DEBIAN, "/bin"]).context("the path of programs")?)
         .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", WEB_LINKER);
     Ok(cargo)
-}
-
-/// Fails where Debian's Rust, the sources of its standard library or the linker are missing.
-fn need_debian(command: &str, script: &str, linkers: &[(&str, &str)]) -> Result<()> {
-    let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src")];
-    process::need(command, script, &[&rust, linkers].concat())
 }
 
 /// Lets a command of cargo build the standard library as well, and gives back its target folder.
@@ -327,5 +329,14 @@ mod tests {
         let here = Platform::here();
         let shipped = Platform::all().into_iter().find(|platform| platform.folder == here.folder);
         assert!(shipped.is_none_or(|platform| platform.extension == here.extension));
+    }
+
+    #[test]
+    fn the_compiler_that_is_asked_first_names_the_script_that_installs_it() {
+        for (rustc, script) in [(web_rustc(), ".ci/setup-page"), (Scope::All.rustc(), ".ci/setup-platforms")] {
+            assert!(rustc.is_ok() || rustc.unwrap_err().to_string().ends_with(&format!("which `{script}` installs")));
+        }
+        let error = debian_rustc("cargo xtask fly", ".ci/setup-fly", &[("no-such-linker", "wings")]).unwrap_err().to_string();
+        assert!(error.contains("wings") && error.ends_with("which `.ci/setup-fly` installs"), "{error}");
     }
 }
