@@ -1,6 +1,6 @@
 """A machine that draws: fivebar.svg becomes a motion of the tip, the unit runs it, and a picture shows what was commanded and what was done.
 
-`cargo xtask package` makes the unit; from the root of the repository: target/venv/bin/python examples/draw.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/draw.py
 Pictures, scene and table go to target/draw/. docs/kinematics.md has the rules; `fivebar path` is the command that takes the same steps.
 """
 

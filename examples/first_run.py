@@ -2,8 +2,10 @@
 
 from fmpy import simulate_fmu
 
+import fivebar
+
 result = simulate_fmu(
-    "target/fmu/FiveBar.fmu",
+    str(fivebar.unit()),
     stop_time=1,
     start_values={"init.theta[2]": 2.0944, "tau[1]": 0.01},
     output=["tip.x", "tip.y"],

@@ -1,6 +1,6 @@
 """A strictly fixed step of 1 ms, as real time needs it: the conserving method through a fall with singularities, its work bounded.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/fixed_step.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/fixed_step.py
 docs/conserving.md says how long a step takes, and what becomes of one whose work is bounded.
 """
 

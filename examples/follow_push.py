@@ -1,6 +1,6 @@
 """Estimate, truth, bands and alarm over a pick with an unknown payload, and a push on the tip that the twin is not told of.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/follow_push.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/follow_push.py
 It writes target/follow_push.svg. Encoders of 16 bits measure the machine every 1 ms.
 """
 

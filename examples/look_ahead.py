@@ -1,6 +1,6 @@
 """Looking ahead: a stored state, 0.5 s of prediction for each of some torques, and back as if nothing had happened.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/look_ahead.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/look_ahead.py
 What a stored state costs: rows `fmi2GetFMUstate` and `fmi2SetFMUstate` of `cargo xtask bench`.
 """
 

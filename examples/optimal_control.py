@@ -4,8 +4,8 @@ From hanging at rest to rest in a raised posture within 1.2 s by the least torqu
 take to hold it there: the machine swings up. Multiple shooting: the states at 25 points and the torques held between them are
 unknowns. Then the torques are played back through the co-simulation side.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/optimal_control.py
-It needs CasADi: target/uv/bin/uv pip install --python target/venv casadi. The picture is target/optimal_control.svg.
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/optimal_control.py
+It needs CasADi: pip install casadi. The picture is target/optimal_control.svg.
 """
 
 import casadi as ca

@@ -1,13 +1,15 @@
 """A scene of one's own in FMPy: a small machine, springs that carry it, and a push on its tip.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/own_scene.py
-The same as a file of scenes/, for `cargo xtask run --scene`, takes no code: see docs/effects.md.
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/own_scene.py
+The same as a scene's file, for `fivebar run`, takes no code: see docs/effects.md.
 """
 
 import numpy as np
 from fmpy import read_model_description, simulate_fmu
 
-FMU = "target/fmu/FiveBar.fmu"
+import fivebar
+
+FMU = str(fivebar.unit())
 
 # The machine: links of 10 cm and 12 cm, uniform rods of 15 g and 18 g, motors 8 cm apart.
 start = {"base.distance": 0.08}

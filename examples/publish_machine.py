@@ -1,7 +1,7 @@
 """A real machine in the place of the stand-in: this loop publishes what its encoders say, and the twin follows it.
 
 Start the rest first, `fivebar twin --machine none ...`, which prints host and port; docs/pipeline.md has the message's rules.
-From the root of the repository: target/venv/bin/python examples/publish_machine.py HOST PORT
+Where `fivebar[twin]` is installed (in a checkout `target/venv`): python examples/publish_machine.py HOST PORT
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """A run that goes on in another process: the state as bytes in a file, to the same bits.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/resume.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/resume.py
 The script calls itself for the second half, with the file and the time. The bytes belong to this FMU (they hold its GUID and a
 checksum), not to a machine or a process.
 """

@@ -1,6 +1,6 @@
 """Following a real machine: its encoders correct the twin, which looks 0.5 s ahead, rolls back, goes on.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/resynchronise.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/resynchronise.py
 Here the machine is a second unit that carries a payload of which the twin knows nothing; encoders of 16 bits measure it every 1 ms.
 The twin finds the forces that it does not know of and keeps them while it looks ahead; the bands are two standard deviations.
 """

@@ -1,12 +1,14 @@
 """Effects on and off: what each does to the same fall, and a parameter that is changed during the run.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/switch_effects.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/switch_effects.py
 """
 
 import numpy as np
 from fmpy import read_model_description, simulate_fmu
 
-FMU = "target/fmu/FiveBar.fmu"
+import fivebar
+
+FMU = str(fivebar.unit())
 START = {"init.theta[2]": 2.0944}
 """The fall of scenes/fall_90_120.json. Gravity is the only effect that is on from the beginning."""
 

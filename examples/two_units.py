@@ -1,6 +1,6 @@
 """Two units in one co-simulation: an operator moves a leader, a servo-driven follower copies it and feels a wall for him.
 
-`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/two_units.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/two_units.py
 Every millisecond the follower gets the leader's angles and rates as references, and the leader's tip gets part of the force of the
 wall that the follower touches, one step late, as in any co-simulation whose units step at the same time.
 """

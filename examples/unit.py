@@ -6,7 +6,9 @@ from typing import Self
 from fmpy import extract, read_model_description
 from fmpy.simulation import instantiate_fmu
 
-FMU = "target/fmu/FiveBar.fmu"
+import fivebar
+
+FMU = str(fivebar.unit())
 
 
 class Unit:

@@ -1,6 +1,6 @@
 """Reach of a machine: motor angles for places of the tip, condition number there, and maps of its workspace.
 
-`cargo xtask package` makes unit and scenes; from the root of the repository: target/venv/bin/python examples/workspace.py
+Where `fivebar` is installed (in a checkout `target/venv`): python examples/workspace.py
 Pictures and tables go to target/workspace/. docs/kinematics.md has conventions and formulas.
 """
 

@@ -1,7 +1,7 @@
 """The plain way: simulate_fmu, and the script that the README quotes."""
 
+import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -84,17 +84,21 @@ def test_the_table_of_a_run_is_input_of_fmpy(fmu: Path, tmp_path: Path) -> None:
 
 def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
     """The Python in the README and the script it names, as they stand, run and agree."""
-    (tmp_path / "target" / "fmu").mkdir(parents=True)
-    shutil.copy(fmu, tmp_path / "target" / "fmu" / "FiveBar.fmu")
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
     blocks = re.findall(
         r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
     package, plain = blocks
-    done = subprocess.run([sys.executable, "-c", package], cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
+        command = [sys.executable, *arguments]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    done = run("-c", package)
     assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr
     tips = []
     for arguments in (["-c", plain], [str(REPOSITORY / "examples" / "first_run.py")]):
-        done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = run(*arguments)
         assert done.returncode == 0, done.stderr
         tips.append([float(number) for number in re.findall(r"-?\d+\.\d+(?:e-?\d+)?", done.stdout)])
     assert len(tips[0]) == 2 and tips[0] == pytest.approx(tips[1], abs=1e-6)
