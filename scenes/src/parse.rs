@@ -5,7 +5,7 @@ use model_description::Kind;
 use serde_json::{Map, Value as Json};
 
 use crate::names::{items, model, settable, similar};
-use crate::{Overlay, Scene, Value, Values, json, signal};
+use crate::{Overlay, Scene, Signal, Value, Values, json, signal};
 
 /// Keys of a scene that are no variables.
 const RESERVED: [&str; 4] = [DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY];
@@ -26,15 +26,14 @@ impl Scene {
         let own = content.iter().filter(|(key, _)| !RESERVED.contains(&key.as_str()));
         let values = values(own, &RESERVED)?;
         let (stop_time, step_size) = experiment(content.get(EXPERIMENT))?;
-        let scene = Self {
-            name: name.to_owned(),
-            description: text_of(DESCRIPTION, content.get(DESCRIPTION))?,
-            stop_time,
-            step_size,
-            overlays: overlays(content.get(OVERLAY), &values)?,
-            values,
-            signals: signal::read(content.get(SIGNALS))?,
+        let description = text_of(DESCRIPTION, content.get(DESCRIPTION))?;
+        let overlays = overlays(content.get(OVERLAY), &values)?;
+        let signals = signal::read(content.get(SIGNALS))?;
+        let stop_time = match stop_time {
+            Some(given) => given,
+            None => end(&signals)?,
         };
+        let scene = Self { name: name.to_owned(), description, stop_time, step_size, values, overlays, signals };
         scene.check_labels()?;
         scene.check_signals()?;
         Ok(scene)
@@ -86,8 +85,8 @@ fn is_no_text(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{fffe}' | '\u{ffff}')
 }
 
-/// Stop time and communication step, s; where they are not given, those of the model description.
-fn experiment(given: Option<&Json>) -> Result<(f64, f64)> {
+/// Stop time, if it is given, and communication step, s; where it is not given, that of the model description.
+fn experiment(given: Option<&Json>) -> Result<(Option<f64>, f64)> {
     const KEYS: [&str; 2] = ["stopTime", "stepSize"];
     let none = Map::new();
     let given = match given {
@@ -98,15 +97,20 @@ fn experiment(given: Option<&Json>) -> Result<(f64, f64)> {
     if let Some(unknown) = given.keys().find(|key| !KEYS.contains(&key.as_str())) {
         bail!("'{EXPERIMENT}' has no key '{unknown}'{}", similar(unknown, KEYS.into_iter()));
     }
-    let default = model()?.experiment;
-    let seconds = |key, default| match given.get(key) {
-        None => Ok(default),
+    let seconds = |key| match given.get(key) {
+        None => Ok(None),
         Some(value) => match value.as_f64().filter(|&seconds| seconds > 0.0) {
-            Some(seconds) => Ok(seconds),
+            Some(seconds) => Ok(Some(seconds)),
             None => bail!("'{EXPERIMENT}.{key}' must be a positive number of seconds, not {value}"),
         },
     };
-    Ok((seconds(KEYS[0], default.stop_time)?, seconds(KEYS[1], default.step_size)?))
+    Ok((seconds(KEYS[0])?, seconds(KEYS[1])?.unwrap_or(model()?.experiment.step_size)))
+}
+
+/// Stop time of a scene that has none, s: where its signals end, or else that of the model description.
+fn end(signals: &[Signal]) -> Result<f64> {
+    let last = signals.iter().map(|signal| signal.end).fold(0.0, f64::max);
+    Ok(if last > 0.0 { last } else { model()?.experiment.stop_time })
 }
 
 fn overlays(given: Option<&Json>, own: &Values) -> Result<Vec<Overlay>> {

@@ -32,6 +32,8 @@ pub struct Signal {
     rate: bool,
     /// Times, s, and values.
     knots: Vec<(f64, f64)>,
+    /// Time of the last knot as it is written, s.
+    pub(crate) end: f64,
 }
 
 /// The way from one knot to the next.
@@ -117,8 +119,9 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     if let Some(pair) = knots.windows(2).find(|pair| !((pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0)).is_finite()) {
         bail!("the way between the knots at {:?} s and {:?} s is too steep", pair[0].0, pair[1].0);
     }
+    let end = knots[knots.len() - 1].0;
     let knots = knots.into_iter().map(|(time, value)| (time - early, value)).collect();
-    Ok(Signal { variable, shape, rate: false, knots })
+    Ok(Signal { variable, shape, rate: false, knots, end })
 }
 
 /// The one key of a signal, one of [`KINDS`], and its value.

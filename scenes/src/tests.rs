@@ -120,6 +120,15 @@ fn values_and_overlays_are_typed() {
 }
 
 #[test]
+fn a_scene_without_a_stop_time_ends_with_its_signals() {
+    let stop = |signals| parse(json!({ "signals": signals })).expect("a scene").stop_time;
+    let unit = stop(json!({}));
+    assert_eq!(stop(json!({ "tau[1]": { "linear": [[0, 0], [0.7, 1]] }, "tau[2]": { "steps": [[0, 0], [1.3, 1]] } })), 1.3);
+    assert_eq!(stop(json!({ "tau[1]": { "linear": [[-2, 0], [-1, 1]] } })), unit);
+    assert_eq!(unit, 50.0);
+}
+
+#[test]
 fn a_resolved_scene_has_nothing_left_to_look_up() {
     let scene = parse(json!({
         "experiment": { "stopTime": 0.25, "stepSize": 0.1 },

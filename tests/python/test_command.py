@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,8 +60,12 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["run", "fly"], "fivebar run: there is no scene 'fly'; there are bounce, "),
         (["run", ""], "fivebar run: there is no scene ''; there are"),
         (["run", ".."], "fivebar run: there is no scene '..'; there are"),
-        (["run", "../swing"], "fivebar run: there is no scene '../swing'; there are"),
-        (["run", "swing\0"], "fivebar run: there is no scene 'swing\\x00'; there are"),
+        (["run", "../swing"], "fivebar run: there is no scene '../swing'; did you mean 'swing'?"),
+        (["run", "swing\0"], "fivebar run: there is no scene 'swing\\x00'; did you mean 'swing'?"),
+        (["run", "Swing.json"], "fivebar run: Swing.json: it cannot be read: No such file or directory; did you mean 'swing'?"),
+        (["map", "pick_place"], "fivebar map: there is no scene 'pick_place'; did you mean 'pick_and_place'"),
+        (["unit", "--scene", "haptik"], "fivebar unit: there is no scene 'haptik'; did you mean 'haptic'"),
+        (["ensemble", "--scene", "fall_90_12"], "fivebar ensemble: there is no scene 'fall_90_12'; did you mean 'fall_90_120'"),
         (["run", "none.json"], "fivebar run: none.json: it cannot be read: No such file or directory"),
         (["run", "swing", "--method", "euler"], "fivebar run: 'solver.method' must be one of i3alp, i3alpPrinted, "),
         (["run", "swing", "--set", "tau[1]"], "fivebar run: --set 'tau[1]' is not of the form NAME=VALUE"),
@@ -87,6 +92,7 @@ def test_without_a_subcommand_there_is_help(capsys: pytest.CaptureFixture[str]) 
         (["twin", "--machine", "none", "--hidden", "b.json"], "fivebar twin: hidden is b.json, which only the stand-in has"),
         (["twin", "--machine", "none", "--faults", "lost=0.1"], "fivebar twin: faults are 'lost=0.1', but with --machine none"),
         (["calibrate", "none.csv"], "fivebar calibrate: none.csv: it cannot be read: No such file"),
+        (["twin", "--scene", "bounse"], "fivebar twin: there is no scene 'bounse'; did you mean 'bounce'?"),
     ],
 )  # fmt: skip
 def test_what_is_refused_is_one_sentence(
@@ -325,6 +331,29 @@ def test_an_extra_alone_imports_what_it_names(extra: str, folder: str) -> None:
     done = subprocess.run([sys.executable, "-c", ALONE, extra, *modules], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr.splitlines()[-1]
     assert len(modules) > 4 and int(done.stdout) > 5
+
+
+@pytest.mark.parametrize(
+    ("signals", "stop", "why"),
+    [
+        ({"tau[1]": {"linear": [[0, 0], [0.2, 0.01]]}}, 0.2, "0.2 s, the last knot of its signals: "),
+        ({}, 50.0, "50 s, the unit's own: "),
+    ],
+)
+def test_a_run_without_a_stop_time_says_when_it_ends(
+    signals: dict[str, Any], stop: float, why: str, here: Path
+) -> None:
+    """A motion of 0.2 s ran for 50 s, and nothing said why."""
+    given = {"description": "a", "experiment": {"stepSize": 0.1}, "gravity.enabled": False, "signals": signals}
+    Path("mine.json").write_text(json.dumps(given), encoding="utf-8")
+    done = fivebar.run("mine.json")
+    assert done.time[-1] == stop
+    assert f"\n  stop time                   {why}it has no 'experiment.stopTime'" in done.summary()
+    with pytest.raises(FiveBarError, match=r"^there is no scene 'mime'; did you mean .*'mine\.json'"):
+        fivebar.run("mime")
+    given["experiment"] = {"stopTime": 0.1}
+    Path("mine.json").write_text(json.dumps(given), encoding="utf-8")
+    assert "stop time" not in fivebar.run("mine.json").summary()
 
 
 def test_a_run_in_python(here: Path) -> None:

@@ -41,6 +41,10 @@ TEXTS = (
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [1e9, 1]]}}, "experiment": {"stopTime": 1e9, "stepSize": 1e-9}}',
     '{"description": "a", "signals": {"tau[1]": {"minimumJerk": [[0, 0], [1e-320, 1], [1, 0]]}}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [0.3, 1e308], [0.7, -1e308]]}}, "experiment": {"stopTime": 1, "stepSize": 0.07}}',
+    '{"description": "a", "signals": {"tau[1]": {"linear": [[0, 0], [0.7, 1e-3]]}, "tau[2]": {"minimumJerk": [[0, 0], [1.3, 1e-3]]}}}',
+    '{"description": "a", "signals": {"payload.mass": {"steps": [[0, 0], [0.1, 0.05]]}}, "experiment": {"stepSize": 0.01}}',
+    '{"description": "a", "signals": {"tau[1]": {"linear": [[-2, 0], [-1, 1e-3]]}}}',
+    '{"description": "a", "signals": {"servo.theta[1]": {"linear": [[0, 1], [0.4, 2]]}, "servo.omega[1]": {"rateOf": "servo.theta[1]"}}}',
     '{"description": "a", "x": "' + 4_000_000 * "a" + '"}',
 )  # fmt: skip
 

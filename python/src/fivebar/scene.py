@@ -17,7 +17,7 @@ from fivebar import scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import Working
 from fivebar.signals import TIP
-from fivebar.variables import Value, Values, Variables, of_unit, shown
+from fivebar.variables import Value, Values, Variables, meant, of_unit, shown
 
 MOST_POINTS = 1_000_000
 """Communication points of a run, at most: each has a row of some 150 numbers."""
@@ -56,6 +56,9 @@ class Scene:
 
     tip: tip_scenes.Tip | None = field(default=None, repr=False)
     """Part of the scene's file in the tip's coordinates."""
+
+    assumed: str = field(default="", repr=False, compare=False)
+    """Why the stop time is what it is, where the scene's file has none."""
 
     @property
     def values(self) -> Values:
@@ -139,10 +142,15 @@ def found(name: str | Path) -> Path:
         return path
     files = shipped.scene_files()
     if str(name) not in files:
-        raise FiveBarError(
-            f"there is no scene {str(name)!r:.80}; there are {', '.join(files)}, and files that end in .json"
-        )
+        others = f"; there are {', '.join(files)}, and files that end in .json"
+        raise FiveBarError(f"there is no scene {str(name)!r:.80}{_meant(path) or others}")
     return files[str(name)]
+
+
+def _meant(path: Path) -> str:
+    """The end of a sentence about an unknown scene: shipped ones and files in its folder that it may have been meant to be."""
+    beside = {file.stem: str(file) for file in sorted(path.parent.glob("*.json"))}
+    return meant(path.stem, beside | {name: name for name in shipped.scene_files()})
 
 
 def of_file(file: Path, variables: Variables | None = None) -> Scene:
@@ -152,7 +160,7 @@ def of_file(file: Path, variables: Variables | None = None) -> Scene:
             raise FiveBarError("a scene is called as its file, whose name has dots only")
         return parse(file.stem, scene_file.text(file), variables)
     except FiveBarError as error:
-        raise FiveBarError(f"{file}: {error}") from None
+        raise FiveBarError(f"{file}: {error}{'' if file.exists() else _meant(file)}") from None
 
 
 def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
@@ -176,6 +184,7 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         start=variables.start,
         offsets={name: offset for name, offset in content.offsets.items() if offset != 0.0},
         tip=content.tip,
+        assumed=content.assumed,
     )
 
 

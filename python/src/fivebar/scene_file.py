@@ -43,11 +43,16 @@ class Content:
         )
         self.offsets = {name: _angle(name, content[name]) for name in OFFSETS if name in content}
         """Mounting angles of encoders, rad, by key."""
-        self.stop_time, self.step_size = _experiment(content, variables)
+        stop_time, self.step_size = _experiment(content, variables)
         self.description = _text(DESCRIPTION, content)
         self.overlays = list(_overlays(content, self.values, variables))
         """Labels and values of further runs."""
         self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
+        self.assumed = ""
+        """Why the stop time is what it is, where the file has none."""
+        if stop_time is None:
+            stop_time, self.assumed = _end(self.signals, variables)
+        self.stop_time = stop_time
         self.tip = tip_scenes.read(content, self.values, self.signals, variables)
         check_labels([method(self.values, variables), *(label for label, _ in self.overlays)])
         check_signals(
@@ -162,8 +167,8 @@ def _is_no_text(c: str) -> bool:
     return unicodedata.category(c) == "Cc" or c in "\u2028\u2029\ufffe\uffff"
 
 
-def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float, float]:
-    """Stop time and communication step, s; where they are not given, those of the unit."""
+def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float | None, float]:
+    """Stop time, None where it is not given, and communication step, s, where it is not given that of the unit."""
     given = content.get(EXPERIMENT, {})
     if not isinstance(given, dict):
         raise FiveBarError(
@@ -172,13 +177,26 @@ def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float
     for key in given:
         if key not in SECONDS:
             raise FiveBarError(f"'{EXPERIMENT}' has no key '{key}'{similar(key, SECONDS)}")
-    found = []
-    for key, default in zip(SECONDS, (variables.stop_time, variables.step_size)):
-        value = given.get(key, default)
+    found: dict[str, float] = {}
+    for key in SECONDS:
+        if key not in given:
+            continue
+        value = given[key]
         if not isinstance(value, (int, float)) or isinstance(value, bool) or not value > 0:
             raise FiveBarError(f"'{EXPERIMENT}.{key}' must be a positive number of seconds, not {shown(value)}")
-        found.append(float(value))
-    return found[0], found[1]
+        found[key] = float(value)
+    return found.get("stopTime"), found.get("stepSize", variables.step_size)
+
+
+def _end(own: list[Signal], variables: Variables) -> tuple[float, str]:
+    """Stop time of a scene that has none, s: where its signals end, or else that of the unit; and a note that says so."""
+    last = max((signal.end for signal in own), default=0.0)
+    if last > 0:
+        return last, f"{last:g} s, the last knot of its signals: it has no 'experiment.stopTime'"
+    return (
+        variables.stop_time,
+        f"{variables.stop_time:g} s, the unit's own: it has no 'experiment.stopTime' and no signals",
+    )
 
 
 def _overlays(content: Mapping[str, Any], own: Values, variables: Variables) -> Iterable[tuple[str, Values]]:

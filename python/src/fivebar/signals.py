@@ -36,6 +36,9 @@ class Signal:
     knots: tuple[tuple[float, float], ...]
     """Times, s, and values."""
 
+    end: float
+    """Time of the last knot as it is written, s."""
+
     rate: bool = False
 
     def at(self, time: float) -> float:
@@ -104,7 +107,7 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
         if not math.isfinite((after - before) / (end - begin)):
             raise FiveBarError(f"the way between the knots at {_short(begin)} s and {_short(end)} s is too steep")
     early = EARLY if kind == STEPS else 0.0
-    return Signal(variable, kind, tuple((time - early, v) for time, v in knots))
+    return Signal(variable, kind, tuple((time - early, v) for time, v in knots), knots[-1][0])
 
 
 def _source(given: Mapping[str, Any], name: Any, variables: Variables) -> Signal | None:

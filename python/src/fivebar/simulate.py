@@ -95,7 +95,7 @@ class Result:
 
     def summary(self) -> str:
         """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
-        blocks = [f"{self.scene.name}: {self.scene.description}"]
+        blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.stop_note(self.scene)])]
         for i, run in enumerate(self.runs):
             values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
             lines = [run.label, *summary.lines(run, self._events[i]), *summary.servo_note(run, values)]

@@ -6,6 +6,7 @@ import numpy as np
 
 from fivebar import singularities
 from fivebar.drive import Run
+from fivebar.scene import Scene
 from fivebar.singularities import Event
 from fivebar.variables import Value
 
@@ -56,6 +57,11 @@ def lines(run: Run, events: list[Event]) -> list[str]:
     return (
         [_line(2, *fact) for fact in facts] + [f"  {sampling(run)}:"] + [_line(4, *fact) for fact in _seen(run, events)]
     )
+
+
+def stop_note(scene: Scene) -> list[str]:
+    """A line on the stop time of a scene whose file has none, or none."""
+    return [_line(2, "stop time", scene.assumed)] if scene.assumed else []
 
 
 def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:

@@ -197,9 +197,14 @@ def shown(value: Any) -> str:
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name: those it may have been meant to be."""
+    """The end of a sentence about an unknown name: those it may have been meant to be, or some that are known."""
     names = list(known)
-    if near := difflib.get_close_matches(name, names, MOST_ALIKE):
-        return f"; did you mean {' or '.join(repr(other) for other in near)}?"
     more = len(names) - MOST_KNOWN
-    return f"; known are {', '.join(names[:MOST_KNOWN])}" + (f" and {more} more" if more > 0 else "")
+    some = f"; known are {', '.join(names[:MOST_KNOWN])}" + (f" and {more} more" if more > 0 else "")
+    return meant(name, {each: each for each in names}) or some
+
+
+def meant(name: str, known: Mapping[str, str]) -> str:
+    """The end of a sentence about an unknown name: those it may have been meant to be, by what each is called; "" where none is alike."""
+    near = difflib.get_close_matches(name, known, MOST_ALIKE)
+    return f"; did you mean {' or '.join(repr(known[other]) for other in near)}?" if near else ""
