@@ -197,7 +197,7 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
     sample that the estimate is of, where the newest one was 8 samples or 26 mm ahead."""
     library = Library(Path(config.fmu))
     source, twin = machine(config, library), follower(config, library)
-    pairs = [(sample, twin.estimate()) for sample in (source.next() for _ in range(2000)) if twin.meas(sample)]
+    pairs = [(sample, twin.estimate()) for sample in (source.next() for _ in range(3000)) if twin.meas(sample)]
     source.close()
     twin.close()
     library.close()
@@ -206,13 +206,14 @@ def test_a_slow_page_draws_the_path_and_the_sample_of_its_estimate(config: Confi
     thread.start()
     try:
         with open_browser(f"http://127.0.0.1:{config.dashboard_port}/", tmp_path) as browser:
+            # By then the path has all its points.
+            wait_until(lambda: float(browser.find_element("id", "clock").text) > 2)
             colours = browser.execute_script(
                 f"{SLOW} const style = getComputedStyle(document.documentElement);"
                 "return ['tip', 'ink', 'left'].map((name) => style.getPropertyValue('--' + name).trim())"
             )
-            wait_until(lambda: browser.execute_script("return pictures.length") > 21)
-            # After the first 1.5 s.
-            pictures = browser.execute_script("return pictures.slice(8, 21)")
+            wait_until(lambda: browser.execute_script("return pictures.length") > 13)
+            pictures = browser.execute_script("return pictures.slice(1, 14)")
     finally:
         loop.call_soon_threadsafe(stop.set)
         thread.join()
