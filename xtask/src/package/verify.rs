@@ -17,13 +17,13 @@ use zip::{CompressionMethod, ZipArchive};
 /// Largest libraries for all platforms, bytes, by their folders: five methods, two of them in forms for the bare mechanism and for any
 /// scene; friction that sticks, the corrector and model exchange have some 100 kB each, what is learned of a machine 180 kB
 /// (filter and flow a second time, of 24 errors instead of six), causes of an alarm 30 kB, the doubt about a start
-/// 25 kB, the reader of a unit's own start values 40 kB.
+/// 25 kB, the reader of a unit's own start values 40 kB, the checks of each step 40 kB.
 /// The one for macOS is for two processors, and has the names of its functions.
 const LARGEST_SHIPPED: [(&str, usize); 4] =
     [("linux64", 1_590_000), ("win64", 1_660_000), ("aarch64-linux", 1_290_000), ("darwin64", 2_980_000)];
 
 /// Largest library of the Rust in use: its standard library is made for speed and prints backtraces, in some 240 kB.
-const LARGEST_HERE: usize = 1_830_000;
+const LARGEST_HERE: usize = 1_860_000;
 
 /// All that a library for both kinds exports: FMI 2.0.4, sections 2.1 (common functions), 3.2 (model exchange) and 4.2 (co-simulation).
 #[rustfmt::skip]
