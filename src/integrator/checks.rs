@@ -108,13 +108,10 @@ pub fn count_breaches<const N: usize, const M: usize>(
     h: f64,
     step: impl FnOnce(&mut State<N, M>) -> Result<(), StepError>,
 ) -> Result<(), StepError> {
-    if !system.features().checks {
-        return step(state);
-    }
-    let books = Books::open(system, &state.checked());
+    let books = state.checked().map(|from| Books::open(system, &from));
     step(state)?;
-    let checked =
-        books.check(system, Imbalance::of_fixed_steps(energy_scale), &state.checked(), || state.displacement(state, system, h));
+    let (Some(books), Some(to)) = (books, state.checked()) else { return Ok(()) };
+    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale), &to, || state.displacement(state, system, h));
     state.counters.breaches += u64::from(checked.is_err());
     Ok(())
 }

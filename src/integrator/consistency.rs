@@ -50,7 +50,7 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// forged the state, until the next step.
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let Self { work, power, energy, .. } = self;
-        let energies = [work.input, work.dissipated, power.input, power.dissipated, *energy];
+        let energies = [work.input, work.dissipated, power.input, power.dissipated, energy.unwrap_or(0.0)];
         let values = self.a.iter().chain(&self.jerk).chain(&self.lambda).chain(&energies);
         if !(self.q.is_finite() && self.v.is_finite() && values.into_iter().all(|x| x.is_finite())) {
             return Err("a coordinate, rate, acceleration, force or energy is not finite");

@@ -256,7 +256,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Ends the current step at the present time, because the motion is replaced: the step is discarded, and the work shown so far
-    /// is kept. `system` is the system of the step; [`jump`](Self::jump) and [`restart`](Self::restart) follow.
+    /// is kept. `system` is the system of the step; [`replace`](Self::replace) and [`restart`](Self::restart) follow.
     pub fn abandon<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let work = self.sample(system, settings).work;
         if self.elapsed < self.length {
@@ -267,9 +267,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.length, self.elapsed) = (0.0, 0.0);
     }
 
-    /// Moves to other coordinates and rates after the current step has been ended; [`restart`](Self::restart) follows.
-    pub fn jump(&mut self, [q, v]: [Vector<N>; 2]) {
-        (self.end.q, self.end.v) = (q, v);
+    /// Notes after the current step has been ended that the machine is replaced, and its motion where another one is given;
+    /// [`restart`](Self::restart) follows.
+    pub fn replace(&mut self, motion: Option<[Vector<N>; 2]>) {
+        if let Some([q, v]) = motion {
+            (self.end.q, self.end.v) = (q, v);
+        }
+        self.end.energy = None;
     }
 
     /// Restarts after a discontinuity that did the given work, J, and before which the current step has been ended. `pose` is the

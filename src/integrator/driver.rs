@@ -111,11 +111,11 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
         trials.h = method.plan(&*in_mode, near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
-        let books = system.features().checks.then(|| Books::open(&*in_mode, &method.start().checked()));
+        let books = method.start().checked().map(|from| Books::open(&*in_mode, &from));
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
-            if let (Progress::Done, Some(books)) = (end, books) {
-                let (from, to) = (method.start(), method.end());
-                books.check(&*in_mode, limits.imbalance, &to.checked(), || from.displacement(to, &*in_mode, trials.h))?;
+            let (from, to) = (method.start(), method.end());
+            if let (Progress::Done, Some(books), Some(checked)) = (end, books, to.checked()) {
+                books.check(&*in_mode, limits.imbalance, &checked, || from.displacement(to, &*in_mode, trials.h))?;
             }
             return Ok(end);
         }

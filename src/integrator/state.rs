@@ -77,8 +77,8 @@ pub struct State<const N: usize, const M: usize> {
     pub work: Work,
     /// Power at the state, W; 0 unless [`super::Features::work`].
     pub power: Work,
-    /// Kinetic plus potential energy at the state, J; 0 unless [`super::Features::checks`].
-    pub energy: f64,
+    /// Kinetic plus potential energy at the state, J, with [`super::Features::checks`]; `None` where the motion or the machine was replaced.
+    pub energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
     /// Whether the motion is on a ray through a vertex, where no projection is made.
@@ -102,7 +102,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
-            energy: 0.0,
+            energy: None,
             configuration_signs,
             on_ray: false,
             alternatives: 0,
@@ -113,7 +113,9 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// State at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
     pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
         let mut state = Self::of_motion([q, v], system.configuration_signs(&system.pose(&q)));
-        state.reinitialize(system, &system.pose(&q), regularization);
+        let pose = system.pose(&q);
+        state.reinitialize(system, &pose, regularization);
+        state.energy = energy_if_checked(system, &state.q, &pose, &state.v);
         state
     }
 
@@ -130,6 +132,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         if system.stuck() != Stuck::Nothing {
             let mass = system.factor_mass(pose, regularization);
             self.v = project_sticking(system, (&self.q, pose, &self.v), &mass);
+            self.energy = energy_if_checked(system, &self.q, pose, &self.v);
         }
         self.balance(system, pose, regularization);
         self.jerk = Vector::ZERO;
@@ -139,14 +142,14 @@ impl<const N: usize, const M: usize> State<N, M> {
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         let (a, lambda, power) = equilibrium(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        (self.lambda, self.power, self.energy) = (lambda, power, energy_if_checked(system, &self.q, pose, &self.v));
+        (self.lambda, self.power) = (lambda, power);
     }
 
-    /// The motion, as far as a step is checked.
+    /// The motion, as far as a step is checked; `None` where its energy is not known.
     #[inline(always)]
-    pub(super) fn checked(&self) -> Checked<'_, N> {
+    pub(super) fn checked(&self) -> Option<Checked<'_, N>> {
         let &Self { ref q, ref v, energy, work, configuration_signs, .. } = self;
-        Checked { q, v, energy, work, configuration_signs }
+        energy.map(|energy| Checked { q, v, energy, work, configuration_signs })
     }
 
     /// Bound on the displacement of a link, rad, on the way of `h` seconds to another state, by rates and accelerations at both.
@@ -177,7 +180,7 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) a: Vector<N>,
     pub(super) lambda: Vector<M>,
     pub(super) power: Work,
-    pub(super) energy: f64,
+    pub(super) energy: Option<f64>,
     pub(super) configuration_signs: u8,
 }
 
@@ -188,8 +191,8 @@ fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
     q: &Vector<N>,
     pose: &S::Pose,
     v: &Vector<N>,
-) -> f64 {
-    if system.features().checks { system.energy(q, pose, v) } else { 0.0 }
+) -> Option<f64> {
+    if system.features().checks { Some(system.energy(q, pose, v)) } else { None }
 }
 
 impl<const N: usize, const M: usize> StepEnd<N, M> {

@@ -53,9 +53,7 @@ impl DenseRun {
         work: Work,
     ) {
         let system = AngleSystem::of(model, inputs, turns);
-        if let Some([q, v]) = motion {
-            self.step.jump([angles_of(&q), angles_of(&v)]);
-        }
+        self.step.replace(motion.map(|motion| motion.map(|x| angles_of(&x))));
         self.step.restart(&system, &self.settings, &system.pose(self.step.end()), work);
     }
 

@@ -214,6 +214,7 @@ impl Run {
                 if let Some([q, v]) = motion {
                     (run.core.q, run.core.v) = (q, v);
                 }
+                run.core.energy = None;
                 run.restart(model, (inputs, turns), work);
             }
             Integrator::Conserving(Conserving { state, .. }) => {
