@@ -121,7 +121,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "param": {"fields": {"servo.kp[1]": 20.0}},
     "cmd": {"fields": {}, "command": "restart"},
     "state": {"fields": {}, "state": "AAAA", "clock": 0.1, "parameters": {"servo.kp[1]": 20.0}}
-    | {"book": {"offset": -5, "time": 5, "seq": 1, "told": {}, "on_plan": True, "assembly": 1, "measured": {}}},
+    | {"book": {"offset": -5, "time": 5, "seq": 1, "told": {}, "on_plan": True, "assembly": 1, "turns": {"measured.theta[1]": -1.0}}},
     "learned": {"fields": {"estimated.mass[1]": 0.2, "estimated.mass.sigma[1]": 0.01}, "values": {"link[1].mass": 0.2}},
     "whatif": {"fields": {}, "ahead": 0.5, "members": 50, "goal": [0.1, 0.2], "took_s": 0.1, "cpu_s": 0.1}
     | {"candidates": [{"rank": 1, "name": "stay", "failed": 0, "singular": {"probability": 0.0, "time": None}, "bands": {"tip.x": [[0.0, 0.1, 0.2]]}}]},

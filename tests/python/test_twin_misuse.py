@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -16,11 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paho.mqtt.client import MQTTMessage
 
 from conftest import PATIENCE
 from fivebar.commands import main
 from fivebar.twin import config as configuration
 from fivebar.twin import figures, record, starter, summary
+from fivebar.twin.bus import Bus
 from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follow import Twin
@@ -38,6 +41,7 @@ from twin_support import recorded
 
 COMMAND = [sys.executable, "-m", "fivebar"]
 PERIOD_NS = 5_000_000
+HOUR = 3_600_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +125,7 @@ def test_a_start_that_is_refused_is_told(
         if what == "open":
             fields |= {"measured.theta[1]": math.pi, "measured.theta[2]": 0.0}
         twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
-    told = [alarm["sentence"] for alarm in ear.alarms() if alarm["state"] == "trouble"]
+    told = [alarm["sentence"] for alarm in ear.alarms()]
     assert any("cannot be closed" in sentence for sentence in told), told
     assert what != "degrees" or any("degrees?" in sentence for sentence in told)
     # Each once, though every sample is refused: 40 alarms would hide all else.
@@ -186,6 +190,133 @@ def test_estimates_that_fall_behind_are_told(off: int, tmp_path: Path, capsys: p
     for seq in range(4000, 8000):
         estimated(seq, BEGIN + 1_000_000_000 * (off - 40) + PERIOD_NS * seq, 0.0)
     assert len([alarm for alarm in ear.alarms() if alarm["state"] == "trouble"]) == len(troubles)
+
+
+def sent(twin: Twin, payloads: list[bytes], topic: str = "fivebar/bench/meas", later: int = 0) -> list[dict[str, Any]]:
+    """Samples that come every 5 ms, to the twin and to the record; the twin's alarms."""
+    recorder = Recorder(twin.config)
+    recorder.about = twin.setup.to_message("bench", BEGIN)
+    recorder.begin()
+    ear = Ear(twin)
+    for k, payload in enumerate(payloads):
+        now = BEGIN + later + PERIOD_NS * k
+        for worker in (twin, recorder):
+            worker.received(topic, payload, now)
+        if k % 10 == 9:
+            twin.tick(now)
+    for message in ear.heard:
+        recorder.received(f"fivebar/bench/{message.kind}", encode(message), BEGIN)
+    recorder.end()
+    return ear.alarms()
+
+
+def summed_up(config: Config, twin: Twin, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code and last sentence of a run whose record has what the recorder would take."""
+    status = {"follow": [json.loads(json.dumps(twin.status()))]}
+    code = summary.write(config, status, {}, config.path / "out")
+    return code, capsys.readouterr().out.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("clock", ["since 1970", "an hour off", "since the machine was switched on"])
+@pytest.mark.parametrize(("unit", "ns"), [("microseconds", 10**3), ("milliseconds", 10**6), ("seconds", 10**9)])
+def test_times_of_another_unit_are_never_believed(
+    unit: str, ns: int, clock: str, config: Config, library: Library, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Times in ms were believed after 20 samples: by their clock the machine stood still."""
+    begin = {"since 1970": BEGIN, "an hour off": BEGIN - HOUR, "since the machine was switched on": HOUR}[clock]
+    # Whole seconds do not go on from one sample to the next, but where there are few.
+    every = 1 if unit != "seconds" else 200
+    taken = samples(config, library, 400 // every)
+    twin = Twin(config, library)
+    changed = [encode(replace(m, seq=k, time=(begin + every * PERIOD_NS * k) // ns)) for k, m in enumerate(taken)]
+    told = sent(twin, [p for p in changed for _ in range(every)])
+    assert twin.counts["taken"] == twin.counts["estimated"] == 0
+    # Whole seconds of a clock that nobody knows may be anything.
+    question = f"are these {unit}?" if unit != "seconds" or clock != "since the machine was switched on" else ""
+    assert told and all(a["state"] == "trouble" and question in a["sentence"] for a in told), told
+    code, last = summed_up(config, twin, capsys)
+    assert code == 1 and last.startswith("not followed: 400 of 400 samples are refused, ") and question in last
+
+
+def test_a_unit_that_changes_within_a_series_is_refused(config: Config, library: Library) -> None:
+    taken = samples(config, library, 800)
+    twin = Twin(config, library)
+    told = sent(twin, [encode(m if m.seq < 400 else replace(m, time=m.time // 10**6)) for m in taken])
+    assert twin.counts["taken"] == 400 and twin.refusals.count > 300
+    assert [a["sentence"] for a in told if "are these milliseconds?" in a["sentence"]]
+    twin.follower.close()
+
+
+def test_a_time_in_seconds_with_a_fraction_is_asked_for() -> None:
+    with pytest.raises(Refused, match=r"ns since 1970 are expected: are these seconds\?"):
+        decode("fivebar/bench/meas", json.dumps(of_kind("meas", time=1e-9 * BEGIN)).encode())
+
+
+@pytest.mark.parametrize("what", ["seq", "tags", "text", "topic"])
+def test_samples_that_are_all_refused_are_told(
+    what: str, config: Config, library: Library, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The summary asked whether the scene is this machine's, and the terminal said nothing."""
+    taken = samples(config, library, 600)
+    twin = Twin(config, library)
+    heard: list[bool] = []
+    twin.hear_others = heard.append
+    payloads = [encode(m) for m in taken]
+    if what == "seq":
+        payloads = [encode(replace(m, seq=0)) for m in taken]
+    elif what == "tags":
+        payloads = [encode(replace(m, unit="other")) for m in taken]
+    elif what == "text":
+        payloads = [re.sub(rb'("measured.theta.1.":)([^,]+)', rb'\1"\2"', payload) for payload in payloads]
+    elif what == "topic":
+        payloads = [encode(replace(m, unit="other")) for m in taken]
+        twin.tick(BEGIN - 10**10)
+        assert not heard
+        twin.tick(BEGIN)
+        assert heard == [True], "samples of others are listened to when there are none of this unit"
+    told = sent(twin, payloads, "fivebar/other/meas" if what == "topic" else "fivebar/bench/meas")
+    reason = {
+        "seq": "meas 0 was taken already",
+        "tags": "tags are {'unit': 'other'}; the unit of this topic is 'bench'",
+        "text": f"meas: measured.theta[1] is '{taken[0].fields['measured.theta[1]']}', not a number",
+        "topic": "meas is of the unit 'other', not of 'bench' (--unit)",
+    }[what]
+    (trouble,) = [a for a in told if a["cause"] == "samples"]
+    assert re.fullmatch(
+        rf"no sample is taken, 2\d\d are refused, the first because: {re.escape(reason)}.*", trouble["sentence"]
+    )
+    assert trouble["state"] == "trouble" and trouble["sentence"] in capsys.readouterr().out
+    code, last = summed_up(config, twin, capsys)
+    assert code == 1
+    count = 599 if what == "seq" else 600
+    assert last == f"not followed: {count} of 600 samples are refused, the first because: {reason}"
+    if what == "topic":
+        sent(twin, [encode(m) for m in taken[:300]], later=10**10)
+        assert heard == [True, False] and twin.counts["estimated"] > 200 and twin.refusals.count == 0
+    twin.follower.close()
+
+
+def test_a_few_refused_samples_are_no_trouble(config: Config, library: Library) -> None:
+    """Those before a machine whose clock is another one is believed, then each doubled, and a malformed one in seven."""
+    twin = Twin(config, library)
+    taken = [encode(replace(m, time=m.time - HOUR)) for m in samples(config, library, 300)]
+    payloads = [*taken[:50], *(each for payload in taken[50:] for each in (payload, payload, b"{"))]
+    told = sent(twin, payloads)
+    assert not told and twin.counts["taken"] == 300 - CONSISTENT + 1
+    assert twin.refused == CONSISTENT - 1 + 2 * 250 and twin.refusals.count == 0
+    twin.follower.close()
+
+
+def test_retained_messages_are_ignored(tmp_path: Path) -> None:
+    """A broker keeps them: an order came again at each connection, a sample began a run before the machine's own did."""
+    came: list[str] = []
+    bus = Bus(Config(str(tmp_path), "", "").broker, "bench", "follow", Twin.kinds, lambda topic, _: came.append(topic))
+    for retained in (True, False):
+        for kind in Twin.kinds:
+            message = MQTTMessage(topic=f"fivebar/bench/{kind}".encode())
+            message.payload, message.retain = b"{}", retained
+            bus._message(bus.client, None, message)
+    assert came == [f"fivebar/bench/{kind}" for kind in Twin.kinds]
 
 
 # --- 2: a full disk -------------------------------------------------------------------------------------------------------------------
@@ -300,9 +431,6 @@ def admit(intake: Intake, seq: int, time: int, now: int) -> str:
         return intake.admit(Message("meas", "bench", time, seq, {}), now)
     except Refused:
         return "refused"
-
-
-HOUR = 3_600_000_000_000
 
 
 def test_a_clock_that_was_set_ahead_and_right_again_locks_nobody_out() -> None:

@@ -25,7 +25,9 @@ class Bus:
     def __init__(
         self, broker: Broker, unit: str, name: str, kinds: Iterable[str], handle: Callable[[str, bytes], None]
     ):
-        self.broker, self.unit, self.kinds, self.handle = broker, unit, tuple(kinds), handle
+        self.broker, self.unit, self.handle = broker, unit, handle
+        self.topics = {topic(unit, kind): int(kind in RELIABLE) for kind in kinds}
+        """Subscribed ones, with their QoS."""
         self.connections = 0
         self.unsent = 0
         """Messages that there was no connection for."""
@@ -61,6 +63,16 @@ class Bus:
         self.unsent += not sent
         return sent
 
+    def hear_others(self, on: bool) -> None:
+        """Listens to the samples of all units, or no longer."""
+        every = topic("+", "meas")
+        if on:
+            self.topics[every] = 0
+            self.client.subscribe(every)
+        else:
+            self.topics.pop(every, None)
+            self.client.unsubscribe(every)
+
     def stop(self) -> None:
         """Sends what is waiting, and leaves."""
         self.client.disconnect()
@@ -77,14 +89,18 @@ class Bus:
             self.broker.port,
             " again" if self.connections > 1 else "",
         )
-        if self.kinds:
-            client.subscribe([(topic(self.unit, kind), int(kind in RELIABLE)) for kind in self.kinds])
+        if self.topics:
+            client.subscribe(list(self.topics.items()))
 
     def _disconnected(self, _client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
             log.warning("no connection to the broker: %s; trying again", reason)
 
     def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
+        if message.retain:
+            # Kept by the broker since nobody knows when: an order would be carried out at every connection.
+            log.warning("ignored: a retained message of %r", message.topic[:100])
+            return
         try:
             self.handle(message.topic, bytes(message.payload))
         except Exception:

@@ -15,6 +15,7 @@ from fivebar.twin import record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.forecast import RADIUS, covariance, half_width
 from fivebar.twin.messages import MEASURED, TRACKED
+from fivebar.twin.turn import TURN
 from fivebar.twin.watch import Histogram
 
 ESTIMATES: Final = (
@@ -45,7 +46,7 @@ NEAR: Final = 0.1
 """rad: an estimate that is further from its own sample has not followed it; at 7 rad/s and 5 ms a sample it is within 0.01 rad."""
 
 FOLLOWED: Final = 0.5
-"""Share of the published samples that have to be followed."""
+"""Share of the samples that have to be followed, those that were refused included."""
 
 
 @dataclass
@@ -122,7 +123,9 @@ def read(file: Path) -> Story:
             story.estimated.add({"time": time, "band": band} | fields)
             seen = waiting.pop(message.seq, {})
             story.followed += all(
-                abs(seen[name] - fields[name.removeprefix("measured.")]) < NEAR for name in MEASURED if name in seen
+                abs(math.remainder(seen[name] - fields[name.removeprefix("measured.")], TURN)) < NEAR
+                for name in MEASURED
+                if name in seen
             )
         elif message.kind == "forecast":
             _forecast(story, message.extra, time)
@@ -260,10 +263,15 @@ def summarise(
         "samples": {
             "published": published,
             "lost": max(0, published - taken),
+            "taken": taken,
             "estimated": max(total("follow", "estimated"), len(story.estimated)),
             "recorded": len(story.samples),
             "followed": story.followed,
             "late": total("follow", "late"),
+            "refused": total("follow", "refused_samples"),
+            "why_refused": next(
+                (life["why_refused"] for life in status.get("follow", []) if life.get("why_refused")), ""
+            ),
         },
         "latency_ms": {
             name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))
@@ -308,9 +316,13 @@ def summarise(
 
 def unfollowed(content: dict[str, Any]) -> str:
     """A sentence if hardly any sample was followed, or ""."""
-    recorded, followed = content["samples"]["recorded"], content["samples"]["followed"]
-    if content["samples"]["estimated"] and followed >= FOLLOWED * recorded:
+    samples = content["samples"]
+    refused, followed = samples["refused"], samples["followed"]
+    recorded = max(samples["recorded"], samples["taken"] + refused)
+    if samples["estimated"] and followed >= FOLLOWED * recorded:
         return ""
+    if refused >= FOLLOWED * recorded > 0:
+        return f"not followed: {refused} of {recorded} samples are refused, the first because: {samples['why_refused']}"
     return f"not followed: {followed} of {recorded} samples have an estimate within {NEAR:g} rad; {FOLLOWED:.0%} are needed: is the scene this machine's?"
 
 

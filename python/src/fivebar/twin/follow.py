@@ -11,8 +11,8 @@ from fivebar.twin import process, scene, setup
 from fivebar.twin.config import Config, read_json
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follower import Follower
-from fivebar.twin.intake import Intake, Orders
-from fivebar.twin.messages import MEASURED, Message
+from fivebar.twin.intake import Intake, Orders, Refusals
+from fivebar.twin.messages import MEASURED, Message, topic
 from fivebar.twin.process import Worker
 from fivebar.twin.unit import Library
 
@@ -21,6 +21,9 @@ STORE_EVERY: Final = 1_000_000_000
 
 MUCH: Final = 4 * math.pi
 """rad: an angle at which encoders seldom begin, and degrees mostly do."""
+
+ALONE: Final = 2_000_000_000
+"""Nanoseconds without any sample of this unit after which those of others are listened to: the machine may have another name."""
 
 AT_BOUND: Final = "has been moved to its bound"
 """Words of the unit's warning about a learned value that says that the machine is another one."""
@@ -43,6 +46,11 @@ class Twin(Worker):
         self.samples_per_forecast = max(1, round(1 / (config.forecast_rate * config.period)))
         self.counts = dict.fromkeys(("taken", "late", "estimated", "states", "failures"), 0)
         self.orders = Orders()
+        self.refusals = Refusals()
+        self.waits_since: int | None = None
+        """Since when the first sample of this unit is waited for, ns."""
+        self.heard, self.hears_others = False, False
+        """Whether a sample of this unit has come, and whether those of others are listened to."""
         self.stored_at = -1
 
     def begin(self) -> None:
@@ -59,6 +67,27 @@ class Twin(Worker):
         self.intake.go_on_from(state.seq, state.time)
         self.stored_at = state.time
         log.info("going on from the state after sample %d", state.seq)
+
+    def received(self, topic_: str, payload: bytes, now: int) -> None:
+        if not self.heard and topic_ == topic(self.config.unit, "meas"):
+            self.heard, self.refusals = True, Refusals()
+            if self.hears_others:
+                self.hear_others(False)
+        super().received(topic_, payload, now)
+
+    def refuse(self, topic_: str, error: Refused, now: int) -> None:
+        super().refuse(topic_, error, now)
+        if topic_.endswith("/meas"):
+            self.refusals.add(str(error), now)
+
+    def tick(self, now: int) -> None:
+        if sentence := self.refusals.lasting(now):
+            self.trouble("samples", sentence, now)
+        if self.waits_since is None:
+            self.waits_since = now
+        if not self.heard and not self.hears_others and now - self.waits_since >= ALONE:
+            self.hears_others = True
+            self.hear_others(True)
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
         if message.kind == "meas":
@@ -88,10 +117,14 @@ class Twin(Worker):
                         message.time,
                         message.seq,
                     )
+        self.refusals.taken()
         self.counts["taken"] += 1
         self.counts["late"] += kind == "late"
         jumps = follower.jumps
         made = follower.meas(message)
+        if follower.begun:
+            self.tell("taken", "turn", follower.begun, message.time, message.seq)
+            follower.begun = ""
         if follower.jumps != jumps:
             log.warning("the machine's clock jumped at sample %d", message.seq)
         if follower.failure:
@@ -154,7 +187,8 @@ class Twin(Worker):
         self.counts["states"] += 1
 
     def status(self) -> dict[str, Any]:
-        return self.counts | {"missing": self.intake.missing, "jumps": self.follower.jumps}
+        refusals = {"refused_samples": self.refusals.count, "why_refused": self.refusals.first}
+        return self.counts | refusals | {"missing": self.intake.missing, "jumps": self.follower.jumps}
 
     def end(self) -> None:
         if self.follower.book is not None:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from fivebar.scene_file import OFFSETS
+from fivebar.twin import turn
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, Message
 from fivebar.twin.setup import Setup
@@ -74,7 +75,8 @@ class Book:
     """Whether the commands are those of the plan."""
 
     assembly: int
-    measured: dict[str, float] = field(default_factory=dict)
+    turns: dict[str, float] = field(default_factory=dict)
+    """Whole turns that are added to each reading: the machine began in another turn than its encoders."""
 
     @property
     def clock(self) -> float:
@@ -169,6 +171,8 @@ class Follower(Rider):
         """The sample of the last estimate; -1 before the first."""
         self.failure = ""
         """Why the unit had to be left, since the last look."""
+        self.begun = ""
+        """A sentence about a start in another turn than that of the readings, since the last look."""
         self.jumps = 0
         self.previous: Message | None = None
         self.assembly = int(setup.values.get("init.assembly", 1))
@@ -325,7 +329,10 @@ class Follower(Rider):
         if missing:
             self.failure = f"a start needs both angles, and {missing[0]} is missing"
             return
-        angles = [fields[name] for name in MEASURED]
+        given = self.setup.values | self.parameters
+        begins = turn.begins(self.unit.library, given, fields, [fields[name] for name in MEASURED])
+        turns = {name: float(begin.turns) for name, begin in zip(MEASURED, begins, strict=True) if begin.turns}
+        angles = [fields[name] + turn.TURN * turns.get(name, 0.0) for name in MEASURED]
         values: dict[str, float | int | bool] = {
             f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)
         }
@@ -333,13 +340,14 @@ class Follower(Rider):
         rates = [message.fields.get(f"servo.omega[{i}]", 0.0) for i in LEGS]
         if before is not None and 0 < message.seq - before.seq <= 5 and all(name in before.fields for name in MEASURED):
             span = (message.seq - before.seq) * self.setup.period
-            rates = [(message.fields[name] - before.fields[name]) / span for name in MEASURED]
+            rates = [math.remainder(message.fields[name] - before.fields[name], turn.TURN) / span for name in MEASURED]
         values |= {f"init.omega[{i}]": rate for i, rate in zip(LEGS, rates, strict=True)} | {
             "init.assembly": self.assembly
         }
         held = {f"servo.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
         self.unit.start(held | self.setup.values | values | self.parameters)
-        self.book = Book(message.time, message.time, message.seq, {}, False, self.assembly)
+        self.book = Book(message.time, message.time, message.seq, {}, False, self.assembly, turns)
+        self.begun = " and ".join(begin.sentence for begin in begins if begin.turns)
 
     def _take(self, message: Message) -> None:
         """A sample in its order."""
@@ -362,7 +370,10 @@ class Follower(Rider):
         seen = [name for name in MEASURED if name in fields]
         self.unit.set_reals(
             [*(self.measured[name] for name in seen), *(self.stamps[name] for name in seen)],
-            [*(fields[name] for name in seen), *(self.unit.time for _ in seen)],
+            [
+                *(fields[name] + turn.TURN * following.turns.get(name, 0.0) for name in seen),
+                *(self.unit.time for _ in seen),
+            ],
         )
         self.book = following
         self.hold(following)

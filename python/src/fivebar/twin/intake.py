@@ -5,11 +5,14 @@ follow each other, newer than those that were taken, at times near the pipeline'
 forged sample cannot end a series, and old ones sent again begin none. What is remembered against these follows the machine's clock where
 it jumps, and is bounded: a time of another clock, however late, keeps nothing out, and a series that has been silent for `FORGOTTEN` is
 none any more.
+
+Times must be in ns: a series whose times are, or go on, as those of a longer unit would is never believed.
 """
 
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from fivebar.twin import units
 from fivebar.twin.errors import Refused
 from fivebar.twin.messages import Message
 
@@ -20,11 +23,17 @@ NEAR: Final = 10_000_000_000
 FORGOTTEN: Final = 60_000_000_000
 """Nanoseconds of silence after which a series no longer says which times are plausible."""
 
+YEAR: Final = 31_557_600_000_000_000
+"""Nanoseconds by which a clock may be off whose unit is asked for."""
+
 QUIET: Final = 1_000_000_000
 """Nanoseconds without a newer message after which an older one of the pipeline itself is taken."""
 
 LONGEST_LEAP: Final = 20
 """Samples that may be missing where the times do not say so too."""
+
+LASTING: Final = 1_000_000_000
+"""Nanoseconds without a sample that was taken after which refused ones are a trouble: longer than it takes to believe a machine."""
 
 
 @dataclass
@@ -32,6 +41,8 @@ class _Series:
     seq: int
     time: int
     length: int = 1
+    first: int = 0
+    """Time of its first sample, ns."""
 
 
 class Intake:
@@ -51,9 +62,11 @@ class Intake:
 
     def admit(self, message: Message, now: int) -> Literal["new", "late", "series"]:
         """Class of a sample that came at `now` of the pipeline's clock, ns; `Refused` if it is not to be taken."""
+        if unit := units.of_time(message.time, now - NEAR, now + NEAR):
+            raise Refused(units.asks_by_time(f"meas {message.seq}", message.time, unit))
         if self.series is None:
             if abs(message.time - now) > NEAR:
-                return self._else(message, f"meas {message.seq} is from a time that {_apart(message.time, now)}", now)
+                return self._else(message, _elsewhen(message, now), now)
             self._begin(message, now)
             return "series"
         ahead = message.seq - self.series.seq
@@ -120,9 +133,14 @@ class Intake:
             and message.seq == candidate.seq + 1
             and 0 < message.time - candidate.time <= 2 * self.period_ns
         ):
-            self.candidate = _Series(message.seq, message.time, candidate.length + 1)
+            self.candidate = _Series(message.seq, message.time, candidate.length + 1, candidate.first)
+            step = (message.time - candidate.first) / candidate.length
+            # Few samples of a machine that is timed by software may be nearer to each other.
+            if self.candidate.length >= CONSISTENT // 2 and (unit := units.of_step(step, self.period_ns)):
+                expected = f"{1e-9 * self.period_ns:g} s"
+                raise Refused(f"meas {message.seq}: {units.asks_by_step(1e-9 * step, expected, unit.name)}")
         else:
-            self.candidate = _Series(message.seq, message.time)
+            self.candidate = _Series(message.seq, message.time, first=message.time)
         if self.candidate.length < CONSISTENT:
             raise Refused(sentence)
         self._begin(message, now)
@@ -173,8 +191,7 @@ class Orders:
         """`Refused` if the order is not to be taken at that time of the pipeline's clock, ns."""
         if abs(message.time - now) > NEAR:
             raise Refused(
-                f"{message.kind} is from a time that {_apart(message.time, now)}; up to {1e-9 * NEAR:g} s are allowed: "
-                "set the clock from which the order comes"
+                f"{_elsewhen(message, now)}; up to {1e-9 * NEAR:g} s are allowed: set the clock from which the order comes"
             )
         if message.time <= self.newest:
             by = 1e-9 * (self.newest - message.time)
@@ -187,6 +204,43 @@ class Orders:
         self.newest = message.time
 
 
-def _apart(time: int, now: int) -> str:
-    """How far a time is from the pipeline's own."""
-    return f"is {1e-9 * abs(time - now):.3f} s {'ahead of' if time > now else 'behind'} the pipeline's own"
+class Refusals:
+    """Samples that are refused while none is taken: how many, and why the first one. Few, as doubled ones, are none of its business."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Of all times that lasted."""
+        self.first = ""
+        """Why, at the first of these times."""
+        self._now, self._told, self._since, self._why = 0, 0, 0, ""
+
+    def add(self, why: str, now: int) -> None:
+        """A sample was refused at a time of the pipeline's clock, ns."""
+        if not self._now:
+            self._since = now
+        # A sentence that asks for the unit is worth more than one about times that are far away.
+        if not self._now or ("?" in why and "?" not in self._why):
+            self._why = why
+        self._now += 1
+
+    def taken(self) -> None:
+        """A sample was taken."""
+        self._now, self._told = 0, 0
+
+    def lasting(self, now: int) -> str:
+        """A sentence if none has been taken for `LASTING`, or ""."""
+        if not self._now or now - self._since < LASTING:
+            return ""
+        self.count += self._now - self._told
+        self._told = self._now
+        self.first = self.first or self._why
+        return f"no sample is taken, {self._now} are refused, the first because: {self._why}"
+
+
+def _elsewhen(message: Message, now: int) -> str:
+    """Sentence about a message whose time is not near the pipeline's own."""
+    what = message.kind if message.kind != "meas" else f"meas {message.seq}"
+    if unit := units.of_time(message.time, now - YEAR, now + YEAR):
+        return units.asks_by_time(what, message.time, unit)
+    apart = f"{1e-9 * abs(message.time - now):.3f} s {'ahead of' if message.time > now else 'behind'}"
+    return f"{what} is from a time that is {apart} the pipeline's own"

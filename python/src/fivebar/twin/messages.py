@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import fastjsonschema
 
+from fivebar.twin import units
 from fivebar.twin.errors import Refused
 
 KINDS: Final = (
@@ -103,7 +104,7 @@ def decode(from_topic: str, payload: bytes) -> Message:
     _require(content["tags"]["unit"] == unit, f"tags are {_show(content['tags'])}; the unit of this topic is {unit!r}")
     for name in ("time", "seq"):
         # JSON Schema takes 1.0 for an integer, the code that counts with it does not.
-        _require(isinstance(content[name], int), f"{name} is {_show(content[name])}, not an integer")
+        _require(isinstance(content[name], int), _no_integer(name, content[name]))
     fields = {name: float(value) for name, value in content["fields"].items()}
     extra = {
         name: value for name, value in content.items() if name not in ("measurement", "time", "seq", "tags", "fields")
@@ -163,6 +164,8 @@ def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
         return f"{name} has neither {' nor '.join(each['required'][0] for each in allowed)}"
     if type(value) in (int, float) and (not math.isfinite(value) if isinstance(value, float) else abs(value) > 10**308):
         return f"{name} is {_show(value)}, not a finite number"
+    if rule == "type" and allowed == "integer":
+        return _no_integer(name, value)
     if rule == "type":
         kinds = allowed if isinstance(allowed, list) else [allowed]
         return f"{name} is {_show(value)}, not {' or '.join(f'an {each}' if each[0] in 'aio' else f'a {each}' for each in kinds)}"
@@ -173,6 +176,14 @@ def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
     if rule in ("minimum", "maximum"):
         return f"{name} is {_show(value)}; {error.definition.get('minimum', '-inf')} to {error.definition.get('maximum', 'inf')} is allowed"
     return f"{name} is {_show(value)}; {rule} {_show(allowed)} is allowed"
+
+
+def _no_integer(name: str, value: Any) -> str:
+    """Sentence about a value that is no integer: a time with a fraction is mostly one in s."""
+    unit = units.of_time(value) if name == "time" and isinstance(value, float) else None
+    if unit is not None:
+        return units.asks_by_time("the message", value, unit)
+    return f"{name} is {_show(value)}, not an integer"
 
 
 def _show(value: Any) -> str:

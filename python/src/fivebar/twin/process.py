@@ -45,6 +45,8 @@ class Worker(ABC):
         self.send: Callable[[str, bytes], bool] = self._not_yet
         self.keep: Callable[[Path, bytes], None] = replace_file
         """Has a file replaced."""
+        self.hear_others: Callable[[bool], None] = self._nobody
+        """Listens to the samples of all units, or no longer."""
         self.refused = 0
         self.when_told: dict[str, float] = {}
 
@@ -52,16 +54,26 @@ class Worker(ABC):
     def _not_yet(_kind: str, _payload: bytes) -> bool:
         return False
 
+    @staticmethod
+    def _nobody(_on: bool) -> None:
+        pass
+
     def received(self, topic: str, payload: bytes, now: int) -> None:
         """A message as it came, at a time in ns: handled, or refused with one line in the log."""
         try:
             message = decode(topic, payload)
-            if message.unit != self.config.unit or message.kind not in self.kinds:
+            if message.kind not in self.kinds:
                 raise Refused(f"{topic[:100]!r} is not for this process")
+            if message.unit != self.config.unit:
+                raise Refused(f"{message.kind} is of the unit {message.unit!r}, not of {self.config.unit!r} (--unit)")
             self.handle(message, payload, now)
         except Refused as error:
-            self.refused += 1
-            log.warning("refused: %s", error)
+            self.refuse(topic, error, now)
+
+    def refuse(self, topic: str, error: Refused, now: int) -> None:
+        """A message that is not taken, at a time in ns: a line in the log."""
+        self.refused += 1
+        log.warning("refused: %s", error)
 
     def publish(self, message: Message) -> bool:
         """Sends a message of this unit."""
@@ -69,8 +81,14 @@ class Worker(ABC):
         return self.send(message.kind, encode(message))
 
     def trouble(self, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any) -> None:
-        """Something that keeps the twin from its work, at a time in ns: a line in the log each time; an alarm and a line on standard
-        output, which the starter shows, if the same (but for its numbers) was not told a moment ago."""
+        """Something that keeps the twin from its work."""
+        self.tell("trouble", cause, sentence, now, seq, every, **more)
+
+    def tell(
+        self, state: str, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any
+    ) -> None:
+        """Something to be known at once, at a time in ns: a line in the log each time; an alarm and a line on standard output, which the
+        starter shows, if the same (but for its numbers) was not told a moment ago."""
         log.warning("%s", sentence)
         key = f"{cause} {NUMBER.sub('#', sentence)}"
         moment = time.monotonic()
@@ -87,7 +105,7 @@ class Worker(ABC):
                 now,
                 seq,
                 {},
-                {"state": "trouble", "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more,
+                {"state": state, "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more,
             )
         )
 
@@ -216,7 +234,7 @@ def serve(worker: Worker) -> int:
     worker.keep = disk.put
     worker.begin()
     bus = Bus(config.broker, config.unit, worker.name, worker.kinds, handle)
-    worker.send = bus.publish
+    worker.send, worker.hear_others = bus.publish, bus.hear_others
     bus.start()
     spare_collector()
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fivebar import table
 from fivebar.errors import FiveBarError
+from fivebar.twin import units
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED
 
@@ -115,9 +116,7 @@ def _check_units(given: Recording) -> None:
     file, step = given.source, given.period
     if step >= SLOW:
         what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
-        raise TwinError(
-            f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?"
-        )
+        raise TwinError(f"{file}: {units.asks_by_step(step, f'less than {SLOW:g} s', what)}")
     for name, column in given.columns.items():
         known = np.abs(column[np.isfinite(column)])
         if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * np.pi:

@@ -172,6 +172,7 @@ def run(options: Options) -> int:
     library = Library(options.fmu)
     try:
         scene, source = scenes.start_values(options.scene, options.file, library)
+        given = data.turned(given, library, scene)
         sought = parameters(options.parameters or usual(scene), library, scene)
         machine = Machine(library, scene, sought)
         result = calibrate(machine, given, options.commands, options.longest, _show, options.patience)

@@ -8,13 +8,18 @@ from typing import Final
 
 import numpy as np
 
-from fivebar.twin import record, recording
+from fivebar.scene_file import OFFSETS
+from fivebar.twin import record, recording, turn
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, decode
 from fivebar.twin.recording import Array
+from fivebar.twin.unit import Library, Values
 
 GAP: Final = 5.5
 """Usual distances of two samples after which a series ends: commands of the drives in a longer gap are not known."""
+
+FIRST: Final = 5
+"""Samples whose median tells the turn in which an encoder begins: one may be an outlier."""
 
 SHORTEST: Final = 1.0
 """s of all series together."""
@@ -125,6 +130,42 @@ def split(given: recording.Recording) -> Data:
             f"{len(parts) - 1} gaps or jumps of the clock; {len(parts) - len(series)} series of less than 20 samples are left out"
         )
     return Data(series, notes)
+
+
+def turned(given: Data, library: Library, scene: Values) -> Data:
+    """The data with each series in the turn in which a twin would begin, and without leaps of its encoders by whole turns."""
+    offsets = [float(scene.get(name, 0.0)) for name in OFFSETS]
+    series, notes = [], dict.fromkeys(given.notes)
+    for samples in given.series:
+        angles = np.column_stack([_unwrapped(column) for column in samples.angles.T])
+        commands = dict(zip(samples.names, samples.commands[0].tolist(), strict=True))
+        for i, offset in enumerate(offsets, 1):
+            if f"servo.theta[{i}]" in commands:
+                commands[f"servo.theta[{i}]"] -= offset
+        first = [
+            _middle(column[np.isfinite(column)][:FIRST]) - offset
+            for column, offset in zip(angles.T, offsets, strict=True)
+        ]
+        begins = turn.begins(library, scene, commands, first)
+        series.append(replace(samples, angles=angles + turn.TURN * np.array([begin.turns for begin in begins])))
+        notes |= dict.fromkeys(begin.sentence for begin in begins if begin.turns)
+    return replace(given, series=series, notes=list(notes))
+
+
+def _unwrapped(column: Array) -> Array:
+    """Angles of an encoder without leaps by whole turns, rad: each in the turn nearest to the median of the three before it, for one may be an outlier."""
+    found = column.copy()
+    before: list[float] = []
+    for k in np.flatnonzero(np.isfinite(column)):
+        if before:
+            found[k] += turn.TURN * round((_middle(before) - found[k]) / turn.TURN)
+        before = [*before[-2:], float(found[k])]
+    return found
+
+
+def _middle(angles: Array | list[float]) -> float:
+    """Median, NaN of nothing."""
+    return float(np.median(angles)) if len(angles) else math.nan
 
 
 def _record(file: Path, unit: str) -> recording.Recording:
