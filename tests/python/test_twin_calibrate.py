@@ -35,10 +35,16 @@ SINKING = BASE | {"servo.enabled": False, "viscous.enabled": False, "gravity.g":
 
 
 def made(
-    library: Library, names: list[str], truth: list[float], seconds: float, noise: float = 1e-4, servo: bool = True
+    library: Library,
+    names: list[str],
+    truth: list[float],
+    seconds: float,
+    noise: float = 1e-4,
+    servo: bool = True,
+    more: dict[str, float | bool] | None = None,
 ) -> dict[str, np.ndarray]:
     """Columns of a record of a machine with those unknowns."""
-    base = BASE if servo else SINKING
+    base = (BASE if servo else SINKING) | (more or {})
     machine = motion.Machine(library, base, parameters.parameters(names, library, base))
     machine.tolerance(1e-10)
     time, commands = trials.path(seconds)
@@ -239,6 +245,36 @@ def test_offsets_are_those_of_encoders_that_servos_close_on(
     for name, truth in zip(parameters.OFFSETS, offsets, strict=True):
         unknown = figures["unknowns"][name]
         assert unknown["identified"] and abs(unknown["value"][name] - truth) < 4 / 1.96 * unknown["bar95"][name], name
+
+
+def springs(turns: int) -> dict[str, float | bool]:
+    """Springs near the start, so many turns away."""
+    angles = {f"spring.theta0[{i}]": angle + 2 * math.pi * turns for i, angle in ((1, 2.5), (2, 1.2))}
+    return {"spring.enabled": True, "spring.k[1]": 0.1, "spring.k[2]": 0.1} | angles
+
+
+@pytest.mark.parametrize("lowest", [0.0, 2.3 - 2 * math.pi])
+def test_an_encoder_may_count_from_another_turn(
+    lowest: float, fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Absolute encoders from 0 or up to 2.3 rad, one of which leaps by a turn, and springs two turns away: the machine was called another one."""
+    columns = made(library, ["payload.mass"], [1.1], 1.5, servo=False, more=springs(0))
+    angles = ("measured.theta[1]", "measured.theta[2]")
+    absolute = {name: lowest + (columns[name] - lowest) % (2 * math.pi) for name in angles}
+    assert (max(np.abs(np.diff(column)).max() for column in absolute.values()) > math.pi) == (lowest < 0)
+    # One sample is wrong.
+    absolute["measured.theta[1]"][40] += 3.2
+    scene = SINKING | springs(-2)
+    code, found = calibrated(fmu, write(tmp_path / "a.csv", columns | absolute), tmp_path, ["payload.mass"], base=scene)
+    unknown = found["unknowns"]["payload.mass"]
+    truth = 1.1 * unknown["scene"]["payload.mass"]
+    # Four standard deviations.
+    assert code == 0 and abs(unknown["value"]["payload.mass"] - truth) < 2 * unknown["bar95"]["payload.mass"]
+    assert max(found["residuals_rad"]["encoder"]) < 2e-4, "noise of 1e-4 rad"
+    assert [note[:17] for note in found["notes"]] == list(angles)
+    assert "in the turn nearest to spring.theta0[1] = -10.0664 rad" in capsys.readouterr().out
+    begin = json.loads((tmp_path / "out" / "calibrated.json").read_text(encoding="utf-8"))
+    assert abs(begin["init.theta[1]"] - (2.2 - 4 * math.pi)) < 1e-3
 
 
 def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_path: Path) -> None:

@@ -232,7 +232,8 @@ def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: P
         text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 0, text
     samples = json.loads((tmp_path / "summary.json").read_text())["samples"]
-    assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0, "followed": 400}, text
+    counts = {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0, "followed": 400}
+    assert samples == counts | {"refused": 0, "why_refused": ""}, text
 
 
 def test_a_recording_takes_the_place_of_any_machine(tmp_path: Path, fmu: Path, scenes: Path) -> None:

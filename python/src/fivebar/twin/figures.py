@@ -263,7 +263,6 @@ def summarise(
         "samples": {
             "published": published,
             "lost": max(0, published - taken),
-            "taken": taken,
             "estimated": max(total("follow", "estimated"), len(story.estimated)),
             "recorded": len(story.samples),
             "followed": story.followed,
@@ -318,7 +317,7 @@ def unfollowed(content: dict[str, Any]) -> str:
     """A sentence if hardly any sample was followed, or ""."""
     samples = content["samples"]
     refused, followed = samples["refused"], samples["followed"]
-    recorded = max(samples["recorded"], samples["taken"] + refused)
+    recorded = max(samples["recorded"], samples["published"] - samples["lost"] + refused)
     if samples["estimated"] and followed >= FOLLOWED * recorded:
         return ""
     if refused >= FOLLOWED * recorded > 0:

@@ -212,7 +212,9 @@ class Refusals:
         """Of all times that lasted."""
         self.first = ""
         """Why, at the first of these times."""
-        self._now, self._told, self._since, self._why = 0, 0, 0, ""
+        self._now, self._told = 0, 0
+        """Refused since one was taken, and how many of them `count` has."""
+        self._since, self._said, self._why = 0, 0, ""
 
     def add(self, why: str, now: int) -> None:
         """A sample was refused at a time of the pipeline's clock, ns."""
@@ -228,12 +230,15 @@ class Refusals:
         self._now, self._told = 0, 0
 
     def lasting(self, now: int) -> str:
-        """A sentence if none has been taken for `LASTING`, or ""."""
-        if not self._now or now - self._since < LASTING:
+        """A sentence, once in `LASTING`, while none has been taken for as long; else ""."""
+        if self._now == self._told or now - self._since < LASTING:
             return ""
         self.count += self._now - self._told
         self._told = self._now
         self.first = self.first or self._why
+        if now - self._said < LASTING:
+            return ""
+        self._said = now
         return f"no sample is taken, {self._now} are refused, the first because: {self._why}"
 
 
