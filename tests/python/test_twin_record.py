@@ -338,9 +338,12 @@ def test_a_recording_that_no_twin_can_follow_is_refused(
 
 def test_a_run_that_hardly_followed_says_so() -> None:
     """An estimate a radian off its sample was counted as any other."""
-    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 300, "estimated": 321}}) == ""
-    assert figures.unfollowed({"samples": {"recorded": 321, "followed": 9, "estimated": 321}}).startswith(
-        "not followed: 9 of 321 samples"
+    samples = {"published": 321, "lost": 0, "recorded": 321, "refused": 0, "estimated": 321}
+    assert figures.unfollowed({"samples": samples | {"followed": 300}}) == ""
+    assert figures.unfollowed({"samples": samples | {"followed": 9}}).startswith("not followed: 9 of 321 samples")
+    none = dict.fromkeys((*samples, "followed"), 0)
+    assert figures.unfollowed({"unit": "bench", "samples": none}) == (
+        "not followed: no sample has come on the topic fivebar/bench/meas"
     )
 
 

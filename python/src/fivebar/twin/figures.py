@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from fivebar.twin import record, scene
 from fivebar.twin.config import Config
 from fivebar.twin.forecast import RADIUS, covariance, half_width
-from fivebar.twin.messages import MEASURED, TRACKED
+from fivebar.twin.messages import MEASURED, TRACKED, topic
 from fivebar.twin.turn import TURN
 from fivebar.twin.watch import Histogram
 
@@ -320,7 +320,9 @@ def unfollowed(content: dict[str, Any]) -> str:
     recorded = max(samples["recorded"], samples["published"] - samples["lost"] + refused)
     if samples["estimated"] and followed >= FOLLOWED * recorded:
         return ""
-    if refused >= FOLLOWED * recorded > 0:
+    if not recorded:
+        return f"not followed: no sample has come on the topic {topic(content['unit'], 'meas')}"
+    if refused >= FOLLOWED * recorded:
         return f"not followed: {refused} of {recorded} samples are refused, the first because: {samples['why_refused']}"
     return f"not followed: {followed} of {recorded} samples have an estimate within {NEAR:g} rad; {FOLLOWED:.0%} are needed: is the scene this machine's?"
 
