@@ -479,7 +479,7 @@ ABSOLUTE = {
 
 
 @pytest.mark.parametrize("by", ABSOLUTE)
-@pytest.mark.parametrize("lowest", [0.0, -math.pi, TURN])
+@pytest.mark.parametrize("lowest", [0.0, -math.pi, TURN, -1.05])
 def test_a_run_begins_in_the_turn_of_its_scene(
     by: str, lowest: float, tmp_path: Path, fmu: Path, library: Library, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -494,9 +494,12 @@ def test_a_run_begins_in_the_turn_of_its_scene(
             name: lowest + (value - lowest) % TURN if name.startswith("measured") else value
             for name, value in message.fields.items()
         }
+        shown.append(fields["measured.theta[1]"])
         return [encode(replace(message, fields=fields))]
 
+    shown: list[float] = []
     run = recorded(config, library, 400, mangle)
+    assert (np.abs(np.diff(shown)).max() > math.pi) == (lowest == -1.05), "the run passes that edge, and no other one"
     story = figures.read(run.folder)
     assert story.followed == 400 and run.watch.alarms == 0
     content = figures.summarise(config, story, figures.judge(story), {}, {})

@@ -47,6 +47,7 @@ class Twin(Worker):
         self.counts = dict.fromkeys(("taken", "late", "estimated", "states", "failures"), 0)
         self.orders = Orders()
         self.refusals = Refusals()
+        self.own = topic(config.unit, "meas")
         self.waits_since: int | None = None
         """Since when the first sample of this unit is waited for, ns."""
         self.heard, self.hears_others = False, False
@@ -68,16 +69,16 @@ class Twin(Worker):
         self.stored_at = state.time
         log.info("going on from the state after sample %d", state.seq)
 
-    def received(self, topic_: str, payload: bytes, now: int) -> None:
-        if not self.heard and topic_ == topic(self.config.unit, "meas"):
+    def received(self, topic: str, payload: bytes, now: int) -> None:
+        if not self.heard and topic == self.own:
             self.heard, self.refusals = True, Refusals()
             if self.hears_others:
                 self.hear_others(False)
-        super().received(topic_, payload, now)
+        super().received(topic, payload, now)
 
-    def refuse(self, topic_: str, error: Refused, now: int) -> None:
-        super().refuse(topic_, error, now)
-        if topic_.endswith("/meas"):
+    def refuse(self, topic: str, error: Refused, now: int) -> None:
+        super().refuse(topic, error, now)
+        if topic.endswith("/meas"):
             self.refusals.add(str(error), now)
 
     def tick(self, now: int) -> None:

@@ -128,6 +128,9 @@ class Intake:
         if not self._may_begin(message, now):
             raise Refused(sentence)
         candidate = self.candidate
+        if candidate is not None and (message.seq, message.time) == (candidate.seq, candidate.time):
+            # A doubled sample is no end of those that follow each other.
+            raise Refused(sentence)
         if (
             candidate is not None
             and message.seq == candidate.seq + 1
