@@ -1,18 +1,26 @@
 """Recordings: one reader for calibration and twin, clocks that restart, units, and how a recording is played."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fivebar import simulate
-from fivebar.twin import recording
+from fivebar import table as tables
+from fivebar.own_unit import write_unit
+from fivebar.scene import Scene, Variant
+from fivebar.twin import recording, turn
 from fivebar.twin.calibrate import data
 from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import LONGEST_GAP
 from fivebar.twin.machine import Player
+from fivebar.twin.messages import MEASURED
+from fivebar.twin.soak import configured
 from fivebar.twin.starter import sampling
+from fivebar.twin.unit import Library
+from twin_support import follower
 
 
 def table(folder: Path, times: np.ndarray, head: str = "time,measured.theta[1],measured.theta[2]") -> Path:
@@ -145,3 +153,45 @@ def test_what_a_run_writes_is_a_recording(tmp_path: Path, fmu: Path) -> None:
     played = player(file, 0.001)
     played.check()
     assert (sample := played.next()) is not None and sample.fields["servo.theta[1]"] == result["servo.theta[1]"][0]
+
+
+def test_each_series_begins_in_a_turn_of_its_own(tmp_path: Path, fmu: Path) -> None:
+    """In a calibration and in the twin: the encoders' counts restart with the clock, the servos' commands do not."""
+    result = simulate.run("pick_and_place", fmu=fmu)
+    columns = {
+        name: np.tile(result[name][:100], 2)
+        for name in ("time", "theta[1]", "theta[2]", "servo.theta[1]", "servo.theta[2]")
+    }
+    columns["theta[1]"][100:] -= turn.TURN
+    columns["theta[2]"][:100] += turn.TURN
+    file = tmp_path / "a.csv"
+    tables.write(file, columns, zip(*(column.tolist() for column in columns.values()), strict=True))
+    library = Library(fmu)
+    config = configured(tmp_path / "run", fmu, library, "pick_and_place")
+    twin = follower(config, library)
+    first, second = data.turned(data.read(file, 0.0, 10.0), library, twin.setup.values).series
+    # A turn that is added and taken away leaves round-off.
+    assert first.angles == pytest.approx(second.angles, abs=1e-14)
+    assert first.angles[:, 0] == pytest.approx(result["theta[1]"][:100], abs=1e-14)
+    played, turns = player(file, config.period), []
+    while (sample := played.next()) is not None:
+        twin.meas(sample)
+        assert twin.book is not None and not (turns and twin.book.turns == turns[-1] and twin.begun)
+        if twin.begun:
+            turns.append(twin.book.turns)
+            twin.begun = ""
+    assert turns == [{MEASURED[1]: -1.0}, {MEASURED[0]: 1.0}]
+    twin.close()
+    library.close()
+
+
+def test_a_unit_of_ones_own_has_its_effects_enabled(tmp_path: Path, fmu: Path) -> None:
+    """A calibration without a scene takes its start values: its springs decide the turn, not the start."""
+    values = {"spring.enabled": True} | {
+        f"spring.{name}[{i}]": x for i in (1, 2) for name, x in (("k", 0.5), ("theta0", 8.0))
+    }
+    own = write_unit(tmp_path, Scene("mine", "Mine", 1.0, 0.01, [Variant("", values)]), plain=fmu).file
+    library = Library(own)
+    begins = turn.begins(library, {}, {}, [8.0 - turn.TURN, math.nan])
+    library.close()
+    assert [begin.turns for begin in begins] == [1, 0] and "spring.theta0[1] = 8 rad" in begins[0].sentence

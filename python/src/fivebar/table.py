@@ -6,6 +6,7 @@ brackets behind the names, and in any encoding that `fivebar.encoding` knows.
 """
 
 import csv
+import io
 import re
 from array import array
 from collections import Counter
@@ -33,22 +34,22 @@ UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers, NaN where a cell is empty or not finite."""
+    """Columns of numbers; NaN if a cell is empty or not finite."""
 
     columns: dict[str, NDArray[np.float64]]
-    """Those that were asked for, (n) each."""
+    """The requested columns, (n) each."""
 
     units: dict[str, str]
-    """By name, where the head has them."""
+    """Units in the head, by the column's name."""
 
     others: list[str]
-    """Names of the columns that were not asked for."""
+    """Names of all other columns."""
 
 
 def read(file: Path, wanted: Collection[str], counted: str) -> Table:
-    """Those of the columns `wanted` and `counted` that a table has. Raises FiveBarError, with one sentence that names the file.
+    """Reads the columns `wanted` and `counted`, as far as a table has them. Raises FiveBarError, with one sentence that names the file.
 
-    The numbers of the column `counted` are less its first one, subtracted as decimals: beyond 1e9, as times since 1970 are, floats have steps of 1e-7.
+    The column `counted` counts from its first number, which is subtracted as a decimal: beyond 1e9, as times since 1970 are, floats have steps of 1e-7.
     """
     try:
         return _parse(encoding.read(file, LARGEST), wanted, counted)
@@ -65,7 +66,8 @@ def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
             raise FiveBarError(f"it has {count} columns {name:.60}; each name may stand in the head once")
     places = {name: place for place, name in enumerate(names) if name in wanted and name != counted}
     found = {name: array("d") for name in places}
-    begin, at = names.index(counted) if counted in names else None, array("d")
+    counted_place = names.index(counted) if counted in names else None
+    counts = array("d")
     origin: Decimal | None = None
     for count, row in enumerate(lines, 1):
         if len(row) != len(head):
@@ -73,10 +75,10 @@ def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
             raise FiveBarError(f"row {count} has {len(row)} cells, and the head {len(head)}{comma}")
         name = counted
         try:
-            if begin is not None:
-                value = _decimal(row[begin])
+            if counted_place is not None:
+                value = _decimal(row[counted_place])
                 origin = value if origin is None and value.is_finite() else origin
-                at.append(np.nan if origin is None or not value.is_finite() else float(value - origin))
+                counts.append(np.nan if origin is None or not value.is_finite() else float(value - origin))
             for name, place in places.items():
                 found[name].append(number(row[place]))
         except (InvalidOperation, ValueError):
@@ -85,15 +87,15 @@ def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
     columns = {name: np.array(column) for name, column in found.items()}
     for column in columns.values():
         column[~np.isfinite(column)] = np.nan
-    if begin is not None:
-        columns[counted] = np.array(at)
+    if counted_place is not None:
+        columns[counted] = np.array(counts)
     units = {name: unit for name, unit in head if unit}
     return Table(columns, units, [name for name in names if name and name not in columns])
 
 
 def rows(text: str) -> Iterator[list[str]]:
     """The cells of each row that is not blank."""
-    lines = (line[0] for line in re.finditer(r".+\n?|\n", text.replace("\r\n", "\n").replace("\r", "\n")))
+    lines = io.StringIO(text, newline=None)
     first = next((line for line in lines if line.strip()), "")
     separator = next((each for each in "\t;" if each in first), ",")
     try:
@@ -105,7 +107,7 @@ def rows(text: str) -> Iterator[list[str]]:
 
 
 def named(cell: str) -> tuple[str, str]:
-    """The name of a column and its unit, "" where the head has none."""
+    """The name of a column and its unit, or "" without one."""
     found = UNIT.fullmatch(cell.strip())
     return (found[1], found[2].strip()) if found else (cell.strip(), "")
 
@@ -119,7 +121,7 @@ def number(cell: str) -> float:
 
 
 def _decimal(cell: str) -> Decimal:
-    """The same, as a decimal. Raises InvalidOperation."""
+    """The number in a cell as a decimal. Raises InvalidOperation."""
     try:
         return Decimal(cell)
     except InvalidOperation:
@@ -127,13 +129,13 @@ def _decimal(cell: str) -> Decimal:
 
 
 def _pointed(cell: str) -> str:
-    """A number as Python reads it."""
+    """The cell's text in Python's notation of numbers."""
     text = cell.strip().lower()
     return "nan" if text in MISSING else text.replace(",", ".")
 
 
 def write(file: Path, names: Iterable[str], lines: Iterable[Sequence[object]]) -> None:
-    """Writes a table; numbers have the digits that give back every bit of a double."""
+    """Writes a table; numbers have enough digits to restore every bit of a double."""
     with file.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)

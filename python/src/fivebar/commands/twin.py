@@ -36,7 +36,12 @@ from fivebar.commands import options
     show_default=True,
     help="none: a real one publishes meas, unless --csv plays a recording.",
 )
-@click.option("--csv", type=options.FILE, metavar="FILE", help="Play a recording, such as a table of `fivebar run`, in the place of a machine.")
+@click.option(
+    "--csv",
+    type=options.FILE,
+    metavar="FILE",
+    help="Play a recording, such as a table of `fivebar run`, in the place of a machine.",
+)
 @click.option(
     "--hidden",
     type=options.FILE,

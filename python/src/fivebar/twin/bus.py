@@ -27,7 +27,7 @@ class Bus:
     ):
         self.broker, self.unit, self.handle = broker, unit, handle
         self.topics = {topic(unit, kind): int(kind in RELIABLE) for kind in kinds}
-        """Subscribed ones, with their QoS."""
+        """Subscribed topics, with their QoS."""
         self.connections = 0
         self.unsent = 0
         """Messages that there was no connection for."""
@@ -98,7 +98,7 @@ class Bus:
 
     def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         if message.retain:
-            # Kept by the broker since nobody knows when: an order would be carried out at every connection.
+            # The broker may have kept it for days: an order would be carried out at every connection.
             log.warning("ignored: a retained message of %r", message.topic[:100])
             return
         try:

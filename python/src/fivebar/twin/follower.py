@@ -76,7 +76,7 @@ class Book:
 
     assembly: int
     turns: dict[str, float] = field(default_factory=dict)
-    """Whole turns that are added to each reading: the machine began in another turn than its encoders."""
+    """Whole turns to be added to each reading, by its name: encoders may count from another turn than the scene."""
 
     @property
     def clock(self) -> float:
@@ -172,7 +172,7 @@ class Follower(Rider):
         self.failure = ""
         """Why the unit had to be left, since the last look."""
         self.begun = ""
-        """A sentence about a start in another turn than that of the readings, since the last look."""
+        """A sentence, if the readings began in another turn; since the last look."""
         self.jumps = 0
         self.previous: Message | None = None
         self.assembly = int(setup.values.get("init.assembly", 1))

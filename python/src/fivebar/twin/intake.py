@@ -24,7 +24,7 @@ FORGOTTEN: Final = 60_000_000_000
 """Nanoseconds of silence after which a series no longer says which times are plausible."""
 
 YEAR: Final = 31_557_600_000_000_000
-"""Nanoseconds by which a clock may be off whose unit is asked for."""
+"""Nanoseconds by which a clock may be off if its times are to be recognised in another unit."""
 
 QUIET: Final = 1_000_000_000
 """Nanoseconds without a newer message after which an older one of the pipeline itself is taken."""
@@ -33,7 +33,7 @@ LONGEST_LEAP: Final = 20
 """Samples that may be missing where the times do not say so too."""
 
 LASTING: Final = 1_000_000_000
-"""Nanoseconds without a sample that was taken after which refused ones are a trouble: longer than it takes to believe a machine."""
+"""Nanoseconds after which refused samples, with none taken, are reported: longer than it takes to believe a machine."""
 
 
 @dataclass
@@ -129,7 +129,7 @@ class Intake:
             raise Refused(sentence)
         candidate = self.candidate
         if candidate is not None and (message.seq, message.time) == (candidate.seq, candidate.time):
-            # A doubled sample is no end of those that follow each other.
+            # A doubled sample does not end the candidate's series.
             raise Refused(sentence)
         if (
             candidate is not None
@@ -138,7 +138,7 @@ class Intake:
         ):
             self.candidate = _Series(message.seq, message.time, candidate.length + 1, candidate.first)
             step = (message.time - candidate.first) / candidate.length
-            # Few samples of a machine that is timed by software may be nearer to each other.
+            # A machine that is timed by software may send a few samples too fast.
             if self.candidate.length >= CONSISTENT // 2 and (unit := units.of_step(step, self.period_ns)):
                 expected = f"{1e-9 * self.period_ns:g} s"
                 raise Refused(f"meas {message.seq}: {units.asks_by_step(1e-9 * step, expected, unit.name)}")
@@ -208,41 +208,45 @@ class Orders:
 
 
 class Refusals:
-    """Samples that are refused while none is taken: how many, and why the first one. Few, as doubled ones, are none of its business."""
+    """Samples that are refused for `LASTING` or longer while none is taken: how many, and why."""
 
     def __init__(self) -> None:
         self.count = 0
-        """Of all times that lasted."""
+        """Samples refused in all such spans."""
         self.first = ""
-        """Why, at the first of these times."""
-        self._now, self._told = 0, 0
-        """Refused since one was taken, and how many of them `count` has."""
-        self._since, self._said, self._why = 0, 0, ""
+        """The reason in the first span."""
+        self._refused, self._counted = 0, 0
+        """Samples refused since one was taken, and how many of them `count` includes."""
+        self._since = 0
+        """When the first of them came, ns."""
+        self._reported = 0
+        """When `lasting` last returned a sentence, ns."""
+        self._reason = ""
 
     def add(self, why: str, now: int) -> None:
         """A sample was refused at a time of the pipeline's clock, ns."""
-        if not self._now:
+        if not self._refused:
             self._since = now
-        # A sentence that asks for the unit is worth more than one about times that are far away.
-        if not self._now or ("?" in why and "?" not in self._why):
-            self._why = why
-        self._now += 1
+        # A question about the unit explains more than the first sentence about times that are far away.
+        if not self._refused or ("?" in why and "?" not in self._reason):
+            self._reason = why
+        self._refused += 1
 
     def taken(self) -> None:
         """A sample was taken."""
-        self._now, self._told = 0, 0
+        self._refused, self._counted = 0, 0
 
     def lasting(self, now: int) -> str:
-        """A sentence, once in `LASTING`, while none has been taken for as long; else ""."""
-        if self._now == self._told or now - self._since < LASTING:
+        """A sentence, at most once in `LASTING`, if no sample has been taken for that long; else ""."""
+        if self._refused == self._counted or now - self._since < LASTING:
             return ""
-        self.count += self._now - self._told
-        self._told = self._now
-        self.first = self.first or self._why
-        if now - self._said < LASTING:
+        self.count += self._refused - self._counted
+        self._counted = self._refused
+        self.first = self.first or self._reason
+        if now - self._reported < LASTING:
             return ""
-        self._said = now
-        return f"no sample is taken, {self._now} are refused, the first because: {self._why}"
+        self._reported = now
+        return f"no sample is taken, {self._refused} are refused, the first because: {self._reason}"
 
 
 def _elsewhen(message: Message, now: int) -> str:

@@ -153,7 +153,7 @@ class Player:
 
         counts = np.maximum(1, np.round(steps / config.period).astype(np.int64))
         self.numbers = np.concatenate([[0], np.cumsum(counts)])
-        """What the machine would have counted, lost samples too."""
+        """The machine's count of each sample; lost samples count too."""
 
         self.row = 0
 
@@ -164,7 +164,7 @@ class Player:
 
     def check(self) -> None:
         """Refuses a recording of which no machine can be followed, as a calibration does."""
-        # It needs packages that the process of the machine does without.
+        # Imported here because the machine's process does without its packages.
         from fivebar.twin.calibrate import data
 
         data.check(data.split(self.recording))

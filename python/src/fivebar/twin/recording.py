@@ -25,7 +25,7 @@ UNITS: Final = {TIME: "s", "theta": "rad", "omega": "rad/s", "tau": "N.m", "tip.
 """Units of the columns, by the last words of their names."""
 
 SLOW: Final = 0.5
-"""s a sample: nothing that moves is sampled as slowly to be followed, but ms that are taken for s look so."""
+"""s between two samples: a machine that is followed is sampled faster, and times in ms look slower."""
 
 SHOWN: Final = 8
 """Names of other columns that a note has, at most."""
@@ -36,19 +36,19 @@ class Recording:
     """Samples of a machine."""
 
     source: str | Path
-    """What they are from: a file or folder."""
+    """A file or folder, for messages."""
 
     time: Array
-    """(n), s from the first sample, rising. The first sample of a series is as long after the series before as two samples usually are apart."""
+    """(n), s from the first sample, rising. Where the clock restarted, the step is the usual one."""
 
     columns: dict[str, Array]
-    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none. A command of a drive stays until the next one, and has no NaN."""
+    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none. Commands of drives have no NaN: each stays until the next one."""
 
     begins: tuple[int, ...]
-    """Samples with which the clock restarted."""
+    """Indices of the first samples after each restart of the clock."""
 
     notes: list[str]
-    """Sentences on what the source has beside these samples."""
+    """Sentences on rows and columns that were left out."""
 
     def part(self, first: int, last: int) -> "Recording":
         """Samples first to last - 1; times stay."""
@@ -91,7 +91,7 @@ def read(file: Path) -> Recording:
 
 
 def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[str]) -> Recording:
-    """The recording of samples in their order, by the readings of their clock, s. Refuses times that look like milliseconds and angles that look like degrees."""
+    """The recording of samples in their order, by the readings of their clock, s. Refuses times and angles in other units."""
     usable = np.flatnonzero(np.isfinite(clock))
     own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
     if len(own) < len(clock):
@@ -99,8 +99,11 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
     if not len(own):
         raise TwinError(f"{source} has no row with a time")
     clock, columns = clock[own], {name: column[own] for name, column in columns.items()}
-    told = {name: _stays(columns.pop(name)) for name in INPUTS if name in columns}
-    columns |= {name: column for name, column in told.items() if len(column)}
+    for name in INPUTS:
+        if name in columns and np.isfinite(columns[name]).any():
+            columns[name] = _stays(columns[name])
+        else:
+            columns.pop(name, None)
     steps = np.diff(clock)
     back = steps < 0
     usual = float(np.median(steps[~back])) if not back.all() else 0.0
@@ -113,24 +116,21 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
 
 
 def _check_units(given: Recording) -> None:
-    file, step = given.source, given.period
-    if step >= SLOW:
-        what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
-        raise TwinError(f"{file}: {units.asks_by_step(step, f'less than {SLOW:g} s', what)}")
+    """Refuses times that look like milliseconds and angles that look like degrees."""
+    if unit := units.of_long_step(given.period, SLOW):
+        raise TwinError(f"{given.source}: {units.asks_by_step(given.period, f'less than {SLOW:g} s', unit)}")
     for name, column in given.columns.items():
         known = np.abs(column[np.isfinite(column)])
         if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * np.pi:
             raise TwinError(
-                f"{file}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
+                f"{given.source}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
                 "(Whole turns may be left out.)"
             )
 
 
 def _stays(column: Array) -> Array:
-    """A column with each NaN replaced by the last number before it, or by the first number of all; empty if there is none."""
+    """A column with each NaN replaced by the last number before it, or by the first number of all."""
     known = np.flatnonzero(np.isfinite(column))
-    if not len(known):
-        return known
     return np.asarray(column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]])
 
 

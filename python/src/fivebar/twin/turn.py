@@ -1,4 +1,4 @@
-"""The turn in which a machine begins: its encoders may count from elsewhere than its scene, but servos, springs and stops act by the turn."""
+"""The turn in which a machine begins: encoders may count from another turn than the scene, but servos, springs and stops depend on the turn."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,13 +16,13 @@ class Begin(NamedTuple):
     """To be added to the reading."""
 
     sentence: str
-    """About a reading of another turn, or ""."""
+    """Reports a change of turn; "" without one."""
 
 
 def begins(library: Library, values: Values, commands: Mapping[str, float], angles: Sequence[float]) -> list[Begin]:
-    """The turns nearest to where the machine is commanded, else to its spring, its stops, or the start of its scene.
+    """For each axis, the turn nearest to its command, else to its spring, the middle of its stops, or the start of its scene.
 
-    `commands` and `angles`, of both encoders, are true angles, rad; one that is NaN stays. Start values that `values` lacks are the unit's.
+    `commands` and `angles` (one for each encoder) are true angles, rad; an angle that is NaN gets no turn. Start values that `values` lacks are the unit's.
     """
     found = []
     for i, angle in enumerate(angles, 1):
@@ -37,19 +37,24 @@ def begins(library: Library, values: Values, commands: Mapping[str, float], angl
 
 
 def _reference(library: Library, values: Values, commands: Mapping[str, float], i: int) -> tuple[str, float]:
-    """Name and value, rad, of the angle that tells the turn of an axis."""
+    """Name and value, rad, of the angle that decides the turn of axis `i`."""
 
     def value(name: str) -> float:
         return float(values.get(name, library.variable(name).start))
 
+    def enabled(effect: str) -> bool:
+        name = f"{effect}.enabled"
+        # FMPy gives the start of a Boolean as its text.
+        return bool(values.get(name, library.variable(name).start == "true"))
+
     servo, spring, lower, upper = (
         f"{name}[{i}]" for name in ("servo.theta", "spring.theta0", "stop.lower", "stop.upper")
     )
-    if values.get("servo.enabled") and value(f"servo.kp[{i}]") > 0 and (servo in commands or servo in values):
+    if enabled("servo") and value(f"servo.kp[{i}]") > 0 and (servo in commands or servo in values):
         return servo, float(commands.get(servo, value(servo)))
-    if values.get("spring.enabled") and value(f"spring.k[{i}]") > 0:
+    if enabled("spring") and value(f"spring.k[{i}]") > 0:
         return spring, value(spring)
-    # Stops that are further apart than a turn allow several.
-    if values.get("stop.enabled") and value(upper) - value(lower) <= TURN:
+    # Stops that are further apart than a turn allow several turns.
+    if enabled("stop") and value(upper) - value(lower) <= TURN:
         return f"the middle of {lower} and {upper}", 0.5 * (value(lower) + value(upper))
     return f"init.theta[{i}]", value(f"init.theta[{i}]")

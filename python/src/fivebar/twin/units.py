@@ -1,4 +1,4 @@
-"""Units of time that are taken for others: what is asked of whoever sends such times."""
+"""Times in a wrong unit: which unit they probably have, and the question about it. For `meas`, recordings and records."""
 
 from typing import Final, NamedTuple
 
@@ -17,23 +17,30 @@ LONGER: Final = (Unit("microseconds", 10**3), Unit("milliseconds", 10**6), Unit(
 
 
 def of_time(time: float, first: float = FIRST, last: float = LAST) -> Unit | None:
-    """The longer unit in which a number is a time between two others, ns, if there is one."""
+    """The longer unit in which a number is a time from `first` to `last`, ns; None if there is none."""
     return next((unit for unit in LONGER if first <= time * unit.ns < last), None)
 
 
 def of_step(step: float, period: float) -> Unit | None:
-    """The longer unit in which a step of the time, taken as ns, is near a period; both in the same unit. None if it is as it should be.
+    """The longer unit of times that go on by `step`, if they should go on by `period`, both in ns; None if they are in ns.
 
-    Half-way between two units, by ratio, the next one is nearer: a machine that is sampled up to thirty times too fast is only that.
+    The limit is half-way between two units by ratio: a step that is up to thirty times shorter than the period is a machine that is sampled fast.
     """
     return next((unit for unit in reversed(LONGER) if step * unit.ns < period * 1000**0.5), None)
 
 
+def of_long_step(step: float, longest: float) -> str:
+    """The shorter units of times, taken as s, that go on by `longest` or more, s; "" if they are in s."""
+    if step < longest:
+        return ""
+    return "milliseconds" if step < 1000 * longest else "microseconds or nanoseconds"
+
+
 def asks_by_time(what: str, time: float, unit: Unit) -> str:
-    """Sentence about a time since 1970."""
+    """Question about a time since 1970."""
     return f"time of {what} is {time}, and ns since 1970 are expected: are these {unit.name}?"
 
 
 def asks_by_step(step: float, expected: str, unit: str) -> str:
-    """Sentence about times whose steps, s, are those of another unit."""
+    """Question about times by their step, s."""
     return f"time goes on by {step:g} s a sample; {expected} is expected: are these {unit}?"

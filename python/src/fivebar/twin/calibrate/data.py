@@ -133,7 +133,7 @@ def split(given: recording.Recording) -> Data:
 
 
 def turned(given: Data, library: Library, scene: Values) -> Data:
-    """The data with each series in the turn in which a twin would begin, and without leaps of its encoders by whole turns."""
+    """The data with each series in the turn in which a twin would begin, and without jumps of its encoders by whole turns."""
     offsets = [float(scene.get(name, 0.0)) for name in OFFSETS]
     series, notes = [], dict.fromkeys(given.notes)
     for samples in given.series:
@@ -153,7 +153,7 @@ def turned(given: Data, library: Library, scene: Values) -> Data:
 
 
 def _unwrapped(column: Array) -> Array:
-    """Angles of an encoder without leaps by whole turns, rad: each in the turn nearest to the median of the three before it, for one may be an outlier."""
+    """Angles of an encoder without jumps by whole turns, rad: each in the turn nearest to the median of the three before it, for one may be an outlier."""
     found = column.copy()
     before: list[float] = []
     for k in np.flatnonzero(np.isfinite(column)):
