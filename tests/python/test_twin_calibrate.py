@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -11,12 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fivebar import scene as scenes_of
 from fivebar.commands import main
-from fivebar.twin import record
-from fivebar.twin.calibrate import command, data, fit, motion, parameters, pictures, scenes, trials
+from fivebar.scene_file import OFFSETS
+from fivebar.twin import record, setup
+from fivebar.twin import scene as twin_scene
+from fivebar.twin.calibrate import command, data, fit, motion, parameters, pictures, propose, scenes, trials
+from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
-from fivebar.twin.soak import configured, machine
+from fivebar.twin.soak import BEGIN, configured, machine
 from fivebar.twin.unit import Library
 
 BASE = {name: value for name, value in trials.MACHINE.items() if name != "friction.enabled"}
@@ -42,9 +47,10 @@ def made(
     noise: float = 1e-4,
     servo: bool = True,
     more: dict[str, float | bool] | None = None,
+    base: dict[str, float | bool] | None = None,
 ) -> dict[str, np.ndarray]:
     """Columns of a record of a machine with those unknowns."""
-    base = (BASE if servo else SINKING) | (more or {})
+    base = (base or (BASE if servo else SINKING)) | (more or {})
     machine = motion.Machine(library, base, parameters.parameters(names, library, base))
     machine.tolerance(1e-10)
     time, commands = trials.path(seconds)
@@ -183,6 +189,153 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     assert code == (0 if unknowns["encoder.offset[1]"]["identified"] else 1)
     assert {"payload.mass", "link.mass"} <= figures["proposal"]["tells"].keys()
     assert (tmp_path / "out" / "proposal.json").is_file()
+
+
+CALIBRATED = ("pick_and_place",)
+"""Shipped scenes of machines that a twin can follow."""
+
+SCALE = ["payload.mass", "link.mass", "servo.kp", "servo.kd", "servo.limit", "viscous.b"]
+"""All torques of a machine in weightlessness: a motion tells their proportions only."""
+
+WEIGHTLESS = BASE | {"gravity.enabled": False}
+
+
+def test_what_is_not_identified_stays_as_it_is_in_the_scene(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """Of a payload that is a fifth off gains of servos took a part, and were written."""
+    columns = made(library, [*SCALE, OFFSETS[0]], [1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 0.05], 1.2, base=WEIGHTLESS)
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, [*SCALE, OFFSETS[0]], base=WEIGHTLESS)
+    identified = {name for name, unknown in figures["unknowns"].items() if unknown["identified"]}
+    assert code == 0 and identified == {OFFSETS[0]}
+    file = tmp_path / "out" / "calibrated.json"
+    written, before = scenes_of.read(file, library.known), scenes_of.read(tmp_path / "scene.json", library.known)
+    assert written.offsets[OFFSETS[0]] == pytest.approx(0.01, abs=1e-3)
+    for name in library.variables:
+        if name.startswith(("payload.", "link[", "servo.k", "servo.limit", "viscous.")):
+            assert written[name] == before[name], name
+    assert "Not identified, and as before: payload.mass, link.mass, " in written.description
+
+
+def test_a_scene_is_not_written_of_a_record_that_tells_nothing(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor do those of an earlier record stay, of which `fivebar unit` would make this machine, unless the fit begins from one."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "calibrated.json").write_text(json.dumps({"description": "before"} | WEIGHTLESS), encoding="utf-8")
+    (out / "proposal.json").write_text("{}", encoding="utf-8")
+    columns = made(library, SCALE, [1.2, 1.0, 1.0, 1.0, 1.0, 1.0], 1.2, base=WEIGHTLESS)
+    file = write(tmp_path / "a.csv", columns)
+    common = ["calibrate", str(file), "--fmu", str(fmu), "--out", str(out), "--no-proposal", *sought(SCALE)]
+    assert main([*common, "--scene", str(out / "calibrated.json")]) == 1
+    assert "calibrated.json is not written: nothing is identified" in capsys.readouterr().out
+    assert (out / "calibrated.json").exists() and not (out / "proposal.json").exists()
+    (tmp_path / "scene.json").write_bytes((out / "calibrated.json").read_bytes())
+    assert main([*common, "--scene", str(tmp_path / "scene.json")]) == 1
+    assert not (out / "calibrated.json").exists()
+
+
+def test_a_value_at_its_bound_is_not_identified(fmu: Path, library: Library, tmp_path: Path) -> None:
+    """A payload of 0.4 mg ± 9.3 mg counted as known, as the only thing that a record told."""
+    columns = made(library, ["payload.mass", "viscous.b"], [0.0, 1.2], 1.2)
+    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, ["payload.mass", "viscous.b"])
+    unknowns = figures["unknowns"]
+    assert code == 0 and unknowns["viscous.b"]["identified"] and not unknowns["payload.mass"]["identified"]
+    assert re.fullmatch(r"payload\.mass: at its bound of 0 kg, below \S+ kg with 95 %", figures["not_identified"][0])
+    assert scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)["payload.mass"] == BASE["payload.mass"]
+
+
+def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) -> None:
+    """Without weight a larger and lighter machine moves alike. Masses are found as far as the scene's lengths are right, which their bars say."""
+    names = ["payload.mass", "link.mass", "link.length", "base.distance"]
+    truth = np.array([1.2, 0.9, 1.001, 1.001])
+    unknowns = parameters.parameters(names, library, WEIGHTLESS)
+    columns = made(library, names, truth.tolist(), 1.2, base=WEIGHTLESS)
+    samples = data.split(columns.pop("time"), columns, [])
+    device = motion.Machine(library, WEIGHTLESS, unknowns)
+    free, result = (
+        command.calibrate(device, samples, "rate", 10.0, lambda _: None, taken=taken)
+        for taken in (None, parameters.trusted(unknowns, library))
+    )
+    device.close()
+    assert not any(free.judgement.identified)
+    assert result.judgement.identified == [True, True, False, False]
+    off, bars = np.abs(result.fit.x - truth)[:2], result.judgement.sigma[:2]
+    # 0.1 % of the lengths are 0.2 % of the masses, of which bars of 0.001 % would not know.
+    assert np.all(off < 4 * bars) and np.all((bars > 1e-3) & (bars < 5e-3))
+    assert "link.length: the record tells less than the scene, " in result.judgement.not_identified(unknowns)[0]
+
+
+def test_derivatives_are_those_at_the_solution(library: Library) -> None:
+    """Those with which a fit of stiff servos came there, 0.1 mrad off, counted as wrong by 0.1 %, and no mass was identified."""
+    names = ["payload.mass", "link[1,4].mass", "link[2,3].mass"]
+    stiff = WEIGHTLESS | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 20.0), ("kd", 0.5)) for i in (1, 2)}
+    columns = made(library, names, [1.2, 0.95, 1.05], 1.2, noise=1e-5, base=stiff)
+    device = motion.Machine(library, stiff, parameters.parameters(names, library, stiff))
+    fitter = fit.Fitter(device, data.split(columns.pop("time"), columns, []), "rate", 10.0, lambda _: None)
+    found = fitter.run()
+    device.close()
+    error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
+    assert np.all(error < 1e-5), error
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "sought_here"),
+    [
+        ("fall_90_120", 1.2, [*(f"link[{i}].mass" for i in (1, 2, 3, 4)), "viscous.b"]),
+        *(pytest.param(name, 10.0, [], marks=pytest.mark.nightly) for name in CALIBRATED),
+    ],
+)
+def test_a_twin_and_two_calibrations_find_the_machine(
+    name: str,
+    seconds: float,
+    sought_here: list[str],
+    fmu: Path,
+    library: Library,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The record of a scene, the motion that its calibration proposes, and the record of that: masses and payload are within their bars.
+
+    The short form is of a fall that tells proportions of masses only, and of a machine whose lengths are the scene's.
+    """
+    exact = bool(sought_here)
+    common = ["--fmu", str(fmu), *sought(sought_here)]
+    first = sampled(configured(tmp_path / "first", fmu, library, name, exact=exact), library, seconds)
+    # A fit that comes to no end is given up, with a motion on which one does.
+    assert main(["calibrate", str(first), "--out", str(tmp_path / "before"), *common]) in (0, 1, 2)
+    told = capsys.readouterr().out.splitlines()
+    (line,) = (line for line in told if line.startswith("  fivebar twin "))
+    given, length = (shlex.split(line)[k] for k in (3, 5))
+    assert shlex.split(line) == ["fivebar", "twin", "--scene", given, "--seconds", length]
+    # The machine is the one before, but for its start and, where it had none, its servos.
+    before, proposed = (scenes_of.read(scene, library.known) for scene in (name, given))
+    changed = {each for each in library.known.start if before[each] != proposed[each]} - before.signals.keys()
+    assert all(each.startswith(("init.", "servo.", "tau[", "tip.f")) for each in changed), changed
+    assert not any(proposed[f"{each}[{i}]"] for each in ("tau", "init.omega") for i in (1, 2))
+    config = configured(tmp_path / "second", fmu, library, given, exact=exact)
+    assert twin_scene.read(Path(config.scene)).periodic
+    second = sampled(config, library, propose.SECONDS if exact else float(length))
+    assert main(["calibrate", str(second), "--out", str(tmp_path / "after"), *common]) == 0
+    figures = json.loads((tmp_path / "after" / "calibration.json").read_text(encoding="utf-8"))
+    masses = {each: unknown for each, unknown in figures["unknowns"].items() if each.endswith(".mass")}
+    assert masses
+    for each, unknown in masses.items():
+        assert unknown["identified"], each
+        for member, value in unknown["value"].items():
+            truth = config.machine.hidden[member]
+            # Four standard deviations: one of some 16,000 is further off.
+            assert abs(value - truth) < 4 / 1.96 * unknown["bar95"][member], member
+
+
+def sampled(config: Config, library: Library, seconds: float) -> Path:
+    """A record of the samples of a stand-in."""
+    source, about = machine(config, library), setup.of_run(config, twin_scene.read(Path(config.scene)), library.guid)
+    messages = [about.to_message(config.unit, BEGIN), *(source.next() for _ in range(round(seconds / config.period)))]
+    source.close()
+    config.record.mkdir()
+    rows = [record.Row(topic(m.unit, m.kind), m.time, m.seq, encode(m)) for m in messages]
+    record.write_part(config.record, 0, len(rows), rows)
+    return config.record
 
 
 def played(
@@ -375,7 +528,7 @@ def test_a_record_of_another_machine_is_refused_in_the_first_line(
     assert not (tmp_path / "out" / "calibrated.json").exists()
 
 
-def test_an_effect_that_is_not_sought_is_warned_of_in_the_first_line(
+def test_an_effect_that_is_not_unknownsis_warned_of_in_the_first_line(
     fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Encoders that are late by 20 ms, and a fit that does not know of it."""
@@ -397,7 +550,10 @@ def test_a_fit_that_comes_to_no_end_is_given_up(
     file = write(tmp_path / "a.csv", made(library, names, [1.1, 0.9], 1.5))
     common = ["--fmu", str(fmu), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
     assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
-    assert "the fit has come to no end within 0.05 s of CPU" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "the fit has come to no end within 0.05 s of CPU" in told.err
+    # A motion is planned for the scene's machine, whatever the record is.
+    assert "a motion that would tell payload.mass to ±" in told.out and (tmp_path / "out" / "proposal.json").is_file()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -11,11 +12,12 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar.scene import write as write_scene
+from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate import data, scenes
-from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, least_noise
+from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, GivenUp, Show, least_noise
 from fivebar.twin.calibrate.identify import Judgement, interval, judge
 from fivebar.twin.calibrate.motion import Between, Machine
-from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters
+from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters, trusted
 from fivebar.twin.calibrate.propose import SECONDS, Motion, propose
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library
@@ -96,29 +98,43 @@ class Result:
 
 
 def calibrate(
-    machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf
+    machine: Machine,
+    given: data.Data,
+    between: Between,
+    longest: float,
+    show: Show,
+    patience: float = math.inf,
+    taken: np.ndarray | None = None,
 ) -> Result:
-    """Fits; then once more with the unknowns that are not identified held at the scene's values."""
+    """Fits; then once more with the unknowns that are not identified held at the scene's values.
+
+    `taken`: standard deviations, in sizes, with which the scene's values are taken as right where the record tells less; by default infinite.
+    """
     fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
+    free = np.full(len(sought), np.inf)
     fit = fitter.run()
-    judgement = judge(fit, sought)
+    first = judge(fit, sought, free)
+    held = free if taken is None else np.where(first.sigma > taken, taken, np.inf)
+    judgement = judge(fit, sought, held) if np.any(held < free) else first
     pins = np.empty((0, len(sought)))
-    for _ in range(2):
+    for settled in (bool(np.all(held == free)) and float(np.max(judgement.sigma)) < WELL_TOLD, True, True):
         told = len(pins)
         pins = _pins(judgement, len(sought))
         # The prior moves no unknown that is identified this well.
-        if len(pins) == told and (told or float(np.max(judgement.sigma)) < WELL_TOLD):
+        if len(pins) == told and settled:
             break
-        if len(pins):
-            names = ", ".join(p.name for p, known in zip(sought, judgement.identified, strict=True) if not known)
-            show(f"not identified: {names}; fitted once more with that as it is in the scene")
-        later = fitter.run(pins)
-        if np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma):
+        if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
+            show(f"not identified: {', '.join(names)}; fitted once more with that as it is in the scene")
+        later = fitter.again(pins, held)
+        if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
+            fit, judgement = later, _both(judgement, judge(later, sought, held))
+        elif np.any(held < free):
+            show("residuals are larger with the scene's lengths and mounting angles: these are not the machine's")
+            judgement, held, pins = first, free, np.empty((0, len(sought)))
+        else:
             show("with that as it is in the scene residuals are larger: the fit before stays")
             break
-        fit = later
-        judgement = _both(judgement, judge(fit, sought))
     wrong, odd = suspicion(fit, least_noise(given))
     if wrong:
         judgement = replace(judgement, identified=[False] * len(sought))
@@ -149,14 +165,14 @@ def _both(before: Judgement, later: Judgement) -> Judgement:
     """Judgement of the later fit, with an unknown identified only if both fits identify it."""
     identified = [a and b for a, b in zip(before.identified, later.identified, strict=True)]
     combinations = max(later.combinations, before.combinations, key=len)
-    return replace(later, identified=identified, combinations=combinations)
+    return replace(later, identified=identified, combinations=combinations, bounded=later.bounded | before.bounded)
 
 
 def _pins(judgement: Judgement, count: int) -> np.ndarray:
-    """Combinations that are not told, and unknowns that are not although no combination says why."""
+    """Combinations that are not told, and unknowns that are not although neither a combination says why nor the scene's value holds them."""
     rows = [combination.weights for combination in judgement.combinations]
     for k, known in enumerate(judgement.identified):
-        if not known and not any(abs(row[k]) > 0.1 for row in rows):
+        if not known and not np.isfinite(judgement.held[k]) and not any(abs(row[k]) > 0.1 for row in rows):
             rows.append(np.eye(count)[k])
     return np.array(rows) if rows else np.empty((0, count))
 
@@ -175,19 +191,32 @@ def run(options: Options) -> int:
         given = data.turned(given, library, scene)
         sought = parameters(options.parameters or usual(scene), library, scene)
         machine = Machine(library, scene, sought)
-        result = calibrate(machine, given, options.commands, options.longest, _show, options.patience)
-        motion = None
-        if result.refused() and not result.wrong and options.proposal:
-            motion = propose(machine, result.fit, result.refused())
+        # Who asks for a length by its name takes the scene's for no better than the record's.
+        taken = trusted(sought, library) if not options.parameters else np.full(len(sought), np.inf)
         options.out.mkdir(parents=True, exist_ok=True)
-        report = _report(result, given, source, options, time.process_time() - begun, motion)
+        # Those of an earlier record would be taken for this one's.
+        calibrated, proposed = (options.out / name for name in ("calibrated.json", "proposal.json"))
+        for file in (calibrated, proposed):
+            if options.scene is None or Path(options.scene).resolve() != file.resolve():
+                file.unlink(missing_ok=True)
+        unknown = np.full(len(sought), np.inf)
+        try:
+            result = calibrate(machine, given, options.commands, options.longest, _show, options.patience, taken)
+        except GivenUp:
+            if options.proposal:
+                motion = propose(library, scene, sought, taken, np.full(2, SMALL), unknown)
+                _say_proposal(_write_proposal(proposed, motion, sought, unknown, library))
+            raise
+        proposal = None
+        if result.refused() and not result.wrong and options.proposal:
+            motion = propose(library, scene, sought, taken, np.minimum(result.fit.sigma, SMALL), result.judgement.sigma)
+            proposal = _write_proposal(proposed, motion, sought, result.judgement.sigma, library)
+        report = _report(result, given, source, options, time.process_time() - begun, proposal)
         (options.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         written = [options.out / "calibration.json"]
-        if not result.wrong:
-            written.insert(0, options.out / "calibrated.json")
-            _write_scene(written[0], result, scene, options, given, library)
-        if motion is not None:
-            _write_proposal(options.out / "proposal.json", result, motion, scene, library)
+        if any(result.judgement.identified):
+            written.insert(0, calibrated)
+            _write_scene(calibrated, result, scene, options, given, library)
         machine.close()
     finally:
         library.close()
@@ -210,12 +239,8 @@ def usual(scene: Values) -> list[str]:
 
 
 def fitted_values(result: Result, scene: Values, library: Library) -> Values:
-    """Start values with the estimates; unknowns that are not identified alone keep the scene's values."""
-    kept = [
-        k
-        for k, parameter in enumerate(result.sought)
-        if result.judgement.identified[k] or abs(result.fit.x[k] - parameter.origin) > 1e-3
-    ]
+    """Start values with the estimates; what is not identified stays as it is in the scene."""
+    kept = [k for k, known in enumerate(result.judgement.identified) if known]
     return assemble(scene, library, [result.sought[k] for k in kept], [float(result.fit.x[k]) for k in kept])
 
 
@@ -223,22 +248,21 @@ def _write_scene(
     file: Path, result: Result, scene: Values, options: Options, given: data.Data, library: Library
 ) -> None:
     known = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if identified]
-    unknown = [
-        p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if not identified
-    ]
+    unknown = [result.sought[k].name for k in result.refused()]
     text = f"Calibrated from {options.file.name}: {scenes.series(known)}."
     if unknown:
-        text += f" Not identified: {scenes.series(unknown)}."
+        text += f" Not identified, and as before: {scenes.series(unknown)}."
     first = result.fit.pieces[0].start
     values = fitted_values(result, scene, library)
-    values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {
-        f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)
-    }
+    shown = first.state[:2] + result.fit.machine.offsets(result.fit.x)
+    offsets = np.array([float(values.get(name, 0.0)) for name in OFFSETS])
+    values |= {f"init.theta[{i}]": float(angle) for i, angle in enumerate(shown - offsets, 1)}
+    values |= {f"init.omega[{i}]": float(rate) for i, rate in enumerate(first.state[2:], 1)}
     values["init.assembly"] = first.assembly
     # First commands of the drives as start values: without a master the machine stays there.
     values |= {
         name: value
-        for name, value in result.fit.pieces[0].path.first(result.fit.machine.offsets(result.fit.x)).items()
+        for name, value in result.fit.pieces[0].path.first(offsets).items()
         if not name.startswith("servo.omega")
     }
     write_scene(
@@ -246,15 +270,27 @@ def _write_scene(
     )
 
 
-def _write_proposal(file: Path, result: Result, motion: Motion, scene: Values, library: Library) -> None:
-    told = [result.sought[k].name for k in motion.told(result.refused())]
-    text = f"A motion that would tell {scenes.series(told)}: motors on sines of {motion.amplitude:g} rad and {motion.frequency:g} Hz."
-    values = fitted_values(result, scene, library) | motion.values | {"init.omega[1]": 0.0, "init.omega[2]": 0.0}
-    write_scene(file, text, values, SECONDS, 1e-3, library.known, motion.signals())
+def _write_proposal(
+    file: Path, motion: Motion | None, sought: list[Parameter], present: np.ndarray, library: Library
+) -> dict[str, Any] | None:
+    """Writes the scene of a motion, if there is one; how to run it, and what it tells."""
+    if motion is None:
+        return None
+    told = motion.told(present)
+    text = (
+        f"A motion that would tell {scenes.series([sought[k].name for k in told])}: motors on sines of {motion.amplitude:g} rad and "
+        f"{motion.frequency:g} Hz, about the posture in which it begins."
+    )
+    write_scene(file, text, motion.values, SECONDS, 1e-3, library.known, motion.signals())
+    return {
+        "scene": str(file),
+        "command": shlex.join(["fivebar", "twin", "--scene", str(file), "--seconds", f"{2 * SECONDS:g}"]),
+        "tells": {sought[k].name: float(sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
+    }
 
 
 def _report(
-    result: Result, given: data.Data, source: str, options: Options, seconds: float, motion: Motion | None
+    result: Result, given: data.Data, source: str, options: Options, seconds: float, proposal: dict[str, Any] | None
 ) -> dict[str, Any]:
     fit, judgement = result.fit, result.judgement
     unknowns = {}
@@ -270,15 +306,6 @@ def _report(
             "bound95": dict(zip(members, bounds, strict=True)) if judgement.identified[k] else None,
             "derivative_error": float(judgement.doubt[k]),
         }
-    proposal = None
-    if motion is not None:
-        told = motion.told(result.refused())
-        proposal = {
-            "scene": str(options.out / "proposal.json"),
-            "tells": {
-                result.sought[k].name: float(result.sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told
-            },
-        }
     return {
         "file": str(options.file),
         "refused": result.wrong or None,
@@ -293,9 +320,7 @@ def _report(
         "samples_as_one": judgement.together.time_scale,
         "unknowns": unknowns,
         "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
-        "not_identified": list(
-            dict.fromkeys(combination.sentence(result.sought) for combination in judgement.combinations)
-        ),
+        "not_identified": judgement.not_identified(result.sought),
         "proposal": proposal,
         "cpu_seconds": seconds,
         "runs": fit.machine.runs,
@@ -330,10 +355,19 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
     print(
         f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({result.sought[worst].name})"
     )
-    if report["proposal"]:
-        print(
-            f"a motion that would tell {', '.join(f'{n} to ±{b:.2g}' for n, b in report['proposal']['tells'].items())}: {report['proposal']['scene']}"
-        )
-    elif not all(judgement.identified) and not result.wrong:
-        print("no motion of those that were tried would tell what is not identified")
+    if not all(judgement.identified) and not result.wrong:
+        _say_proposal(report["proposal"])
+    if not any(judgement.identified):
+        print("calibrated.json is not written: nothing is identified")
     print(f"{report['runs']} runs, {report['cpu_seconds']:.1f} s of CPU; written: {', '.join(map(str, files))}")
+
+
+def _say_proposal(proposal: dict[str, Any] | None) -> None:
+    """How to learn more."""
+    if proposal is None:
+        print("no motion of those that were tried would tell more")
+        return
+    told = ", ".join(f"{name} to ±{bar:.2g}" for name, bar in proposal["tells"].items())
+    print(
+        f"a motion that would tell {told}: {proposal['scene']}\nrun it, and calibrate the record that it leaves:\n  {proposal['command']}"
+    )

@@ -72,6 +72,10 @@ DEEPEST: Final = 0.1
 Show = Callable[[str], None]
 
 
+class GivenUp(TwinError):
+    """The fit has come to no end."""
+
+
 @dataclass
 class Piece:
     """A part of a series with a start of its own."""
@@ -218,7 +222,7 @@ class Fitter:
     def motion(self, piece: Piece, x: Array, state: Array) -> Array:
         """Angles that the encoders would show over a piece, rad, (n, 2)."""
         if time.process_time() > self.ends:
-            raise TwinError(
+            raise GivenUp(
                 f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
                 "are its geometry, the encoders' places, signs and zeros, and what the drives are told right?"
             )
@@ -288,14 +292,10 @@ class Fitter:
 
     # --- least squares ----------------------------------------------------------------------------------------------------------
 
-    def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, pinned: Array | None) -> Array:
-        """One fit; before the final one derivatives are taken on one side.
-
-        `pinned`: combinations of unknowns, rows, that stay what they are in the scene; None: they are not known yet.
-        """
+    def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, prior: Array) -> Array:
+        """One fit; before the final one derivatives are taken on one side. `prior`: rows of deviations from the scene, in standard deviations."""
         p = len(self.sought)
         origin = np.array([parameter.origin for parameter in self.sought])
-        prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if pinned is not None else np.eye(p) / BELIEVED
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
         z = np.maximum(z, lowest + 1e-9)
 
@@ -324,13 +324,29 @@ class Fitter:
         )  # fmt: skip
         return np.asarray(result.x)
 
-    def run(self, pinned: Array | None = None) -> Fit:
-        """All levels, from the scene on; `pinned` combinations of unknowns stay what they are in the scene."""
-        pieces, z, rms_before = self.levels(pinned)
-        z, outliers = self.settle(pieces, z, True, pinned)
+    def run(self) -> Fit:
+        """The first fit, from the scene on: it is not known yet which unknowns the record identifies."""
+        return self._run(np.array([p.start for p in self.sought]), np.eye(len(self.sought)) / BELIEVED)
+
+    def again(self, pinned: Array, held: Array) -> Fit:
+        """A later fit, from the scene on.
+
+        Combinations of unknowns, the rows of `pinned`, stay what they are in the scene; unknowns stay near to it with standard deviations
+        `held`, in sizes.
+        """
+        origin = np.array([parameter.origin for parameter in self.sought])
+        x = np.array([parameter.start for parameter in self.sought])
+        x -= np.linalg.pinv(pinned) @ pinned @ (x - origin)
+        x = np.maximum(x, [parameter.lowest for parameter in self.sought])
+        return self._run(x, np.vstack([np.diag(1 / np.minimum(held, WEAK)), 1e4 * pinned]))
+
+    def _run(self, x: Array, prior: Array) -> Fit:
+        """All levels."""
+        pieces, z, rms_before = self.levels(x, prior)
+        z, outliers = self.settle(pieces, z, True, prior)
         return self.finish(pieces, z, outliers, rms_before)
 
-    def settle(self, pieces: list[Piece], z: Array, final: bool, pinned: Array | None) -> tuple[Array, int]:
+    def settle(self, pieces: list[Piece], z: Array, final: bool, prior: Array) -> tuple[Array, int]:
         """Fits until residuals and outliers stay as they are; returns the number of outliers."""
         before, left_out = np.full(2, np.inf), -1
         for _ in range(8):
@@ -340,16 +356,12 @@ class Fitter:
             if outliers == left_out if final else bool(np.all(sigma > 0.8 * before)):
                 break
             before, left_out = sigma, outliers
-            z = self.solve(pieces, z, sigma, final, pinned)
+            z = self.solve(pieces, z, sigma, final, prior)
         return z, max(left_out, 0)
 
-    def levels(self, pinned: Array | None) -> tuple[list[Piece], Array, float]:
+    def levels(self, x: Array, prior: Array) -> tuple[list[Piece], Array, float]:
         """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
         p = len(self.sought)
-        x = np.array([parameter.start for parameter in self.sought])
-        if pinned is not None:
-            x -= np.linalg.pinv(pinned) @ pinned @ (x - [parameter.origin for parameter in self.sought])
-            x = np.maximum(x, [parameter.lowest for parameter in self.sought])
         self.machine.tolerance(LOOSE)
         lengths = [length for length in LEVELS if length < min(self.span(), self.longest)] + [self.longest]
         if self.delayed:
@@ -366,7 +378,7 @@ class Fitter:
             self.show(
                 f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit"
             )
-            end, _ = self.settle(longer, begin, False, pinned)
+            end, _ = self.settle(longer, begin, False, prior)
             found = spread(self.gaps(longer, end), longer)
             if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
                 self.show("the motion is chaotic over pieces as long: shorter ones stay")
@@ -381,11 +393,8 @@ class Fitter:
         """Residuals, derivatives and their doubt at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        one, two, four = (
-            self.recent(pieces, z, True),
-            self.derivatives(pieces, z, 2.0),
-            self.derivatives(pieces, z, 4.0),
-        )
+        # All three here: those with which the fit came here would count as errors of derivatives.
+        one, two, four = (self.derivatives(pieces, z, times) for times in (1.0, 2.0, 4.0))
         size = sum(int(piece.mask.sum()) for piece in pieces)
         jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
         rows = np.zeros((size, 3), dtype=int)

@@ -80,12 +80,36 @@ class Judgement:
     doubt: Array
     """Relative error of each unknown's derivatives."""
 
+    held: Array
+    """Standard deviations with which the scene's values are taken as right; infinite for unknowns that are fitted to the record alone."""
 
-def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
-    """Error bars of the unknowns, and which of them the record identifies."""
+    bounded: dict[int, float]
+    """Unknowns that are at their bound, by index, with the value that they are below with 95 %, SI."""
+
+    def not_identified(self, sought: list[Parameter]) -> list[str]:
+        """What the record does not identify, in sentences."""
+        found = [combination.sentence(sought) for combination in self.combinations]
+        for k, most in self.bounded.items():
+            [least, *_] = sought[k].value(sought[k].lowest)
+            found.append(
+                f"{sought[k].name}: at its bound of {least:.3g} {sought[k].unit}, below {most:.2g} {sought[k].unit} with 95 %"
+            )
+        for k in np.flatnonzero(np.isfinite(self.held)).tolist():
+            bar = max(sought[k].bar(interval(float(self.held[k]))))
+            found.append(
+                f"{sought[k].name}: the record tells less than the scene, whose value is taken as right to ±{bar:.2g} {sought[k].unit}"
+            )
+        return list(dict.fromkeys(found))
+
+
+def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
+    """Error bars of the unknowns, and which of them the record identifies; `held` as a `Judgement` has it."""
     p = len(sought)
     weights = 1 / fit.sigma[fit.rows[:, 2]]
-    jacobian = fit.jacobian * weights[:, None]
+    # Rows of samples, then those of the scene's values that are taken as right.
+    scene = np.diag(1 / held)[np.isfinite(held)]
+    jacobian = np.vstack([fit.jacobian * weights[:, None], np.pad(scene, ((0, 0), (0, fit.jacobian.shape[1] - p)))])
+    errors = np.vstack([fit.doubt * weights[:, None], np.zeros((len(scene), fit.doubt.shape[1]))])
     projected = without_starts(jacobian, p)
     scores = (
         np.concatenate(
@@ -94,24 +118,31 @@ def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
         * weights
     )
     found = together(fit, scores)
-    bread = projected.T @ projected
-    prior = np.eye(p) / WEAK**2
-    inverse = np.linalg.inv(bread + prior)
-    covariance = inverse
+    prior = np.vstack([np.eye(p) / WEAK, scene])
+    # By a root of the covariance: rounding makes no variance of a direction that is hardly known negative.
+    root = np.linalg.inv(np.linalg.qr(np.vstack([projected[: len(scores)], prior]), mode="r"))
+    inverse = covariance = root @ root.T
     if found.lag or found.period:
-        covariance = inverse @ (between(fit, projected, scores, found) + prior) @ inverse
+        middle = between(fit, projected[: len(scores)], scores, found) + prior.T @ prior
+        covariance = root @ (root.T @ middle @ root) @ root.T
     sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse)))
-    doubts = np.linalg.norm(fit.doubt[:, :p] * weights[:, None], axis=0) / np.maximum(
-        np.linalg.norm(jacobian[:, :p], axis=0), 1e-300
-    )
-    combinations = _unknown(jacobian, projected, fit.doubt * weights[:, None], covariance, fit.x)
-    identified = [
+    doubts = np.linalg.norm(errors[:, :p], axis=0) / np.maximum(np.linalg.norm(jacobian[:, :p], axis=0), 1e-300)
+    combinations = _unknown(jacobian, projected, errors, len(scores), covariance, fit.x)
+    known = [
         bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations))
         for k in range(p)
     ]
+    # A bar that reaches beyond the bound is none: the estimate is where it could go.
+    bounded = {
+        k: max(sought[k].value(float(fit.x[k]) + interval(float(sigma[k]))))
+        for k in range(p)
+        if known[k] and fit.x[k] - sought[k].lowest < interval(float(sigma[k]))
+    }
+    identified = [known[k] and k not in bounded and not np.isfinite(held[k]) for k in range(p)]
     scale = np.sqrt(np.diag(covariance))
-    bound = np.sqrt(np.diag(np.linalg.inv(bread + prior)))
-    return Judgement(sigma, bound, covariance / np.outer(scale, scale), identified, combinations, found, doubts)
+    correlation = covariance / np.outer(scale, scale)
+    bound = np.sqrt(np.diag(inverse))
+    return Judgement(sigma, bound, correlation, identified, combinations, found, doubts, held, bounded)
 
 
 def without_starts(jacobian: Array, p: int) -> Array:
@@ -184,8 +215,10 @@ def between(fit: Fit, projected: Array, scores: Array, found: Together) -> Array
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array, at: Array) -> list[Combination]:
-    """Directions with less than the record has to say of them: too wide, or told by errors of the derivatives only."""
+def _unknown(
+    jacobian: Array, projected: Array, doubt: Array, samples: int, covariance: Array, at: Array
+) -> list[Combination]:
+    """Directions that are known too little: too wide, or told by errors of the derivatives only. Rows behind the samples' are exact."""
     p = projected.shape[1]
     starts = jacobian[:, p:]
     scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
@@ -196,11 +229,15 @@ def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array,
         with_it = jacobian[:, :p] @ direction
         # Change of the starts that hides most of the direction's effect.
         answer = -np.linalg.lstsq(starts / scale, with_it, rcond=1e-9)[0] / scale
-        seen = float(np.linalg.norm(with_it + starts @ answer))
+        effect = with_it + starts @ answer
+        seen, held = float(np.linalg.norm(effect[:samples])), float(np.linalg.norm(effect[samples:]))
         # Errors that a change of the starts hides as well do not count: in a chaotic motion they are nearly all.
         off = doubt @ np.concatenate([direction, answer])
         errs = float(np.linalg.norm(off - basis @ (basis.T @ off)))
-        sigma = math.sqrt(float(direction @ covariance @ direction)) if seen > DOUBTED * errs else math.inf
+        if seen > DOUBTED * errs:
+            sigma = math.sqrt(max(float(direction @ covariance @ direction), 0.0))
+        else:
+            sigma = 1 / held if held else math.inf
         if sigma > LIMIT:
             found.append(Combination(direction, sigma, at))
     return found

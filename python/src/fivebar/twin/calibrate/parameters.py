@@ -10,7 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from fivebar.scene_file import OFFSETS
+from fivebar.twin.calibrate.data import Array
 from fivebar.twin.errors import TwinError
 from fivebar.twin.unit import Library
 
@@ -38,6 +41,8 @@ USUAL: Final = (
     "link[1,4].length",
     "link[2,3].length",
     "base.distance",
+    "link[1,4].com",
+    "link[2,3].com",
     "viscous.b[1,5]",
     "viscous.b[2,3,4]",
     "friction.coulomb[1,5]",
@@ -111,6 +116,20 @@ def parameters(names: Sequence[str], library: Library, scene: Values, asked: Ask
     return found
 
 
+def trusted(sought: Sequence[Parameter], library: Library) -> Array:
+    """Standard deviations with which a scene's lengths and mounting angles are taken as right, in sizes; infinite for all else.
+
+    They are those with which a twin takes them: what a workshop gives.
+    """
+    widths = np.full(len(sought), np.inf)
+    for k, parameter in enumerate(sought):
+        is_length = parameter.name.endswith((".length", ".distance", ".com"))
+        if is_length or parameter.name in OFFSETS:
+            width = library.variable(f"estimator.sigma0.{'length' if is_length else 'offset'}").start
+            widths[k] = float(width) / max(parameter.bar(1.0))
+    return widths
+
+
 def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Parameter:
     if name in ADDITIONS and name in asked.examples:
         unit, size = ADDITIONS[name]
@@ -127,7 +146,7 @@ def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Para
         # A factor of 0 is nothing: the unit's own start value gives the size that would be much.
         size = max((abs(float(library.variable(member).start)) for member in members), default=0.0) or 1.0
         return Parameter(name, unit, members, (0.0,) * len(members), False, size, 0.0, 0.1)
-    rigid = name.endswith((".mass", ".length", ".distance", ".inertia")) and not name.startswith("payload")
+    rigid = name.endswith((".mass", ".length", ".distance", ".com", ".inertia")) and not name.startswith("payload")
     return Parameter(name, unit, members, base, True, 1.0, 0.02 if rigid else 0.0, 1.0)
 
 

@@ -1,9 +1,11 @@
-"""A motion that identifies unknowns which a record did not: of some motions the one with which the unknowns' error bars become least.
+"""A motion that identifies unknowns which a record did not: of some motions the one whose own record identifies most, with the least error bars.
 
-Each motion is run with the unknowns as they were found; its information is added to the record's. Motors are led on sums of two sines
-by the servos that the scene has, or else soft ones of 2 N.m/rad and 0.02 N.m.s/rad.
+Each motion is planned for the scene's machine and run with the scene's values. Motors are led on sums of two sines, about the posture nearest to the
+scene's start at which links stay out of line, by the servos that the scene has, or else soft ones of 2 N.m/rad and 0.02 N.m.s/rad. It ends as it
+begins, so that a twin repeats it.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,127 +13,199 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar import kinematics
+from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Data, Samples
-from fivebar.twin.calibrate.fit import Fit, Fitter, Piece, pack
+from fivebar.twin.calibrate.fit import TIGHT, Fitter, Piece, pack
 from fivebar.twin.calibrate.identify import LIMIT, without_starts
 from fivebar.twin.calibrate.motion import LOST, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Parameter, Values
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import UnitError
+from fivebar.twin.unit import Library
 
-SECONDS: Final = 3.0
+SECONDS: Final = 4.0
+EASED: Final = 1.0
+"""s in which the sines grow, and in which they fade, so that the machine is not jerked."""
+
 STEP: Final = 0.01
-MOTIONS: Final = tuple((amplitude, frequency) for amplitude in (0.25, 0.5) for frequency in (0.5, 1.0, 2.0))
-"""Of the larger sine of a motor, rad and Hz; its smaller one has 0.4 of the amplitude and 2.3 times the frequency."""
+AMPLITUDES: Final = (0.5, 0.35, 0.25, 0.15)
+"""rad, of the larger sine of a motor; its smaller one has 0.4 of the amplitude and 2.3 times the frequency."""
 
-SOFT: Final[Values] = {"servo.enabled": True} | {
-    f"servo.{name}[{i}]": value for name, value in (("kp", 2.0), ("kd", 0.02)) for i in (1, 2)
-}
+FREQUENCIES: Final = (0.5, 1.0, 2.0)
+"""Hz."""
+
+CLEAR: Final = 0.4
+"""`clearance` that is looked for: where distal links are in line motors do not determine the motion, and a fit may lose it."""
+
+CLOSEST: Final = 0.15
+"""`clearance` that the machine has to keep on its way; on soft servos it is behind its references."""
+
+GRID: Final = math.radians(10.0)
+"""Between postures that are tried, each motor."""
+
+FINER: Final = 0.5
+"""Ratio of expected error bars to present ones above which a motion tells an unknown no better than the record does."""
+
+SOFT: Final = {"kp": 5.0, "kd": 0.1}
 NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion, and the error bars expected of a record of it together with the present one."""
+    """A motion, and the error bars expected of a record of it."""
 
     amplitude: float
     frequency: float
     values: Values
-    """Start values of its scene beside the unknowns."""
+    """Start values of its scene."""
+
+    time: Array
+    """s, (n)."""
+
+    angles: Array
+    """References of the motors, rad, (n, 2)."""
 
     sigma: Array
     """Standard deviations of the unknowns, in sizes."""
 
-    def told(self, refused: Sequence[int]) -> list[int]:
-        """Those of the refused unknowns that a record of the motion would identify."""
-        return [k for k in refused if self.sigma[k] < LIMIT]
+    def told(self, present: Array) -> list[int]:
+        """Unknowns that a record of the motion would identify, by bars much less than `present` standard deviations."""
+        return np.flatnonzero(self.sigma < np.minimum(LIMIT, FINER * present)).tolist()
 
     def signals(self) -> dict[str, Any]:
         """As scenes have them."""
-        time, angles = references(self)
         knots = {
             f"servo.theta[{i + 1}]": {
-                "linear": [[round(float(t), 4), float(a)] for t, a in zip(time, angles[:, i], strict=True)]
+                "linear": [[round(float(t), 4), float(a)] for t, a in zip(self.time, self.angles[:, i], strict=True)]
             }
             for i in (0, 1)
         }
         return knots | {f"servo.omega[{i}]": {"rateOf": f"servo.theta[{i}]"} for i in (1, 2)}
 
 
-def references(motion: Motion) -> tuple[Array, Array]:
-    """Times, s, and references of both motors, rad. Both begin at rest where the machine does."""
+def waves(amplitude: float, frequency: float) -> tuple[Array, Array]:
+    """Times, s, and references of both motors about their posture, rad, which begin and end at rest there."""
     time = np.arange(0.0, SECONDS + STEP / 2, STEP)
-    turn = 2 * math.pi * motion.frequency
-    # A second of growing, so that the machine is not jerked.
-    grows = np.minimum(time, 1.0)
+    turn = 2 * math.pi * frequency
+    # The first and the last step are rests: rates begin and end with 0, and a twin repeats the motion.
+    eased = np.clip((np.minimum(time, SECONDS - time) - STEP) / EASED, 0.0, 1.0)
+    grown = np.sin(0.5 * math.pi * eased) ** 2
     columns = []
     for i, (rate, second) in enumerate(((1.0, 2.3), (1.17, 2.7))):
         wave = np.sin(turn * rate * time) + 0.4 * np.sin(turn * second * time)
-        columns.append(float(motion.values[f"init.theta[{i + 1}]"]) + motion.amplitude * grows * wave)
+        columns.append(amplitude * grown * wave)
     return time, np.column_stack(columns)
 
 
-def propose(machine: Machine, fit: Fit, refused: Sequence[int]) -> Motion | None:
-    """The motion that tells most of the refused unknowns; None if none of them is told by any."""
-    sought = list(machine.sought)
-    weights = 1 / fit.sigma[fit.rows[:, 2]]
-    known = without_starts(fit.jacobian * weights[:, None], len(sought))
-    information = known.T @ known + np.eye(len(sought)) * 1e-12
+def propose(
+    library: Library,
+    scene: Values,
+    sought: Sequence[Parameter],
+    taken: Array,
+    noise: Array,
+    present: Array,
+) -> Motion | None:
+    """The motion that tells most unknowns, by bars much less than `present` standard deviations; None if none tells any.
+
+    `noise` is the standard deviation of each encoder, rad; `taken` are those of the scene's values of unknowns that are taken as right, in sizes.
+    """
+    whole = dict(library.known.start) | scene
     best: Motion | None = None
-    for amplitude, frequency in MOTIONS:
-        motion = _tried(machine, fit, sought, information, amplitude, frequency)
-        if motion is None or not motion.told(refused):
-            continue
-        if best is None or _merit(motion, refused) > _merit(best, refused):
-            best = motion
+    merits = 0, -math.inf
+    for amplitude, frequency in itertools.product(AMPLITUDES, FREQUENCIES):
+        motion = _tried(library, scene, whole, sought, taken, noise, amplitude, frequency)
+        if motion is not None:
+            # More unknowns told first, then smaller bars.
+            told = motion.told(present)
+            merit = len(told), -float(np.sum(np.log(motion.sigma[told])))
+            if merit[0] and merit > merits:
+                best, merits = motion, merit
     return best
 
 
-def _merit(motion: Motion, refused: Sequence[int]) -> tuple[int, float]:
-    """More unknowns told first, then smaller bars."""
-    return len(motion.told(refused)), -float(np.sum(np.log(motion.sigma[list(refused)])))
+def centre(whole: Values, waves: Array) -> Array:
+    """Motor angles, rad, about which those waves of the motors, (n, 2), are `CLEAR`: the nearest to the start, or else those that come nearest to it."""
+    begin = np.array([float(whole[f"init.theta[{i}]"]) for i in (1, 2)])
+    steps = GRID * np.arange(-round(math.pi / GRID), round(math.pi / GRID) + 1)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    grid = grid[np.argsort(np.hypot(*grid.T), kind="stable")]
+    least = np.min(clearance(whole, begin + grid[:, None] + waves), axis=1)
+    return np.asarray(begin + grid[int(np.argmax(np.minimum(least, CLEAR)))])
+
+
+def clearance(whole: Values, theta: Array) -> Array:
+    """How far a machine at motor angles (..., 2) is from distal links in line, from its stops and from its plane, about in rad; less than 0: it does not close.
+
+    The least of: the sine between the distal links, angles to stops, the tip's distance from the plane over the mean length of links.
+    """
+    five = kinematics.Machine.from_values({name: float(whole[name]) for name in kinematics.GEOMETRY})
+    proximal_left, left, right, proximal_right = five.lengths
+    elbows = proximal_left * np.exp(1j * theta[..., 0]), five.distance + proximal_right * np.exp(1j * theta[..., 1])
+    cosine = (left**2 + right**2 - np.abs(elbows[1] - elbows[0]) ** 2) / (2 * left * right)
+    closes = np.abs(cosine) < 1.0
+    distances = [np.sqrt(1.0 - cosine[closes] ** 2)]
+    if whole["stop.enabled"]:
+        for i in (1, 2):
+            motor = theta[closes][:, i - 1]
+            distances += [motor - float(whole[f"stop.lower[{i}]"]), float(whole[f"stop.upper[{i}]"]) - motor]
+    if whole["contact.enabled"]:
+        tip = five.forward(theta[closes], "plus" if whole["init.assembly"] == 1 else "minus").tip
+        apart = tip @ [float(whole[f"contact.n{axis}"]) for axis in "xy"] - float(whole["contact.offset"])
+        distances.append(apart / float(np.mean(five.lengths)))
+    found = np.full(cosine.shape, -1.0)
+    found[closes] = np.min(distances, axis=0)
+    return found
 
 
 def _tried(
-    machine: Machine, fit: Fit, sought: list[Parameter], information: Array, amplitude: float, frequency: float
+    library: Library,
+    scene: Values,
+    whole: Values,
+    sought: Sequence[Parameter],
+    taken: Array,
+    noise: Array,
+    amplitude: float,
+    frequency: float,
 ) -> Motion | None:
-    first = fit.pieces[0]
-    servo = {} if machine.scene.get("servo.enabled") else SOFT
-    begin = {f"init.theta[{i + 1}]": float(first.start.state[i]) for i in (0, 1)} | {
-        "init.assembly": first.start.assembly
-    }
-    motion = Motion(amplitude, frequency, dict(servo) | begin, np.empty(0))
-    time, angles = references(motion)
-    commands = np.column_stack([angles + machine.offsets(fit.x), np.gradient(angles, time, axis=0)])
-    samples = Samples(time, angles, commands, NAMES)
-    other = Machine(machine.library, machine.scene | servo, sought)
-    try:
-        fitter = Fitter(other, Data([samples], []), "linear", 2 * SECONDS, lambda _: None)
-        piece = Piece(
-            Path(samples, "linear", machine.library, STEP),
-            Start(np.array([*first.start.state[:2], 0.0, 0.0]), first.start.assembly),
-            np.ones_like(angles, dtype=bool),
-        )
-        z = pack(fit.x, [piece])
-        if not np.all(np.abs(fitter.motion(piece, fit.x, piece.start.state)) < 0.5 * LOST):
-            return None
-        derivative = fitter.derivatives([piece], z, central=False)[0] / fit.sigma[:, None]
-    except UnitError:
+    time, around = waves(amplitude, frequency)
+    begin = centre(whole, around)
+    if np.min(clearance(whole, begin + around)) < CLOSEST:
         return None
+    # Nothing but the servos leads the motors, and nothing pushes.
+    values = {
+        name: value for name, value in scene.items() if name in OFFSETS or library.known[name].causality != "input"
+    }
+    values |= {"servo.enabled": True, "init.omega[1]": 0.0, "init.omega[2]": 0.0}
+    for i, angle in enumerate(begin.tolist(), 1):
+        values[f"init.theta[{i}]"] = angle
+        if not (whole["servo.enabled"] and whole[f"servo.kp[{i}]"]):
+            values |= {f"servo.{gain}[{i}]": value for gain, value in SOFT.items()}
+    angles = begin + around
+    x = np.array([parameter.origin for parameter in sought])
+    machine = Machine(library, values, sought)
+    machine.tolerance(TIGHT)
+    commands = np.column_stack([angles + machine.offsets(x), np.gradient(angles, time, axis=0)])
+    samples = Samples(time, angles, commands, NAMES)
+    piece = Piece(
+        Path(samples, "linear", library, STEP),
+        Start(np.array([*begin, 0.0, 0.0]), int(whole["init.assembly"])),
+        np.ones_like(angles, dtype=bool),
+    )
+    try:
+        moved, _ = machine.run(piece.path, x, piece.start)
+        if np.any(moved == LOST) or np.min(clearance(whole, moved[:, :2])) < CLOSEST:
+            return None
+        fitter = Fitter(machine, Data([samples], []), "linear", 2 * SECONDS, lambda _: None)
+        [derivative] = fitter.derivatives([piece], pack(x, [piece]))
     finally:
-        other.close()
-    told = without_starts(derivative.reshape(-1, derivative.shape[2]), len(sought))
-    # As many samples a second as the record has.
-    rate = STEP / fitter_period(fit)
-    total = information + rate * told.T @ told
+        machine.close()
+    weighted = (derivative / noise[:, None]).reshape(-1, derivative.shape[2])
+    told = without_starts(weighted, len(sought))
+    # A motion that repeats tells more; counted are samples at the distance `STEP` of once.
+    total = told.T @ told + np.diag(1e-12 + taken**-2)
     sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(total, rcond=1e-13)), 0.0))
     # Directions that a pseudo-inverse drops are not identified, but would have a bar of 0.
-    values, vectors = np.linalg.eigh(total)
-    lost = vectors[:, values < max(values.max() * 1e-12, 1 / LIMIT**2)]
+    sizes, directions = np.linalg.eigh(total)
+    lost = directions[:, sizes < max(sizes.max() * 1e-12, 1 / LIMIT**2)]
     sigma[np.sum(lost**2, axis=1) > 0.01] = np.inf
-    return Motion(amplitude, frequency, motion.values, sigma)
-
-
-def fitter_period(fit: Fit) -> float:
-    """The usual distance of two samples, s."""
-    return float(np.median(np.diff(fit.pieces[0].path.time)))
+    return Motion(amplitude, frequency, values, time, angles, sigma)
