@@ -1,5 +1,7 @@
 """Scenes: how files are read, and how a run applies signals."""
 
+import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +10,9 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 import fivebar
-from fivebar import scene
+from fivebar import scene, shipped
 from fivebar.drive import Run, drive
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, MachineWarning
 from fivebar.variables import Variables, of_unit
 from made_scene import METHODS, made_scene, write
 
@@ -91,3 +93,36 @@ def test_the_start_has_the_signals_first_values(model: ModelDescription, directo
     push = replace(made_scene({"gravity.enabled": False}, 0.01), signals={"tau[1]": np.linspace(0.1, 0.2, 11)})
     held = run(made_scene({"gravity.enabled": False, "tau[1]": 0.1}, 0.01), model, directory)
     assert run(push, model, directory)["alpha[1]"][0] == held["alpha[1]"][0] != 0.0
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"link[1].length": 0.09}, "link[1].com is 0.105 m, beyond the joints of a link of 0.09 m"),
+        ({"link[3].com": -0.01}, "link[3].com is -0.01 m, beyond the joints of a link of 0.21 m"),
+        (
+            {"link[2].length": 0.12},
+            "link[2].inertia is 6.23e-05 kg.m2 about the centre of mass, more than the 2.68e-05 kg.m2",
+        ),
+        (
+            {"link[4].inertia": 2.5e-4},
+            "link[4].inertia is 0.00025 kg.m2 about the centre of mass, more than the 0.000187 kg.m2",
+        ),
+    ],
+)
+def test_a_machine_that_cannot_be_is_named(values: dict[str, float], sentence: str) -> None:
+    """Its mass cannot lie between its joints; a counterweight may, so that it is no error."""
+    with pytest.warns(MachineWarning) as told:
+        read = scene.parse("own", json.dumps({"description": "Own."} | values))
+    [warning] = told
+    assert str(warning.message).startswith(f"own: {sentence}") and read.values == values
+
+
+def test_rods_and_masses_at_both_ends_can_be() -> None:
+    """The bound is that of half of the mass in each joint."""
+    rod = {"link[1].length": 0.3, "link[1].com": 0.15, "link[1].mass": 0.02, "link[1].inertia": 0.02 * 0.15 * 0.15}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene.parse("own", json.dumps({"description": "Own."} | rod))
+        for name in shipped.scene_files():
+            scene.read(name)

@@ -2,8 +2,11 @@
 
 import json
 import math
+import os
 import re
 import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -191,8 +194,8 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     assert (tmp_path / "out" / "proposal.json").is_file()
 
 
-CALIBRATED = ("pick_and_place",)
-"""Shipped scenes of machines that a twin can follow."""
+CALIBRATED = ("pick_and_place", "fall_90_120", "spring_payload", "haptic")
+"""Shipped scenes, one of each kind that calibrations meet: stiff servos, no drive, springs that throw links about, a hand that the twin is not told of."""
 
 SCALE = ["payload.mass", "link.mass", "servo.kp", "servo.kd", "servo.limit", "viscous.b"]
 """All torques of a machine in weightlessness: a motion tells their proportions only."""
@@ -234,10 +237,17 @@ def test_a_scene_is_not_written_of_a_record_that_tells_nothing(
     assert not (out / "calibrated.json").exists()
 
 
-def test_a_value_at_its_bound_is_not_identified(fmu: Path, library: Library, tmp_path: Path) -> None:
-    """A payload of 0.4 mg ± 9.3 mg counted as known, as the only thing that a record told."""
-    columns = made(library, ["payload.mass", "viscous.b"], [0.0, 1.2], 1.2)
-    code, figures = calibrated(fmu, write(tmp_path / "a.csv", columns), tmp_path, ["payload.mass", "viscous.b"])
+def test_a_value_at_its_bound_is_not_identified(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A payload of 0.4 g ± 9.3 g counted as known. A machine that cannot be is named as well."""
+    base, names = BASE | {"link[4].inertia": 2e-4}, ["payload.mass", "viscous.b"]
+    file = write(tmp_path / "a.csv", made(library, names, [0.0, 1.2], 1.2, base=base))
+    code, figures = calibrated(fmu, file, tmp_path, names, base=base)
+    [impossible] = figures["impossible"]
+    told = capsys.readouterr()
+    assert "fivebar calibrate: warning: scene: link[4].inertia is 0.0002 kg.m2 about the centre of mass" in told.err
+    assert f"warning: {impossible}" in told.out.splitlines()
     unknowns = figures["unknowns"]
     assert code == 0 and unknowns["viscous.b"]["identified"] and not unknowns["payload.mass"]["identified"]
     assert re.fullmatch(r"payload\.mass: at its bound of 0 kg, below \S+ kg with 95 %", figures["not_identified"][0])
@@ -266,16 +276,17 @@ def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) ->
 
 
 def test_derivatives_are_those_at_the_solution(library: Library) -> None:
-    """Those with which a fit of stiff servos came there, 0.1 mrad off, counted as wrong by 0.1 %, and no mass was identified."""
+    """Those with which a fit of stiff servos came there, 0.1 mrad off, counted as wrong by 0.01 to 0.1 %, and no mass was identified."""
     names = ["payload.mass", "link[1,4].mass", "link[2,3].mass"]
     stiff = WEIGHTLESS | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 20.0), ("kd", 0.5)) for i in (1, 2)}
-    columns = made(library, names, [1.2, 0.95, 1.05], 1.2, noise=1e-5, base=stiff)
+    columns = made(library, names, [1.2, 0.95, 1.05], 1.2, base=stiff)
     device = motion.Machine(library, stiff, parameters.parameters(names, library, stiff))
     fitter = fit.Fitter(device, data.split(columns.pop("time"), columns, []), "rate", 10.0, lambda _: None)
     found = fitter.run()
     device.close()
     error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
-    assert np.all(error < 1e-5), error
+    # Truncation and round-off of the runs leave 1e-9.
+    assert np.all(error < 1e-6), error
 
 
 @pytest.mark.parametrize(
@@ -325,6 +336,34 @@ def test_a_twin_and_two_calibrations_find_the_machine(
             truth = config.machine.hidden[member]
             # Four standard deviations: one of some 16,000 is further off.
             assert abs(value - truth) < 4 / 1.96 * unknown["bar95"][member], member
+
+
+@pytest.mark.nightly
+def test_a_user_finds_the_machine_by_the_commands_that_are_printed(fmu: Path, tmp_path: Path) -> None:
+    """`fivebar twin`, `fivebar calibrate`, and then what that says: with the default scene and unknowns, all processes and the clock."""
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
+
+    def fivebar(*words: str) -> str:
+        command = [sys.executable, "-m", "fivebar", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        # 3: forecasts of a busy machine may come late.
+        assert done.returncode in ((0, 3) if words[0] == "twin" else (0, 1)), done.stdout + done.stderr
+        return done.stdout
+
+    records = []
+    told = ["twin", "--seconds", "12"]
+    for _ in range(2):
+        fivebar(*told)
+        (new,) = {*(tmp_path / "twin" / "runs").iterdir()} - {*records}
+        records.append(new)
+        output = fivebar("calibrate", str(new / "record"), "--patience", "500")
+        if line := next((line for line in output.splitlines() if line.startswith("  fivebar twin ")), None):
+            told = shlex.split(line)[1:]
+    figures = json.loads((tmp_path / "calibrate" / "calibration.json").read_text(encoding="utf-8"))
+    truth = json.loads((records[-1] / "twin.json").read_text(encoding="utf-8"))["machine"]["hidden"]
+    for name in ("payload.mass", *(f"link[{i}].mass" for i in (1, 2, 3, 4))):
+        value, bar = (figures["unknowns"][name][key][name] for key in ("value", "bar95"))
+        assert abs(value - truth[name]) < 4 / 1.96 * bar, name
 
 
 def sampled(config: Config, library: Library, seconds: float) -> Path:

@@ -5,6 +5,7 @@ A file is read, checked and resolved here, by the names, types, bounds and start
 
 import json
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import scene_file, shipped, tip_scenes
-from fivebar.errors import FiveBarError
+from fivebar import links, scene_file, shipped, tip_scenes
+from fivebar.errors import FiveBarError, MachineWarning
 from fivebar.kinematics import Working
 from fivebar.signals import TIP
 from fivebar.variables import Value, Values, Variables, meant, of_unit, shown
@@ -164,7 +165,7 @@ def of_file(file: Path, variables: Variables | None = None) -> Scene:
 
 
 def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
-    """A scene from the text of its file."""
+    """A scene from the text of its file; a MachineWarning says if no machine has its links."""
     variables = variables or of_unit()
     content = scene_file.Content(scene_file.parse(text), variables)
     sampled, points = {}, np.zeros(0)
@@ -174,6 +175,8 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         sampled = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
     runs = [(scene_file.method(content.values, variables), content.values), *content.overlays]
     variants, commands = _resolved(runs, content.tip, variables.start, points)
+    for sentence in links.doubts({**variables.start, **content.values}):
+        warnings.warn(f"{name}: {sentence}", MachineWarning, stacklevel=2)
     return Scene(
         name=name,
         description=content.description,

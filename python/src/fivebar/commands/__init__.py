@@ -7,13 +7,15 @@ this program); 2 what was asked for is refused. Errors are one sentence on stand
 
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from fivebar.commands import calibrate, ensemble, load, map, page, path, replay, run, scenes, soak, twin, unit, what_if
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, MachineWarning
 
 COMMANDS = (
     run.run,
@@ -62,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = " ".join(["fivebar", *(part for part in given[:1] if part in fivebar.commands)])
     _keep_to_the_cache()
     try:
-        return int(fivebar.main(given, prog_name="fivebar", standalone_mode=False) or 0)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warning(name)
+            return int(fivebar.main(given, prog_name="fivebar", standalone_mode=False) or 0)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return 2
@@ -109,6 +113,19 @@ def _cache() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "fivebar"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fivebar"
+
+
+def _warning(name: str) -> Callable[..., None]:
+    """Shows warnings about machines as sentences, all others as Python does."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, MachineWarning):
+            print(f"{name}: warning: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *where, **more)
+
+    return show
 
 
 def _refused(name: str, sentence: str) -> int:

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.links import doubts
 from fivebar.scene import write as write_scene
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate import data, scenes
@@ -211,7 +212,8 @@ def run(options: Options) -> int:
         if result.refused() and not result.wrong and options.proposal:
             motion = propose(library, scene, sought, taken, np.minimum(result.fit.sigma, SMALL), result.judgement.sigma)
             proposal = _write_proposal(proposed, motion, sought, result.judgement.sigma, library)
-        report = _report(result, given, source, options, time.process_time() - begun, proposal)
+        whole = dict(library.known.start) | fitted_values(result, scene, library)
+        report = _report(result, given, source, options, time.process_time() - begun, proposal, doubts(whole))
         (options.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         written = [options.out / "calibration.json"]
         if any(result.judgement.identified):
@@ -284,13 +286,19 @@ def _write_proposal(
     write_scene(file, text, motion.values, SECONDS, 1e-3, library.known, motion.signals())
     return {
         "scene": str(file),
-        "command": shlex.join(["fivebar", "twin", "--scene", str(file), "--seconds", f"{2 * SECONDS:g}"]),
+        "command": shlex.join(["fivebar", "twin", "--scene", str(file), "--seconds", f"{SECONDS + 1:g}"]),
         "tells": {sought[k].name: float(sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
     }
 
 
 def _report(
-    result: Result, given: data.Data, source: str, options: Options, seconds: float, proposal: dict[str, Any] | None
+    result: Result,
+    given: data.Data,
+    source: str,
+    options: Options,
+    seconds: float,
+    proposal: dict[str, Any] | None,
+    impossible: list[str],
 ) -> dict[str, Any]:
     fit, judgement = result.fit, result.judgement
     unknowns = {}
@@ -321,6 +329,7 @@ def _report(
         "unknowns": unknowns,
         "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
         "not_identified": judgement.not_identified(result.sought),
+        "impossible": impossible,
         "proposal": proposal,
         "cpu_seconds": seconds,
         "runs": fit.machine.runs,
@@ -349,6 +358,8 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
             )
         else:
             print(f"  {p.name:28} {p.base[0]:12.6g} {'not identified':>14}")
+    for sentence in report["impossible"]:
+        print(f"warning: {sentence}")
     for sentence in report["not_identified"]:
         print(f"not identified: {sentence}")
     worst = max(range(len(result.sought)), key=lambda k: judgement.doubt[k] if judgement.identified[k] else 0.0)
