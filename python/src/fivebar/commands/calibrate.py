@@ -38,7 +38,7 @@ from fivebar.commands import options
 @click.option(
     "--patience",
     type=float,
-    default=50.0,
+    default=120.0,
     show_default=True,
     metavar="S",
     help="s of CPU after which a fit is given up.",
