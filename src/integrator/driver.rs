@@ -113,8 +113,10 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
         let books = method.start().checked().map(|from| Books::open(&*in_mode, &from));
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
-            let (from, to) = (method.start(), method.end());
-            if let (Progress::Done, Some(books), Some(checked)) = (end, books, to.checked()) {
+            if let (Progress::Done, Some(books)) = (end, books)
+                && let (from, to) = (method.start(), method.end())
+                && let Some(checked) = to.checked()
+            {
                 books.check(&*in_mode, limits.imbalance, &checked, || from.displacement(to, &*in_mode, trials.h))?;
             }
             return Ok(end);

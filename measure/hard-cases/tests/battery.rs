@@ -4,7 +4,7 @@ use std::process::Command;
 
 use hard_cases::books::{self, Books, Sample};
 use hard_cases::cases::{bits_row, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, speed};
+use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, checks, speed};
 
 /// The judged settings meet the demands of every case of an item.
 fn hold(item: u8) {
@@ -18,6 +18,15 @@ fn hold(item: u8) {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A sample of `hard-cases checks`: scenes of every kind by every method that checks its steps, at tolerances from 1e-11 to 1e-3 rad.
+#[test]
+fn no_check_stops_a_right_step() {
+    let mut table = Vec::new();
+    let rows = checks::measure(0, 400);
+    checks::write_markdown(&rows, &mut table).expect("a table");
+    assert!(rows.iter().all(checks::Row::is_met), "{}", String::from_utf8_lossy(&table));
 }
 
 fn complaint(row: &Row) -> Option<String> {
