@@ -127,6 +127,13 @@ impl Inertia {
         angles([self.proximal * p + coupling * d, coupling * p + self.distal * d])
     }
 
+    /// Kinetic energy by legs at link rates, rad/s, J.
+    #[inline(always)]
+    pub fn kinetic_energy(&self, pose: &Pose, rates: &Angles) -> Legs {
+        let ([p, d], coupling) = (legs(rates), self.coupling(pose));
+        both(0.5) * (self.proximal * (p * p) + self.distal * (d * d)) + coupling * (p * d)
+    }
+
     /// Torques on the links, N·m, with those of the distal centre of mass, which is carried around at link rates, rad/s.
     #[inline(always)]
     pub fn with_centripetal(&self, [on_p, on_d]: [Legs; 2], pose: &Pose, rates: &Angles) -> Angles {
@@ -154,10 +161,10 @@ impl Weight {
         [pose.u_p.cross(self.0[0]), pose.u_d.cross(self.0[1])]
     }
 
-    /// Work of the force from the motor axes, J.
+    /// Work of the force from the motor axes by legs, J.
     #[inline(always)]
-    pub fn work(&self, pose: &Pose) -> f64 {
-        sum(pose.u_p.dot(self.0[0]) + pose.u_d.dot(self.0[1]))
+    pub fn work(&self, pose: &Pose) -> Legs {
+        pose.u_p.dot(self.0[0]) + pose.u_d.dot(self.0[1])
     }
 
     /// Stiffness of the links, N·m/rad: their arms turn.

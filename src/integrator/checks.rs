@@ -19,9 +19,11 @@ impl Imbalance {
         Self { part: 1e3 * tolerance.max(LEAST_TOLERANCE), always: energy_scale }
     }
 
-    /// Of steps whose rates are less accurate by one order, at an error tolerance of their angles, rad, of third order, and energy scale, J.
+    /// Of steps whose rates are less accurate than their angles, of third order: between the order 2/3 of the rates and 1, as measured; at
+    /// an error tolerance, rad, and energy scale, J.
     pub(super) fn of_third_order(tolerance: f64, energy_scale: f64) -> Self {
-        Self { part: 1e3 * libm::cbrt(tolerance * tolerance).max(LEAST_TOLERANCE), always: energy_scale }
+        let tolerance = tolerance.max(LEAST_TOLERANCE);
+        Self { part: 3e3 * (tolerance * tolerance.sqrt()).sqrt(), always: energy_scale }
     }
 
     /// Of steps that keep the energy, by the energy scale, J.
@@ -103,15 +105,14 @@ impl Books {
 /// Makes a step of fixed length, and counts it where it fails the checks: to compare its errors is what such steps are for.
 pub fn count_breaches<const N: usize, const M: usize>(
     system: &impl System<N, M>,
-    energy_scale: f64,
-    state: &mut State<N, M>,
-    h: f64,
+    energy_scale: impl FnOnce() -> f64,
+    (state, h): (&mut State<N, M>, f64),
     step: impl FnOnce(&mut State<N, M>) -> Result<(), StepError>,
 ) -> Result<(), StepError> {
     let books = state.checked().map(|from| Books::open(system, &from));
     step(state)?;
     let (Some(books), Some(to)) = (books, state.checked()) else { return Ok(()) };
-    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale), &to, || state.displacement(state, system, h));
+    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale()), &to, || state.displacement(state, system, h));
     state.counters.breaches += u64::from(checked.is_err());
     Ok(())
 }

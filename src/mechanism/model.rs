@@ -128,12 +128,13 @@ impl Mechanism {
 
     /// Kinetic energy plus potential energy of a constant force, J: both legs at once.
     pub fn energy(&self, [q, v]: [&Coordinates; 2], force: &Coordinates) -> f64 {
-        let mut energy = both(0.0);
+        let (mut twice_kinetic, mut work) = (both(0.0), both(0.0));
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
             let rate = legs_of(v, i);
-            energy += both(0.5) * m * rate * rate - legs_of(force, i) * legs_of(q, i);
+            twice_kinetic += m * rate * rate;
+            work += legs_of(force, i) * legs_of(q, i);
         }
-        sum(energy)
+        sum(both(0.5) * twice_kinetic - work)
     }
 
     /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.

@@ -13,7 +13,7 @@ use crate::integrator::{
     AccelerationTangents, CONFIGURATION_SIGNS, Features, Kkt, Passage, State, StickingConstraint, Stuck, System, Work,
 };
 use crate::mechanism::constraints::directions_turned;
-use crate::mechanism::legs::Legs2;
+use crate::mechanism::legs::{Legs2, sum};
 use crate::mechanism::placement::{by_legs, by_links, joint_forces};
 use crate::mechanism::vertex;
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
@@ -201,11 +201,11 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     fn energy(&self, q: &Angles, pose: &Pose, v: &Angles) -> f64 {
-        let potential = match self.model().effects.is_empty() {
-            true => -self.model().weight_torques.work(pose),
-            false => self.potential_with_effects(*q, [pose.u_p, pose.u_d]),
-        };
-        self.mass_times(pose, v).dot(v) / 2.0 + potential
+        let kinetic = self.inertia().kinetic_energy(pose, v);
+        match self.model().effects.is_empty() {
+            true => sum(kinetic - self.model().weight_torques.work(pose)),
+            false => sum(kinetic) + self.potential_with_effects(*q, [pose.u_p, pose.u_d]),
+        }
     }
 
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {

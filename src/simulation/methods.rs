@@ -114,13 +114,16 @@ impl MacroStepMethod {
                 }
                 Ok(())
             }
-            Self::I3alp(_) | Self::I3alpPrinted(_) | Self::Rk4(_) => {
-                count_breaches(system, energy_scale(system.model), core, h, |core| match self {
+            Self::I3alp(_) | Self::I3alpPrinted(_) | Self::Rk4(_) => count_breaches(
+                system,
+                || energy_scale(system.model),
+                (core, h),
+                |core| match self {
                     Self::I3alp(settings) => i3alp::MacroStep::of(h).advance(system, settings, core, mode).map(drop),
                     Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, core, h),
                     Self::Rk4(settings) => rk4::advance(system, settings, core, h),
-                })
-            }
+                },
+            ),
         }
     }
 }
