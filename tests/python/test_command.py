@@ -201,6 +201,15 @@ def test_a_unit_without_a_library_for_this_machine_is_told(
     assert list(here.iterdir()) == []
 
 
+@pytest.mark.parametrize("code", ["import fivebar", "from fivebar.commands import main; main(['scenes'])"])
+def test_what_neither_computes_nor_draws_loads_no_packages_for_it(code: str) -> None:
+    """The package answers at once: numbers, pictures and units are loaded by what needs them."""
+    code += "; import sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = done.stdout.splitlines()[-1].split()
+    assert "fivebar" in loaded and not {"numpy", "matplotlib", "pandas", "fmpy"} & set(loaded)
+
+
 def test_an_error_of_this_program_is_a_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -376,6 +385,10 @@ def test_a_run_in_python(here: Path) -> None:
     assert fall.animate("fall.html").stat().st_size > 20_000
     assert sorted(file.name for file in here.iterdir()) == ["fall.csv", "fall.html"]
     assert fivebar.unit().is_file() and fivebar.scenes()["swing"]
+    short = fivebar.run("fall_90_120", outputs=["tip", "energy.error"])
+    head, *_ = short.to_csv("fall.csv").read_text(encoding="utf-8").splitlines()
+    assert head == "time,tip.x,tip.y,tip.vx,tip.vy,tip.ax,tip.ay,energy.error" and "alpha[1]" not in short
+    assert fivebar.run("fall_90_120", outputs="alpha").outputs == ["time", "alpha[1]", "alpha[2]"]
     for call in (
         lambda: fivebar.run("fly"),
         lambda: fivebar.run("swing", "euler"),

@@ -68,6 +68,9 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
         assert fact in process.stdout, fact
     # Not a terminal: a line every 10 % and no control characters.
     assert process.stderr.count("short (i3alp)") == 10 and "\x1b" not in process.stderr
+    # And one for each file, in the order of the list.
+    named = re.findall(r"^short: writing (.+)$", process.stderr, re.MULTILINE)
+    assert named == re.findall(r"^  out/(\S+)  \(", process.stdout, re.MULTILINE) and "tip.png" in named
 
 
 def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
@@ -101,6 +104,90 @@ def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
     data = json.loads(page.split('<script type="application/json" id="data">')[1].split("</script>")[0])
     assert data["runs"][0]["plane"] == {"normal": [0, 1], "offset": -1}
     assert data["runs"][0]["stops"] == [[0, np.pi], [0, np.pi]]
+
+
+def columns_of(file: Path) -> list[str]:
+    with file.open(encoding="utf-8") as table:
+        return next(csv.reader(table))
+
+
+def test_chosen_outputs_are_the_columns(fmu: Path, tmp_path: Path) -> None:
+    """By names and beginnings, with commas or one by one, inputs among them; the same pictures, page and singularities are made."""
+    effects: Values = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
+    scene = replace(
+        made_scene(effects, 0.1, 1e-3, Variant("fine", effects)), signals={"tip.fx": np.linspace(0, 0.2, 101)}
+    )
+    every = run(fmu, tmp_path, scene)
+    assert every.returncode == 0, every.stderr
+    files = {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()}
+    few = run(fmu, tmp_path, scene, "--outputs", "energy.error,tip", "--outputs", "theta")
+    assert few.returncode == 0, few.stderr
+    head = [
+        "time",
+        "tip.x",
+        "tip.y",
+        "tip.vx",
+        "tip.vy",
+        "theta[1]",
+        "theta[2]",
+        "tip.ax",
+        "tip.ay",
+        "energy.error",
+        "tip.fx",
+    ]
+    for table in ("short.csv", "short.fine.csv"):
+        assert columns_of(tmp_path / "out" / table) == head
+        whole = files.pop(table).decode().splitlines()
+        places = [whole[0].split(",").index(name) for name in head]
+        assert (tmp_path / "out" / table).read_text(encoding="utf-8").splitlines() == [
+            ",".join(row.split(",")[place] for place in places) for row in whole
+        ]
+    assert {name: (tmp_path / "out" / name).read_bytes() for name in files} == files
+    assert {"inputs.png", "servo.png", "stop.png", "contact.png", "difference.png", "short.html"} <= set(files)
+
+
+def test_the_columns_are_told(fmu: Path, tmp_path: Path) -> None:
+    """Unless they were chosen: how their names begin, as `--outputs` takes them, and which are inputs."""
+    scene = replace(made_scene({}, 0.01), signals={"tau[2]": np.zeros(11), "tau[1]": np.ones(11)})
+    every = run(fmu, tmp_path, scene, "--no-pictures")
+    [told] = [line for line in every.stdout.splitlines() if line.startswith("Columns: ")]
+    found = re.fullmatch(r"Columns: time, (.+); inputs: (.+); --outputs NAMES writes some of them", told)
+    assert found, told
+    counts = dict(re.fullmatch(r"(\w+) \((\d+)\)", part).groups() for part in found[1].split(", "))  # type: ignore[union-attr]
+    columns = columns_of(tmp_path / "out" / "short.csv")
+    assert found[2] == "tau[2], tau[1]" and columns[-2:] == ["tau[2]", "tau[1]"]
+    for group, count in counts.items():
+        assert sum(re.match(rf"{group}[.[]|{group}$", name) is not None for name in columns[:-2]) == int(count)
+    assert 1 + sum(map(int, counts.values())) + 2 == len(columns)
+    assert "Columns" not in run(fmu, tmp_path, scene, "--no-pictures", "--outputs", ",".join(counts)).stdout
+    assert columns_of(tmp_path / "out" / "short.csv") == columns[:-2]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "sentence"),
+    [
+        ("tip.z", "there is no column 'tip.z'; did you mean 'tip.y' or 'tip.x' or 'tip'?"),
+        ("tip,enrgy", "there is no column 'enrgy'; did you mean 'energy'?"),
+        ("tau", "there is no column 'tau'; known are time, tip, theta, omega, "),
+        ("tip,", "there is no column ''; known are time, tip, theta, omega, "),
+    ],
+)
+def test_outputs_that_there_are_not_are_refused(fmu: Path, tmp_path: Path, outputs: str, sentence: str) -> None:
+    process = run(fmu, tmp_path, SHORT, "--outputs", outputs)
+    assert process.returncode == 2 and process.stderr.startswith(f"fivebar run: {sentence}")
+    assert process.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_without_pictures(fmu: Path, tmp_path: Path) -> None:
+    """Tables and page alone; pictures of an earlier run are gone, and what draws them is not loaded."""
+    assert run(fmu, tmp_path, SHORT).returncode == 0
+    assert run(fmu, tmp_path, SHORT, "--no-pictures").returncode == 0
+    left = {"short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == left
+    code = "import sys; from fivebar.commands import main; main(sys.argv[1:]); print('matplotlib' in sys.modules)"
+    command = [sys.executable, "-c", code, "run", "short.json", "--fmu", str(fmu), "--no-pictures"]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert process.stdout.endswith("\nFalse\n") and "short/short.html" in process.stdout
 
 
 def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:

@@ -88,7 +88,25 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path, content: str | bytes, se
 def test_a_table_that_is_written_is_read_to_the_bit(tmp_path: Path) -> None:
     """By this package and by FMPy, whose reader takes a column by the whole name in the head."""
     columns = {"time": np.arange(3) * 0.1, "theta[1]": np.array([np.pi, 5e-324, -0.1]), "tau[1]": np.array([1, 2, 3])}
-    table.write(tmp_path / "a.csv", columns, zip(*(column.tolist() for column in columns.values())))
+    table.write_columns(tmp_path / "a.csv", columns)
     own, theirs = table.read(tmp_path / "a.csv", WANTED, "time"), fmpy.read_csv(tmp_path / "a.csv")
     for name, column in columns.items():
         assert own.columns[name].tolist() == column.tolist() == theirs[name].tolist()
+
+
+def test_columns_are_written_as_their_values(tmp_path: Path) -> None:
+    """The shortest digits of each, whether a column changes or not: 0 and -0 differ, and NaN is equal to itself."""
+    columns = {
+        "time": np.zeros(3),
+        "signed": np.array([0.0, -0.0, 0.0]),
+        "none": np.full(3, np.nan),
+        "third": np.full(3, 1 / 3),
+        "count": np.array([7, 7, 7]),
+    }
+    table.write_columns(tmp_path / "a.csv", columns)
+    head, *rows = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    assert head == "time,signed,none,third,count"
+    assert rows == [f"0.0,{signed},nan,{1 / 3!r},7" for signed in ("0.0", "-0.0", "0.0")]
+    for count in (0, 1):
+        table.write_columns(tmp_path / "a.csv", {name: column[:count] for name, column in columns.items()})
+        assert (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines() == [head, *rows[:count]]

@@ -7,20 +7,31 @@
 >>> fall.animate()
 """
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from fivebar.own_unit import Naming
     from fivebar.scene import Scene
     from fivebar.simulate import Result
     from fivebar.variables import Value
 
-__version__ = version("fivebar")
+    __version__: str
+
 __all__ = ["run", "scenes", "unit"]
 
 # The packages that compute and draw are loaded by what needs them: the command line answers at once.
+
+
+def __getattr__(name: str) -> str:
+    """`__version__`, from the metadata of the installed package."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import version
+
+    return version("fivebar")
 
 
 def unit(
@@ -51,16 +62,19 @@ def unit(
 
 def scenes() -> dict[str, str]:
     """The shipped scenes: name to description."""
-    from fivebar import scene, shipped
+    from fivebar import shipped
 
-    return {name: scene.description(file) for name, file in shipped.scene_files().items()}
+    return shipped.descriptions()
 
 
-def run(scene: "str | Path | Scene", method: str | None = None, **values: "Value | str") -> "Result":
-    """Runs a scene and returns all that the unit computes at every communication point.
+def run(
+    scene: "str | Path | Scene", method: str | None = None, outputs: "Iterable[str]" = (), **values: "Value | str"
+) -> "Result":
+    """Runs a scene and returns what the unit computes at every communication point.
 
     `scene` is the name of a shipped scene, a file, or a `fivebar.scene.Scene`; `method` an item of `solver.method` in the place of the
-    scene's own; `values` are start values by variable, in the variable's unit, enumerations by the names of their items:
+    scene's own; `outputs` what tables have, by names or how these begin, such as `("tip", "energy.error")`, all unless told; to read
+    all takes several times as long as the steps; `values` are start values by variable, in the variable's unit, enumerations by the names of their items:
     `run("swing", **{"link[1].mass": 0.02, "viscous.enabled": True})`.
 
     A step that fails ends the run, and `Result.failure` says why. Raises FiveBarError, a ValueError of one sentence, if the scene, the method
@@ -68,4 +82,4 @@ def run(scene: "str | Path | Scene", method: str | None = None, **values: "Value
     """
     from fivebar import simulate
 
-    return simulate.run(scene, method, values)
+    return simulate.run(scene, method, values, outputs=outputs)

@@ -4,17 +4,16 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Wedge
-from matplotlib.ticker import NullFormatter
 
 from fivebar.drive import Run
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
+
+# The page and the moving picture are made without matplotlib, whose import takes longer than most runs.
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}
@@ -44,8 +43,28 @@ STYLE: Final["dict[RcKeyType, Any]"] = {
 }
 
 
-def save(figure: Figure, file: Path) -> Path:
+def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple["Figure", Any]:
+    """A figure with panels in a grid, which pyplot does not keep."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=figsize)
+    return figure, figure.subplots(rows, columns, **shared)
+
+
+def lay_out(figure: "Figure") -> None:
+    """Computes the layout of a finished figure, once for all its files: a figure with a layout engine is laid out and drawn twice for each."""
+    import matplotlib
+
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)
+
+
+def save(figure: "Figure", file: Path) -> Path:
     """Writes a picture and closes it: the same figure gives the same bytes."""
+    import matplotlib.pyplot as plt
+
     # Texts beside the axes, as names of unknowns, may need more room.
     figure.savefig(
         file,
@@ -70,7 +89,7 @@ def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list
     return [time[index], *(signal[index] for signal in signals)]
 
 
-def time_axis(axes: Axes, runs: list[Run]) -> None:
+def time_axis(axes: "Axes", runs: list[Run]) -> None:
     """Labels and limits the axis of time."""
     axes.set_xlabel("time  (s)")
     axes.set_xlim(0, max(float(run.time[-1]) for run in runs) or runs[0].step_size)
@@ -91,7 +110,7 @@ def run_label(run: Run) -> str:
     return f"{run.label} (failed at {run.time[-1]:.3g} s)" if run.failed else run.label
 
 
-def ordered_legend(axes: Axes, count: int) -> None:
+def ordered_legend(axes: "Axes", count: int) -> None:
     """A legend above the axes, the scene's own run first."""
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], labels[::-1], ncols=count, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
@@ -102,8 +121,10 @@ def positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def full_decades(axes: Axes, values: np.ndarray) -> None:
+def full_decades(axes: "Axes", values: np.ndarray) -> None:
     """Limits of a logarithmic axis at powers of ten, not below 1e-8, and no labels between them."""
+    from matplotlib.ticker import NullFormatter
+
     positive = values[values > 0]
     if len(positive):
         low, high = np.floor(np.log10(max(positive.min() / 2, 1e-8))), np.ceil(np.log10(max(positive.max(), 1e-7)))
@@ -120,8 +141,10 @@ def extent(run: Run, axis: str) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def surroundings(axes: Axes, run: Run) -> None:
+def surroundings(axes: "Axes", run: Run) -> None:
     """The motors, and the obstacles of their links and the tip: end stops and a plane."""
+    from matplotlib.patches import Polygon, Wedge
+
     p = run.parameters
     base = p["base.distance"]
     if p["contact.enabled"]:

@@ -1,8 +1,8 @@
-"""Drives one run of the FMU through FMPy and records all that it computes at every communication point."""
+"""Drives one run of the FMU through FMPy and records what it computes at every communication point."""
 
 import math
-import sys
 import time
+from collections.abc import Collection
 from ctypes import c_double, c_int
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,6 +14,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fivebar.errors import FiveBarError
+from fivebar.progress import Line
 from fivebar.scene import Scene, Variant, communication_points
 from fivebar.slave import Log, computed, get_values, instantiate, set_values
 from fivebar.variables import unit
@@ -21,7 +22,7 @@ from fivebar.variables import unit
 
 @dataclass
 class Run:
-    """Results of one run: one row per communication point, the first at the start; computed variables, then the scene's signals.
+    """Results of one run: one row per communication point, the first at the start; the variables that were read, then the scene's signals.
 
     `items` has the names of the values of each variable that is an enumeration.
     """
@@ -62,7 +63,7 @@ class StartRefused(FiveBarError):
 
 
 class _Recorder:
-    """Reads all variables at once into two tables, one of numbers and one of integers."""
+    """Reads variables at once into two tables, one of numbers and one of integers."""
 
     def __init__(self, slave: fmi2.FMU2Slave, variables: list[ScalarVariable], rows: int):
         self.slave = slave
@@ -94,12 +95,12 @@ class _Recorder:
         return columns
 
 
-class Progress:
+class Progress(Line):
     """A line with simulated time, speed and time to go: about 5 times a second on a terminal, every 10 % elsewhere."""
 
     def __init__(self, label: str, stop_time: float, stream: TextIO | None = None):
-        self.label, self.stop_time, self.stream = label, stop_time, stream or sys.stderr
-        self.terminal = self.stream.isatty()
+        super().__init__(stream)
+        self.label, self.stop_time = label, stop_time
         self.begin = self.shown = time.perf_counter()
         self.next_share = 0.1
 
@@ -114,20 +115,12 @@ class Progress:
             return
         self.shown = now
         self.next_share = math.floor(share * 10 + 1e-9) / 10 + 0.1
-        self._show(simulated, share, now - self.begin)
-
-    def finish(self) -> None:
-        """Clears the line of a terminal."""
-        if self.terminal:
-            self.stream.write("\r\x1b[K")
-            self.stream.flush()
-
-    def _show(self, simulated: float, share: float, elapsed: float) -> None:
+        elapsed = now - self.begin
         speed = simulated / elapsed if elapsed > 0 else 0.0
         to_go = (self.stop_time - simulated) / speed if speed > 0 else 0.0
-        line = f"{self.label}: {simulated:7.2f} s of {self.stop_time:g} s  {share:4.0%}  {speed:6.1f} x real time  {to_go:4.0f} s to go"
-        self.stream.write(f"\r\x1b[K{line}" if self.terminal else f"{line}\n")
-        self.stream.flush()
+        self.show(
+            f"{self.label}: {simulated:7.2f} s of {self.stop_time:g} s  {share:4.0%}  {speed:6.1f} x real time  {to_go:4.0f} s to go"
+        )
 
 
 class _Signals:
@@ -145,11 +138,19 @@ class _Signals:
 
 
 def drive(
-    model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress | None = None
+    model: ModelDescription,
+    directory: str,
+    scene: Scene,
+    variant: Variant,
+    progress: Progress | None = None,
+    outputs: Collection[str] | None = None,
 ) -> Run:
-    """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program."""
+    """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program.
+
+    `outputs` are names of variables; only they are read, for reading all that the unit computes takes several times as long as a step.
+    """
     begin = time.perf_counter()
-    variables = computed(model)
+    variables = [v for v in computed(model) if outputs is None or v.name in outputs]
     points = communication_points(scene.stop_time, scene.step_size)
     log = Log()
     slave = instantiate(model, directory, log, name=scene.name)

@@ -1,16 +1,17 @@
 """Pictures of loads and obstacles of a scene: changing loads, servos, end stops, a plane."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from fivebar.drawing import BARRIER, FAINT, INK, LEFT, RIGHT, TIP, plane, thinned, time_axis
+from fivebar.drawing import BARRIER, FAINT, INK, LEFT, RIGHT, TIP, panels, plane, thinned, time_axis
 from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import Event
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SIDES = ((1, "left", LEFT), (2, "right", RIGHT))
 
@@ -20,10 +21,10 @@ def loads(scene: Scene) -> list[str]:
     return [name for name in scene.signals if not name.startswith("servo.")]
 
 
-def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     """Torques and forces over time, one axes for each."""
     run, names = runs[0], loads(scene)
-    figure, all_axes = plt.subplots(len(names), 1, sharex=True, squeeze=False, figsize=(10, 1.4 + 1.7 * len(names)))
+    figure, all_axes = panels(len(names), sharex=True, squeeze=False, figsize=(10, 1.4 + 1.7 * len(names)))
     for axes, name in zip(all_axes[:, 0], names):
         _curve(axes, run, run[name], INK)
         axes.set_ylabel(f"{name}  ({run.units[name]})")
@@ -32,9 +33,9 @@ def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     """Angles with their references, their differences, and the torques."""
-    figure, (angles, errors, torques) = plt.subplots(3, 1, sharex=True, figsize=(10, 7), height_ratios=(3, 2, 2))
+    figure, (angles, errors, torques) = panels(3, sharex=True, figsize=(10, 7), height_ratios=(3, 2, 2))
     run = runs[0]
     for i, side, colour in SIDES:
         reference = _input(scene, run, f"servo.theta[{i}]")
@@ -52,9 +53,9 @@ def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def stop(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+def stop(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     """Motor angles between their stops, and how deep they go into them."""
-    figure, (*angles, depth) = plt.subplots(3, 1, sharex=True, figsize=(10, 6.4), height_ratios=(3, 3, 2))
+    figure, (*angles, depth) = panels(3, sharex=True, figsize=(10, 6.4), height_ratios=(3, 3, 2))
     run, p = runs[0], runs[0].parameters
     for axes, (i, side, colour) in zip(angles, SIDES):
         angle, lower, upper = run[f"theta[{i}]"], p[f"stop.lower[{i}]"], p[f"stop.upper[{i}]"]
@@ -72,9 +73,9 @@ def stop(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def contact(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+def contact(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     """How far the tip is from the plane, how deep in it, and the force between them."""
-    figure, (gap, depth, forces) = plt.subplots(3, 1, sharex=True, figsize=(10, 7), height_ratios=(2, 2, 3))
+    figure, (gap, depth, forces) = panels(3, sharex=True, figsize=(10, 7), height_ratios=(2, 2, 3))
     run = runs[0]
     normal, offset = plane(run)
     distance = normal[0] * run["tip.x"] + normal[1] * run["tip.y"] - offset
@@ -98,17 +99,17 @@ def _input(scene: Scene, run: Run, name: str) -> np.ndarray:
     return run[name] if name in scene.signals else np.full(len(run.time), scene.variants[0].values.get(name, 0.0))
 
 
-def _curve(axes: Axes, run: Run, values: np.ndarray, colour: str, **style: Any) -> None:
+def _curve(axes: "Axes", run: Run, values: np.ndarray, colour: str, **style: Any) -> None:
     time, values = thinned(run.time, values)
     axes.plot(time, values, color=colour, **{"linewidth": 1.2} | style)
 
 
-def _limits(axes: Axes, limit: float) -> None:
+def _limits(axes: "Axes", limit: float) -> None:
     """Lines at plus and minus `limit`, where the curves come near it."""
     if max(map(abs, axes.get_ylim())) > limit / 2:
         for value in (-limit, limit):
             axes.axhline(value, color=FAINT, linewidth=1, linestyle="--")
 
 
-def _legend(axes: Axes) -> None:
+def _legend(axes: "Axes") -> None:
     axes.legend(ncols=4, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)

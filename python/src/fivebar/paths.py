@@ -433,5 +433,5 @@ def write_table(made: Plan, outcome: Outcome | None, file: FilePath) -> FilePath
         columns |= {f"done.{axis}": outcome.tip[:, i] for i, axis in enumerate("xy")}
         columns |= {f"servo.torque[{leg}]": outcome.torque[:, leg - 1] for leg in (1, 2)}
         columns |= {"off": outcome.off, "late": outcome.late}
-    table.write(file, columns, zip(*(column.tolist() for column in columns.values())))
+    table.write_columns(file, columns)
     return file

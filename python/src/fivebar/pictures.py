@@ -3,14 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from fivebar import effect_pictures
 from fivebar.drawing import (
@@ -25,7 +20,9 @@ from fivebar.drawing import (
     drawing_order,
     extent,
     full_decades,
+    lay_out,
     ordered_legend,
+    panels,
     positive,
     run_label,
     run_style,
@@ -37,6 +34,10 @@ from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import GRAVE, KINDS, Event
 from fivebar.summary import CLOSE, energy_note, energy_scale, sampling, tip_distance
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
 
@@ -53,33 +54,34 @@ POSE_WINDOW = 0.75
 """Longest time, s, that the stroboscopic poses cover: about half a swing of the paper's mechanism."""
 
 
-def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]) -> list[Path]:
-    """Draws every picture into `directory`; the files written."""
-    files = []
-    with plt.rc_context(STYLE):
+def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events: list[Event]) -> None:
+    """Draws every picture; `begin` gives the path of a file that is written next."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
         for name, picture in PICTURES.items():
             if not picture.wanted(scene, runs):
                 continue
+            png = begin(f"{name}.png")
             figure = picture.draw(scene, runs, events)
+            lay_out(figure)
             # Equal scales on both axes leave bands of the figure empty.
-            crop: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.1} if name == "path" else {}
-            files.append(directory / f"{name}.png")
-            figure.savefig(files[-1], **crop)
+            crop: dict[str, Any] = {"bbox_inches": figure.get_tightbbox().padded(0.1)} if name == "path" else {}
+            figure.savefig(png, **crop)
             if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
-                files.append(directory / f"{name}.svg")
-                figure.savefig(files[-1], metadata={"Date": None}, **crop)
-            plt.close(figure)
-    return files
+                figure.savefig(begin(f"{name}.svg"), metadata={"Date": None}, **crop)
 
 
-def curves(run: Run, names: Sequence[str]) -> Figure:
+def curves(run: Run, names: Sequence[str]) -> "Figure":
     """Columns over time; those of one unit share a picture."""
+    import matplotlib
+
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(run.units[name], []).append(name)
-    with plt.rc_context(STYLE):
-        figure = Figure(figsize=(10, 1 + 2.3 * len(groups)))
-        rows = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
+    with matplotlib.rc_context(STYLE):
+        figure, grid = panels(len(groups), figsize=(10, 1 + 2.3 * len(groups)), sharex=True, squeeze=False)
+        rows = grid[:, 0]
         for axes, (unit, group) in zip(rows, groups.items()):
             for i, name in enumerate(group):
                 axes.plot(*thinned(run.time, run[name]), color=RUN_COLOURS[i % len(RUN_COLOURS)], label=name)
@@ -89,8 +91,8 @@ def curves(run: Run, names: Sequence[str]) -> Figure:
     return figure
 
 
-def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 5.6))
+def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+    figure, (top, bottom) = panels(2, sharex=True, figsize=(10, 5.6))
     for axes, name in ((top, "x"), (bottom, "y")):
         for i, run in drawing_order(runs):
             time, value = thinned(run.time, run[f"tip.{name}"])
@@ -103,13 +105,13 @@ def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     run = runs[0]
     window = min(POSE_WINDOW, float(run.time[-1]))
     x_limits, y_limits = extent(run, "x"), extent(run, "y")
     # Two panels of 4.4 in with equal scales on both axes, and room for titles and labels.
     height = 4.4 * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + 1.0
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, min(max(height, 3), 8)), sharex=True, sharey=True)
+    figure, (left, right) = panels(1, 2, figsize=(10, min(max(height, 3), 8)), sharex=True, sharey=True)
     _poses(left, run, window)
     left.set_title(f"{scene.name}: poses up to {window:g} s")
     if len(runs) == 1:
@@ -129,8 +131,8 @@ def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 6), height_ratios=(3, 2))
+def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+    figure, (top, bottom) = panels(2, sharex=True, figsize=(10, 6), height_ratios=(3, 2))
     run = runs[0]
     curves = [
         ("kinetic", run["energy.kinetic"], KINETIC, "-"),
@@ -164,8 +166,8 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 5.2))
+def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+    figure, (top, bottom) = panels(2, sharex=True, figsize=(10, 5.2))
     for axes, level, unit, symbol in ((top, "position", "m", r"\Phi"), (bottom, "velocity", "m/s", r"\dot{\Phi}")):
         for i, run in drawing_order(runs):
             time, norm = thinned(run.time, run[f"solver.{level}Error"])
@@ -178,8 +180,8 @@ def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
-    figure, (*rows, lanes) = plt.subplots(4, 1, sharex=True, figsize=(10, 7.6), height_ratios=(3, 3, 3, 1.6))
+def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> "Figure":
+    figure, (*rows, lanes) = panels(4, sharex=True, figsize=(10, 7.6), height_ratios=(3, 3, 3, 1.6))
     run = runs[0]
     signals = (
         ("sigmaJx", r"$\sigma_{\min}(J_x)$", "  (m)"),
@@ -214,8 +216,10 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
     return figure
 
 
-def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    figure, axes = plt.subplots(figsize=(10, 3.4))
+def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+    from matplotlib.ticker import FuncFormatter
+
+    figure, axes = panels(1, figsize=(10, 3.4))
     run = runs[0]
     macro, sub = np.diff(run["solver.steps"]), np.diff(run["solver.substeps"])
     per_step = sub / np.maximum(macro, 1)
@@ -232,8 +236,8 @@ def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    figure, axes = plt.subplots(figsize=(10, 4))
+def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+    figure, axes = panels(1, figsize=(10, 4))
     for i, other in enumerate(runs[1:], start=1):
         distance = tip_distance(runs[0], other)
         time, value = thinned(runs[0].time[: len(distance)], distance)
@@ -249,7 +253,7 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     return figure
 
 
-def _poses(axes: Axes, run: Run, window: float) -> None:
+def _poses(axes: "Axes", run: Run, window: float) -> None:
     """Stroboscopic poses: pale at the start, strong at the end of the window."""
     last = int(np.searchsorted(run.time, window * (1 + 1e-9), side="right")) - 1
     chosen = np.unique(np.linspace(0, last, POSES).round().astype(int))
@@ -272,8 +276,10 @@ def _poses(axes: Axes, run: Run, window: float) -> None:
     axes.plot(*tip, "o", color=TIP, markersize=5, zorder=8)
 
 
-def _path_over_time(figure: Figure, axes: Axes, run: Run) -> None:
+def _path_over_time(figure: "Figure", axes: "Axes", run: Run) -> None:
     """The tip's path, its colour telling the time."""
+    from matplotlib.collections import LineCollection
+
     stride = max(1, len(run.time) // 20000)
     points = np.column_stack((run["tip.x"], run["tip.y"]))[::stride]
     segments = np.stack((points[:-1], points[1:]), axis=1)
@@ -289,7 +295,7 @@ def _path_over_time(figure: Figure, axes: Axes, run: Run) -> None:
 class Picture:
     """How a picture is drawn, and whether a scene has its subject."""
 
-    draw: Callable[[Scene, list[Run], list[Event]], Figure]
+    draw: Callable[[Scene, list[Run], list[Event]], "Figure"]
     wanted: Callable[[Scene, list[Run]], bool] = lambda _scene, _runs: True
 
 

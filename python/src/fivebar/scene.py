@@ -201,11 +201,6 @@ def _resolved(
     return variants, tip.commands(variants[0].values, unit, points)
 
 
-def description(file: Path) -> str:
-    """Description of a scene, from its file."""
-    return str(json.loads(file.read_text(encoding="utf-8"))["description"])
-
-
 def write(
     file: Path,
     text: str,

@@ -2,6 +2,7 @@
 checkout that the package lies in has them.
 """
 
+import json
 import os
 import platform
 import sys
@@ -43,6 +44,11 @@ def scene_files() -> dict[str, Path]:
     """The files of the shipped scenes, by name."""
     folder = _found("scenes", "scenes")
     return {file.stem: file for file in sorted(folder.glob("*.json"))} if folder else {}
+
+
+def descriptions() -> dict[str, str]:
+    """The descriptions of the shipped scenes, by name."""
+    return {name: json.loads(file.read_text(encoding="utf-8"))["description"] for name, file in scene_files().items()}
 
 
 def page() -> Path | None:

@@ -4,7 +4,7 @@ import re
 import shutil
 import tempfile
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,8 @@ from fivebar.drive import Progress, Run, StartRefused, drive
 from fivebar.errors import FiveBarError
 from fivebar.scene import Scene
 from fivebar.singularities import Event
-from fivebar.variables import of_unit
+from fivebar.slave import computed
+from fivebar.variables import chosen, groups, of_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,13 +28,18 @@ if TYPE_CHECKING:
 ANIMATION = "animation.svg"
 """Name of the picture that moves."""
 
+READ = (
+    "tip.x", "tip.y", "theta", "passive.theta", "elbow", "energy", "singular", "solver", "servo.torque", "contact",
+)  # fmt: skip
+"""How the names begin of what summary, singularities, pictures and page are made from: all runs read these."""
+
 SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
 """Variables that `plot` shows if none is named."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """Result of a run: a column for everything that the unit computes and for the inputs that change, a row at each communication point.
+    """Result of a run: a column for what was asked for and for what pictures show, a row at each communication point.
 
     `result["tip.x"]` is a column, (n,); `result.units["tip.x"]` its unit; iteration, `len` and `in` are over the names of columns.
     """
@@ -44,6 +50,9 @@ class Result:
 
     refused: list[str]
     """Why overlays did not start."""
+
+    outputs: list[str]
+    """Names of the columns that tables have; the first is `time`."""
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.own.columns:
@@ -123,28 +132,48 @@ class Result:
         return path
 
     def to_csv(self, file: str | Path) -> Path:
-        """Writes all columns, one row per communication point, in full precision; `units` has their units."""
-        _write(Path(file), self.own)
+        """Writes the columns `outputs`, one row per communication point, in full precision; `units` has their units."""
+        self._write(Path(file), self.own)
         return Path(file)
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Writes tables, pictures and page to a folder, and removes what an earlier run of the scene has left there; the files written."""
+    def _write(self, file: Path, run: Run) -> None:
+        table.write_columns(file, {name: run[name] for name in self.outputs})
+
+    def columns(self) -> str:
+        """Sentence about the columns of the table: how their names begin, which are inputs."""
+        inputs = [name for name in self.outputs if name in self.scene.signals]
+        computed = groups(name for name in self.outputs[1:] if name not in inputs)
+        parts = ["time", *(f"{group} ({count})" for group, count in computed.items())]
+        return f"Columns: {', '.join(parts)}" + (f"; inputs: {', '.join(inputs)}" if inputs else "")
+
+    def save(
+        self, folder: str | Path, draw: bool = True, progress: Callable[[str], None] = lambda _text: None
+    ) -> list[Path]:
+        """Writes tables, page and, if told to draw, pictures to a folder, and removes what an earlier run of the scene has left there.
+
+        Returns the files written; each is named to `progress` before.
+        """
         from fivebar import moving_picture, pictures
 
         out, name = Path(folder), self.scene.name
         out.mkdir(parents=True, exist_ok=True)
         _remove_earlier(out, name)
-        files = []
+        files: list[Path] = []
+
+        def begin(file: str) -> Path:
+            progress(f"{name}: writing {file}")
+            files.append(out / file)
+            return files[-1]
+
         for i, run in enumerate(self.runs):
-            files.append(out / (f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"))
-            _write(files[-1], run)
-        files.append(out / "singularities.csv")
-        singularities.write(files[-1], self.singularities)
-        files += pictures.draw_all(out, self.scene, self.runs, self.singularities)
-        if moving_picture.wanted(self.own):
-            files.append(out / ANIMATION)
-            moving_picture.write(files[-1], self.scene, self.own, self.singularities)
-        return [*files, self.animate(self.page(out))]
+            self._write(begin(f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"), run)
+        singularities.write(begin("singularities.csv"), self.singularities)
+        if draw:
+            pictures.draw_all(begin, self.scene, self.runs, self.singularities)
+            if moving_picture.wanted(self.own):
+                moving_picture.write(begin(ANIMATION), self.scene, self.own, self.singularities)
+        self.animate(begin(self.page(out).name))
+        return files
 
     def page(self, folder: str | Path) -> Path:
         """The file that `save` writes the animated page to."""
@@ -158,10 +187,12 @@ def run(
     fmu: Path | None = None,
     overlays: bool = False,
     progress: Callable[[str, float], Progress] | None = None,
+    outputs: Iterable[str] = (),
 ) -> Result:
     """Runs a scene, by another method or with other start values if they are given; `progress` makes a line for a label and a stop time, s.
 
-    Raises FiveBarError if the scene, the method or a value is refused.
+    `outputs` are the columns of the tables, by their names or how these begin; without them there are all.
+    Raises FiveBarError if the scene, the method, a value or an output is refused.
     """
     unit = shipped.unit() if fmu is None else fmu
     variables = of_unit(unit)
@@ -179,22 +210,21 @@ def run(
     refused = []
     try:
         model = fmpy.read_model_description(directory, validate=False)
+        known = ["time", *(v.name for v in computed(model)), *ready.signals]
+        wanted = [outputs] if isinstance(outputs, str) else list(outputs)
+        written = {"time", *chosen(wanted, known)} if wanted else set(known)
+        read = written.union(chosen(READ, known))
         for variant in ready.variants if overlays else ready.variants[:1]:
             line = progress(f"{ready.name} ({variant.label})", ready.stop_time) if progress else None
             try:
-                runs.append(drive(model, directory, ready, variant, line))
+                runs.append(drive(model, directory, ready, variant, line, read))
             except StartRefused as sentence:
                 if not runs:
                     raise
                 refused.append(f"{variant.label} did not start: {sentence}")
     finally:
         shutil.rmtree(directory, ignore_errors=True)
-    return Result(ready, runs, refused)
-
-
-def _write(file: Path, run: Run) -> None:
-    """Writes the columns of a run."""
-    table.write(file, run.columns, zip(*(column.tolist() for column in run.columns.values())))
+    return Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
 
 
 def _remove_earlier(out: Path, name: str) -> None:

@@ -10,11 +10,12 @@ import io
 import re
 from array import array
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,6 +133,25 @@ def _pointed(cell: str) -> str:
     """The cell's text in Python's notation of numbers."""
     text = cell.strip().lower()
     return "nan" if text in MISSING else text.replace(",", ".")
+
+
+def write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Writes columns of numbers, (n) each; floats have the shortest digits that give back every bit.
+
+    Of a run, every second column never changes: its text becomes a part of the row's format. The first column counts the rows.
+    """
+    cells: list[str] = []
+    changing: list[list[object]] = []
+    for column in columns.values():
+        if changing and len(column) and column.tobytes() == column[:1].tobytes() * len(column):
+            cells.append(repr(column[0].item()))
+        else:
+            cells.append("%r")
+            changing.append(column.tolist())
+    row = ",".join(cells) + "\n"
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerow(columns)
+        stream.writelines(map(row.__mod__, zip(*changing)))
 
 
 def write(file: Path, names: Iterable[str], lines: Iterable[Sequence[object]]) -> None:

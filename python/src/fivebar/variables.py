@@ -3,17 +3,19 @@
 import difflib
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
-
-import fmpy
-from fmpy.model_description import ModelDescription, ScalarVariable
+from typing import TYPE_CHECKING, Any
 
 from fivebar import shipped
 from fivebar.errors import FiveBarError
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription, ScalarVariable
 
 Value = float | int | bool
 """A value as calls of the unit carry it: enumerations are integers (FMI 2.0.4, section 2.2.7)."""
@@ -98,7 +100,7 @@ class Variable:
 class Variables(Mapping[str, Variable]):
     """All variables of a unit, in its order."""
 
-    def __init__(self, model: ModelDescription):
+    def __init__(self, model: "ModelDescription"):
         self._by_name = {v.name: _variable(v) for v in model.modelVariables}
         experiment = model.defaultExperiment
         self.stop_time, self.step_size = float(experiment.stopTime), float(experiment.stepSize)
@@ -154,10 +156,12 @@ def of_unit(fmu: Path | None = None) -> Variables:
 
 @lru_cache(maxsize=4)
 def _read(file: Path, _changed: int, _size: int) -> Variables:
+    import fmpy
+
     return Variables(fmpy.read_model_description(str(file), validate=False))
 
 
-def _variable(variable: ScalarVariable) -> Variable:
+def _variable(variable: "ScalarVariable") -> Variable:
     kind: Callable[[str], Value] = {"Real": float, "Integer": int, "Enumeration": int}.get(
         variable.type, lambda text: text == "true"
     )
@@ -185,7 +189,7 @@ def _variable(variable: ScalarVariable) -> Variable:
     )
 
 
-def unit(variable: ScalarVariable) -> str:
+def unit(variable: "ScalarVariable") -> str:
     """The unit of a variable, "1" if it has none."""
     return variable.unit or getattr(variable.declaredType, "unit", None) or "1"
 
@@ -194,6 +198,22 @@ def shown(value: Any) -> str:
     """A value of JSON in a sentence: in one line, and not endless."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
     return text if len(text) <= 200 else f"{text[:200]}…"
+
+
+def chosen(given: Iterable[str], known: Sequence[str]) -> list[str]:
+    """Those of the columns `known` that are given, by their names or how these begin; commas may stand between the names."""
+    found: set[str] = set()
+    for name in (part.strip() for text in given for part in text.split(",")):
+        meant = [name] if name in known else [other for other in known if name and other.startswith(name)]
+        if not meant:
+            raise FiveBarError(f"there is no column '{name}'{similar(name, [*groups(known), *known])}")
+        found.update(meant)
+    return [name for name in known if name in found]
+
+
+def groups(names: Iterable[str]) -> dict[str, int]:
+    """How the structured names begin, and how many begin so."""
+    return dict(Counter(re.split(r"[.[]", name, maxsplit=1)[0] for name in names))
 
 
 def similar(name: str, known: Iterable[str]) -> str:

@@ -18,11 +18,25 @@ from fivebar.commands import options
     help="Another start value, in the variable's unit; once or more.",
 )
 @click.option("--method", metavar="NAME", help="Another item of solver.method, such as automatic.")
+@click.option(
+    "--outputs",
+    multiple=True,
+    metavar="NAMES",
+    help="Columns of the table: names, or how they begin, such as tip,energy.error; once or more. All unless told.",
+)
+@click.option("--no-pictures", is_flag=True, help="Write tables and the animated page alone.")
 @options.fmu()
 @options.out("./SCENE/")
 @click.option("--open", "open_page", is_flag=True, help="Show the animated page in the browser.")
 def run(
-    scene: str, changes: tuple[str, ...], method: str | None, fmu: Path | None, out: Path | None, open_page: bool
+    scene: str,
+    changes: tuple[str, ...],
+    method: str | None,
+    outputs: tuple[str, ...],
+    no_pictures: bool,
+    fmu: Path | None,
+    out: Path | None,
+    open_page: bool,
 ) -> int:
     """Run a scene: summary, CSV, pictures and an animated page.
 
@@ -31,21 +45,29 @@ def run(
     \b
     fivebar run fall_90_120 --open
     fivebar run swing --set link[1].mass=0.02 --set viscous.enabled=true --method automatic
-    fivebar run my_machine.json --out results
+    fivebar run my_machine.json --out results --outputs tip,theta --no-pictures
 
     Exit code 1 if a step failed; what there is until then is written.
     """
     from fivebar import scene as scenes
     from fivebar import simulate
     from fivebar.drive import Progress
+    from fivebar.progress import Line
     from fivebar.variables import of_unit
 
     ready = scenes.read(scene, of_unit(fmu))
     folder = Path(ready.name) if out is None else out
     options.check_folder(folder)
-    result = simulate.run(ready, method, options.assignments(changes), fmu, overlays=True, progress=Progress)
+    values = options.assignments(changes)
+    result = simulate.run(ready, method, values, fmu, overlays=True, progress=Progress, outputs=outputs)
     click.echo(result.summary())
-    files = result.save(folder)
+    line = Line()
+    try:
+        files = result.save(folder, not no_pictures, line.show)
+    finally:
+        line.finish()
+    if not outputs:
+        click.echo(f"\n{result.columns()}; --outputs NAMES writes some of them")
     options.written(files)
     if open_page:
         webbrowser.open(result.page(folder).resolve().as_uri())
