@@ -174,7 +174,13 @@ def test_a_file_with_an_odd_name_is_run(
 ) -> None:
     """Results go to a folder named after the file, and what they are named after it as well."""
     shown: list[str] = []
-    monkeypatch.setattr("webbrowser.open", shown.append)
+
+    def show(address: str) -> None:
+        """The page is there before tables and pictures, which take longer."""
+        assert [written.name for written in here.rglob("*.*") if written.is_file()] == [f"{file.stem}.html"]
+        shown.append(address)
+
+    monkeypatch.setattr("webbrowser.open", show)
     file = tmp_path / "CON .. ü%s.json"
     file.write_text(json.dumps(FALL), encoding="utf-8")
     assert main(["run", str(file), "--set", "gravity.g=0", "--open"]) == 0

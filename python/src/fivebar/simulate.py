@@ -147,11 +147,16 @@ class Result:
         return f"Columns: {', '.join(parts)}" + (f"; inputs: {', '.join(inputs)}" if inputs else "")
 
     def save(
-        self, folder: str | Path, draw: bool = True, progress: Callable[[str], None] = lambda _text: None
+        self,
+        folder: str | Path,
+        draw: bool = True,
+        show: bool = False,
+        progress: Callable[[str], None] = lambda _text: None,
     ) -> list[Path]:
-        """Writes tables, page and, if told to draw, pictures to a folder, and removes what an earlier run of the scene has left there.
+        """Writes page, tables and, if told to draw, pictures to a folder, and removes what an earlier run of the scene has left there.
 
-        Returns the files written; each is named to `progress` before.
+        The page is first, for the others take longer; `show` opens it in the browser as soon as it is there. Returns the files written; each
+        is named to `progress` before.
         """
         from fivebar import moving_picture, pictures
 
@@ -165,6 +170,9 @@ class Result:
             files.append(out / file)
             return files[-1]
 
+        page = self.animate(begin(f"{name}.html"))
+        if show:
+            webbrowser.open(page.resolve().as_uri())
         for i, run in enumerate(self.runs):
             self._write(begin(f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"), run)
         singularities.write(begin("singularities.csv"), self.singularities)
@@ -172,12 +180,7 @@ class Result:
             pictures.draw_all(begin, self.scene, self.runs, self.singularities)
             if moving_picture.wanted(self.own):
                 moving_picture.write(begin(ANIMATION), self.scene, self.own, self.singularities)
-        self.animate(begin(self.page(out).name))
         return files
-
-    def page(self, folder: str | Path) -> Path:
-        """The file that `save` writes the animated page to."""
-        return Path(folder) / f"{self.scene.name}.html"
 
 
 def run(

@@ -1,6 +1,5 @@
 """`fivebar run`: a scene through the unit."""
 
-import webbrowser
 from pathlib import Path
 
 import click
@@ -63,12 +62,10 @@ def run(
     click.echo(result.summary())
     line = Line()
     try:
-        files = result.save(folder, not no_pictures, line.show)
+        files = result.save(folder, draw=not no_pictures, show=open_page, progress=line.show)
     finally:
         line.finish()
     if not outputs:
         click.echo(f"\n{result.columns()}; --outputs NAMES writes some of them")
     options.written(files)
-    if open_page:
-        webbrowser.open(result.page(folder).resolve().as_uri())
     return 1 if result.failure else 0
