@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from fivebar.scene_file import OFFSETS
-from fivebar.twin.calibrate.data import Array
 from fivebar.twin.errors import TwinError
+from fivebar.twin.recording import Array
 from fivebar.twin.unit import Library
 
 Values = dict[str, float | int | bool]
