@@ -10,12 +10,10 @@ use std::sync::{LazyLock, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
 use rayon::prelude::*;
 
 use crate::independent::Independent;
-use crate::sticking::Sticking;
 use crate::watch::Watch;
 use crate::{Case, Extent};
 
@@ -72,33 +70,15 @@ impl Goal {
 
     /// End computed by the independent program.
     fn end(&self) -> Option<End> {
-        let Self { inputs, duration, .. } = self;
-        let parameters = &merged(&self.parameters);
+        let Self { parameters, inputs, duration } = self;
+        let start = Independent::new(parameters, inputs).start();
+        let parameters = &Independent::new(parameters, inputs).merged(&start);
         let program = Independent::new(parameters, inputs);
-        let start = program.start();
-        let effects = &parameters.effects;
-        let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
-            .contains(&(true, Law::Stick));
-        let after = |start| match sticks {
-            true => Sticking::new(parameters, inputs).after(start, *duration),
-            false => program.after(start, *duration),
-        };
+        let after = |start| program.followed(start, *duration);
         let angles = |start| after(start).map(|end| std::array::from_fn(|i| end[i]));
         let (angles, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
         Some(End { angles, allowed: WRONG.max(MULTIPLIED * apart(&angles, &other)) })
     }
-}
-
-/// With coaxial motors and equal links the inner joints turn by the same angle: one of them then has the friction of all three.
-fn merged(parameters: &Parameters) -> Parameters {
-    let mut merged = parameters.clone();
-    if parameters.geometry.base_distance == 0.0 {
-        let friction = &mut merged.effects.friction;
-        for torques in [&mut friction.coulomb, &mut friction.breakaway] {
-            (torques[1], torques[2], torques[3]) = (torques[1] + torques[2] + torques[3], 0.0, 0.0);
-        }
-    }
-    merged
 }
 
 /// The largest difference of two postures, rad, whole turns left out.

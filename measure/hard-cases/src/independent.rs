@@ -5,10 +5,12 @@
 //! No touch is stepped over by force: a step is never longer than what the fastest approach needs for the gap to the nearest stop or
 //! plane.
 
-use std::f64::consts::{E, SQRT_2, TAU};
+use std::f64::consts::{E, PI, SQRT_2, TAU};
 
 use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
+
+use crate::sticking::Sticking;
 
 /// Angles and rates of links 1 to 4, rad and rad/s.
 pub type Motion = [f64; 8];
@@ -16,17 +18,37 @@ pub type Motion = [f64; 8];
 /// The columns of the extrapolation.
 const COLUMNS: usize = 6;
 /// Error of a step, rad and a tenth of a rad/s.
-const TOLERANCE: f64 = 1e-11;
+const TOLERANCE: f64 = 1e-12;
 /// The longest step, s.
 const LONGEST: f64 = 5e-3;
 /// Joints as differences of links: left base, left elbow, tip, right elbow, right base.
 pub(crate) const JOINTS: [(usize, Option<usize>); 5] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
+/// The closure as this program sees it. With coaxial motors the links are vectors with the sum zero, those of the right leg pointing from the
+/// tip to the motors; where lengths are equal in pairs, a branch has equations that are regular in every posture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Closure {
+    /// Both legs end in the tip: singular where all links are in line.
+    Tip,
+    /// The vectors of each of these pairs of links are opposite.
+    Opposite([[usize; 2]; 2]),
+    /// The vectors of each of these pairs of links are mirror images in one axis: θ = x ± α, and x ± β, with a cos α + b cos β = 0.
+    Mirrored([[usize; 2]; 2]),
+}
+
+/// An equation of the closure: `gap` = 0; its second derivative is row·(accelerations of the links) − `drift`.
+struct Equation {
+    row: [f64; 4],
+    gap: f64,
+    drift: f64,
+}
+
 /// A scene as this program sees it.
 #[derive(Clone, Debug)]
 pub struct Independent<'a> {
-    scene: &'a Parameters,
+    pub(crate) scene: &'a Parameters,
     inputs: &'a Inputs,
+    closure: Closure,
 }
 
 fn along(angle: f64, length: f64) -> [f64; 2] {
@@ -34,13 +56,18 @@ fn along(angle: f64, length: f64) -> [f64; 2] {
 }
 
 impl<'a> Independent<'a> {
-    /// For the default orientation of gravity; rotors and payload are not known here, nor coaxial motors with links that differ.
+    /// For the default orientation of gravity; rotors are not known here. Equal links with coaxial motors make a parallelogram.
     pub fn new(scene: &'a Parameters, inputs: &'a Inputs) -> Self {
         let links = &scene.geometry.links;
         let equal = links.iter().all(|link| link.length == links[0].length);
-        assert!(scene.geometry.base_distance != 0.0 || equal, "with coaxial motors links have to be of equal length");
-        assert!(!scene.effects.rotor.enabled && !scene.effects.payload.enabled, "rotors and payload are not known here");
-        Self { scene, inputs }
+        let is_rhombus = scene.geometry.base_distance == 0.0 && equal;
+        Self::on(if is_rhombus { Closure::Opposite([[0, 2], [3, 1]]) } else { Closure::Tip }, scene, inputs)
+    }
+
+    /// As [`Independent::new`], with a closure that the scene has.
+    pub fn on(closure: Closure, scene: &'a Parameters, inputs: &'a Inputs) -> Self {
+        assert!(!scene.effects.rotor.enabled, "rotors are not known here");
+        Self { scene, inputs, closure }
     }
 
     /// The start, from the proximal angles and rates: tip to the left of the arrow from the left elbow to the right one.
@@ -63,6 +90,14 @@ impl<'a> Independent<'a> {
         let y = -left * a.cos() * wa + right * d.cos() * wd;
         let determinant = jb * kc - jc * kb;
         [a, b, c, d, wa, (x * kc - jc * y) / determinant, (jb * y - kb * x) / determinant, wd]
+    }
+
+    /// After `duration` seconds, with friction that sticks where the scene has it; `None` where the program gives up.
+    pub(crate) fn followed(&self, start: Motion, duration: f64) -> Option<Motion> {
+        let effects = &self.scene.effects;
+        let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
+            .contains(&(true, Law::Stick));
+        if sticks { Sticking::new(self.clone()).after(start, duration) } else { self.after(start, duration) }
     }
 
     /// After `duration` seconds; `None` where steps become too short.
@@ -133,42 +168,74 @@ impl<'a> Independent<'a> {
 
     /// The equations of motion and of closure in four accelerations and two multipliers; the last column is the right-hand side.
     pub(crate) fn equations(&self, state: &Motion) -> [[f64; 7]; 6] {
-        let [a, b, c, d, wa, wb, wc, wd] = *state;
         let links = &self.scene.geometry.links;
         let mut matrix = [[0.0; 7]; 6];
         let forces = self.forces(state);
-        // Each leg: proximal and distal link, their places, and the sign of the leg in the closure.
-        for ([proximal, distal], [angle, other], [rate, other_rate], sign) in
-            [([0, 1], [a, b], [wa, wb], 1.0), ([3, 2], [d, c], [wd, wc], -1.0)]
-        {
+        // Each leg: proximal and distal link, and what it carries.
+        for ([proximal, distal], payload) in [([0, 1], self.payload()), ([3, 2], 0.0)] {
+            let ([angle, rate], [other, other_rate]) = ([state[proximal], state[4 + proximal]], [state[distal], state[4 + distal]]);
             let (p, q) = (&links[proximal], &links[distal]);
-            let coupling = q.mass * p.length * q.com;
-            matrix[proximal][proximal] = p.inertia + p.mass * p.com * p.com + q.mass * p.length * p.length;
-            matrix[distal][distal] = q.inertia + q.mass * q.com * q.com;
+            let coupling = p.length * (q.mass * q.com + payload * q.length);
+            matrix[proximal][proximal] = p.inertia + p.mass * p.com * p.com + (q.mass + payload) * p.length * p.length;
+            matrix[distal][distal] = q.inertia + q.mass * q.com * q.com + payload * q.length * q.length;
             matrix[proximal][distal] = coupling * (angle - other).cos();
             matrix[distal][proximal] = matrix[proximal][distal];
             matrix[proximal][6] = forces[proximal] - coupling * (angle - other).sin() * other_rate * other_rate;
             matrix[distal][6] = forces[distal] + coupling * (angle - other).sin() * rate * rate;
-            for (link, angle, rate, length) in [(proximal, angle, rate, p.length), (distal, other, other_rate, q.length)] {
-                let [x, y] = along(angle, sign * length);
-                if self.is_rhombus() {
-                    continue;
-                }
-                matrix[4][link] = -y;
-                matrix[5][link] = x;
-                matrix[link][4] = -y;
-                matrix[link][5] = x;
-                matrix[4][6] += x * rate * rate;
-                matrix[5][6] += y * rate * rate;
-            }
         }
-        if self.is_rhombus() {
-            for (row, [link, other]) in [(4, [0, 2]), (5, [1, 3])] {
-                (matrix[row][link], matrix[link][row]) = (1.0, 1.0);
-                (matrix[row][other], matrix[other][row]) = (-1.0, -1.0);
+        for (row, equation) in [4, 5].into_iter().zip(self.closure(state)) {
+            for (link, by) in equation.row.into_iter().enumerate() {
+                (matrix[row][link], matrix[link][row]) = (by, by);
             }
+            matrix[row][6] = equation.drift;
         }
         matrix
+    }
+
+    /// Mass at the tip, kg, which the left leg carries.
+    fn payload(&self) -> f64 {
+        let payload = &self.scene.effects.payload;
+        if payload.enabled { payload.mass } else { 0.0 }
+    }
+
+    fn closure(&self, state: &Motion) -> [Equation; 2] {
+        let lengths = self.scene.geometry.lengths();
+        let vectors: [f64; 4] = std::array::from_fn(|link| state[link] + if link < 2 { 0.0 } else { PI });
+        match self.closure {
+            Closure::Tip => {
+                let arms: [[f64; 2]; 4] = std::array::from_fn(|link| along(vectors[link], lengths[link]));
+                let sum = |axis: usize, of: &dyn Fn(usize) -> f64| (0..4).map(|link| arms[link][axis] * of(link)).sum::<f64>();
+                let drift = |axis| sum(axis, &|link| state[4 + link].powi(2));
+                [
+                    Equation {
+                        row: arms.map(|[_, y]| -y),
+                        gap: sum(0, &|_| 1.0) - self.scene.geometry.base_distance,
+                        drift: drift(0),
+                    },
+                    Equation { row: arms.map(|[x, _]| x), gap: sum(1, &|_| 1.0), drift: drift(1) },
+                ]
+            }
+            Closure::Opposite(pairs) => pairs.map(|[one, other]| {
+                let mut row = [0.0; 4];
+                (row[one], row[other]) = (1.0, -1.0);
+                let apart = vectors[one] - vectors[other] - PI;
+                Equation { row, gap: apart - TAU * (apart / TAU).round(), drift: 0.0 }
+            }),
+            Closure::Mirrored(pairs) => {
+                let mut axes = Equation { row: [0.0; 4], gap: 0.0, drift: 0.0 };
+                let mut along_axis = Equation { row: [0.0; 4], gap: 0.0, drift: 0.0 };
+                for ([one, other], sign) in pairs.into_iter().zip([1.0, -1.0]) {
+                    (axes.row[one], axes.row[other]) = (sign, sign);
+                    axes.gap += sign * (vectors[one] + vectors[other]);
+                    let (half, rate) = (0.5 * (vectors[one] - vectors[other]), 0.5 * (state[4 + one] - state[4 + other]));
+                    let [x, y] = along(half, lengths[one]);
+                    (along_axis.row[one], along_axis.row[other]) = (-0.5 * y, 0.5 * y);
+                    along_axis.gap += x;
+                    along_axis.drift += x * rate * rate;
+                }
+                [axes, along_axis]
+            }
+        }
     }
 
     /// Generalised forces in the link angles, N·m.
@@ -183,10 +250,10 @@ impl<'a> Independent<'a> {
         }
         if effects.gravity.enabled {
             let g = effects.gravity.g;
-            for (proximal, distal) in [(0, 1), (3, 2)] {
+            for (proximal, distal, payload) in [(0, 1, self.payload()), (3, 2, 0.0)] {
                 let (p, q) = (&links[proximal], &links[distal]);
-                forces[proximal] -= g * (p.mass * p.com + q.mass * p.length) * angle[proximal].cos();
-                forces[distal] -= g * q.mass * q.com * angle[distal].cos();
+                forces[proximal] -= g * (p.mass * p.com + (q.mass + payload) * p.length) * angle[proximal].cos();
+                forces[distal] -= g * (q.mass * q.com + payload * q.length) * angle[distal].cos();
             }
         }
         for (joint, (first, second)) in JOINTS.into_iter().enumerate() {
@@ -261,39 +328,52 @@ impl<'a> Independent<'a> {
         [depth, push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width])]
     }
 
-    /// With coaxial motors and equal links opposite links stay parallel: a closure without singularities.
-    fn is_rhombus(&self) -> bool {
-        self.scene.geometry.base_distance == 0.0
-    }
-
     /// Back onto the closure: the nearest angles, and then rates.
-    pub fn closed(&self, state: Motion) -> Motion {
-        if self.is_rhombus() {
-            let mean = |i: usize, j: usize| 0.5 * (state[i] + state[j] - TAU * ((state[j] - state[i]) / TAU).round());
-            let [a, b] = [mean(0, 2), mean(3, 1)];
-            let [wa, wb] = [0.5 * (state[4] + state[6]), 0.5 * (state[5] + state[7])];
-            return [a, b, a, b, wa, wb, wa, wb];
-        }
-        let lengths = self.scene.geometry.links.map(|link| link.length);
-        let signs = [1.0, 1.0, -1.0, -1.0];
-        let mut state = state;
+    pub fn closed(&self, mut state: Motion) -> Motion {
         for round in 0..4 {
-            let arms: [[f64; 2]; 4] = std::array::from_fn(|i| along(state[i], signs[i] * lengths[i]));
-            let gap = match round {
-                3 => arms
-                    .iter()
-                    .enumerate()
-                    .fold([0.0; 2], |sum, (i, [x, y])| [sum[0] - y * state[4 + i], sum[1] + x * state[4 + i]]),
-                _ => arms.iter().fold([-self.scene.geometry.base_distance, 0.0], |sum, [x, y]| [sum[0] + x, sum[1] + y]),
-            };
-            let (xx, xy, yy) = arms.iter().fold((0.0, 0.0, 0.0), |(xx, xy, yy), [x, y]| (xx + y * y, xy - x * y, yy + x * x));
+            let [one, other] = self.closure(&state);
+            let dot = |x: &[f64; 4], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+            let gap = if round == 3 { [&one, &other].map(|equation| dot(&equation.row, &state[4..])) } else { [one.gap, other.gap] };
+            let (xx, xy, yy) = (dot(&one.row, &one.row), dot(&one.row, &other.row), dot(&other.row, &other.row));
             let determinant = xx * yy - xy * xy;
             let pull = [(yy * gap[0] - xy * gap[1]) / determinant, (xx * gap[1] - xy * gap[0]) / determinant];
-            for (i, [x, y]) in arms.into_iter().enumerate() {
-                state[i + if round == 3 { 4 } else { 0 }] -= -y * pull[0] + x * pull[1];
+            for link in 0..4 {
+                state[link + if round == 3 { 4 } else { 0 }] -= one.row[link] * pull[0] + other.row[link] * pull[1];
             }
         }
         state
+    }
+
+    /// The scene with the friction of joints that always turn by the same angle in one of them, and none in joints that do not turn: their
+    /// own torques are not unique. Which do is read off a motion.
+    pub(crate) fn merged(&self, state: &Motion) -> Parameters {
+        let mut merged = self.scene.clone();
+        // Rates of a joint that a motion on the closure can have.
+        let turns = JOINTS.map(|(first, second)| {
+            let mut rates = *state;
+            rates[4..].fill(0.0);
+            rates[4 + first] = 1.0;
+            if let Some(second) = second {
+                rates[4 + second] = -1.0;
+            }
+            let rates = self.closed(rates);
+            [rates[4], rates[5], rates[6], rates[7]]
+        });
+        let equal = |x: &[f64; 4], y: &[f64; 4], sign: f64| x.iter().zip(y).all(|(x, y)| (x - sign * y).abs() < 1e-12);
+        let friction = &mut merged.effects.friction;
+        for torques in [&mut friction.coulomb, &mut friction.breakaway] {
+            for joint in 0..JOINTS.len() {
+                let first = (0..joint).find(|first| [1.0, -1.0].iter().any(|sign| equal(&turns[*first], &turns[joint], *sign)));
+                let torque = torques[joint];
+                if equal(&turns[joint], &[0.0; 4], 1.0) {
+                    torques[joint] = 0.0;
+                } else if let Some(first) = first {
+                    torques[first] += torque;
+                    torques[joint] = 0.0;
+                }
+            }
+        }
+        merged
     }
 }
 

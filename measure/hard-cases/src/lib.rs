@@ -7,6 +7,7 @@
 pub mod books;
 pub mod cases;
 pub mod checks;
+pub mod coaxial;
 pub mod ends;
 pub mod gauss;
 pub mod horizon;

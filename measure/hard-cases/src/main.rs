@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Extent, Row, Setting, Verdict, books, checks, ends, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Setting, Verdict, books, checks, coaxial, ends, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -94,6 +94,18 @@ enum Task {
         #[arg(long, default_value_t = 0)]
         from: u64,
     },
+    /// Run random scenes with coaxial motors by every method against a second program; coaxial.csv goes to a folder
+    Coaxial {
+        /// The folder
+        #[arg(long)]
+        out: PathBuf,
+        /// How many scenes
+        #[arg(long, default_value_t = 5000)]
+        scenes: u64,
+        /// The number of the first, its seed
+        #[arg(long, default_value_t = 0)]
+        from: u64,
+    },
     /// Compute the ends of the independent programs in the random scenes with kinks, and add missing ones to a table
     Ends {
         /// The table
@@ -167,6 +179,12 @@ impl Task {
                 let rows = checks::measure(from, scenes);
                 checks::write_markdown(&rows, io::stdout())?;
                 Ok(rows.iter().all(checks::Row::is_met))
+            }
+            Self::Coaxial { out, scenes, from } => {
+                let rows = coaxial::measure(&Vec::from_iter(from..from + scenes), |complaint| eprintln!("{complaint}"));
+                coaxial::write_markdown(&rows, io::stdout())?;
+                coaxial::write_csv(&rows, file(&out, "coaxial.csv")?)?;
+                Ok(rows.iter().all(coaxial::Coaxial::is_met))
             }
             Self::Ends { table, only, count } => {
                 ends::add(&table, &only, count)?;

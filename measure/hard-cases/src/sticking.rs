@@ -2,7 +2,7 @@
 //! more constraint with a multiplier; at an event every pattern of sticking and slipping is tried against the law.
 
 use fivebar::effects::Law;
-use fivebar::simulation::{Inputs, Parameters};
+use fivebar::simulation::Parameters;
 
 use crate::independent::{Independent, JOINTS, Motion, eliminate, extrapolate};
 
@@ -49,9 +49,9 @@ impl Row {
 }
 
 impl<'a> Sticking<'a> {
-    /// As [`Independent::new`].
-    pub fn new(scene: &'a Parameters, inputs: &'a Inputs) -> Self {
-        Self { scene, program: Independent::new(scene, inputs) }
+    /// With the closure and loads of a program.
+    pub fn new(program: Independent<'a>) -> Self {
+        Self { scene: program.scene, program }
     }
 
     /// After `duration` seconds; `None` where steps become too short or events too many.
@@ -270,6 +270,11 @@ impl<'a> Sticking<'a> {
             }
             let holding = zero.iter().filter(|place| stick_slip[**place] == StickSlip::Holds).count();
             if if rests { holding != 2 } else { holding > 1 } {
+                continue;
+            }
+            // About the axis of coaxial motors all turns as one piece while one inner joint holds: a second one holds nothing more.
+            let inner = (1..TIP - 1).filter(|place| stick_slip[*place] == StickSlip::Holds).count();
+            if self.scene.geometry.base_distance == 0.0 && inner > 1 {
                 continue;
             }
             let (a, torques) = self.accelerations(state, &stick_slip);

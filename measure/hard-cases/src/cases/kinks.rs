@@ -121,7 +121,8 @@ fn fast_touch(random: &mut Random) -> (Parameters, Inputs, f64) {
     (parameters, NO_LOAD, duration)
 }
 
-fn limits(random: &mut Random, parameters: &mut Parameters) {
+/// Stops at the motors.
+pub(crate) fn limits(random: &mut Random, parameters: &mut Parameters) {
     let stop = &mut parameters.effects.stop;
     stop.enabled = true;
     for motor in 0..2 {
