@@ -113,11 +113,12 @@ struct Scene {
 }
 
 impl Scene {
-    /// Every effect with all lengths in as many scenes as there are pairs of them.
+    /// Successive numbers take every effect in turn, and every effect with other lengths each time.
     fn new(number: u64) -> Self {
         let random = &mut Random::new(number);
-        let effect = EFFECTS[number as usize % EFFECTS.len()];
-        let (lengths, kind) = LENGTHS[number as usize / EFFECTS.len() % LENGTHS.len()];
+        let (round, turn) = (number as usize / EFFECTS.len(), number as usize % EFFECTS.len());
+        let effect = EFFECTS[turn];
+        let (lengths, kind) = LENGTHS[(turn + round) % LENGTHS.len()];
         let mut parameters = default_parameters();
         parameters.geometry.base_distance = 0.0;
         parameters.settings.step_size = STEP;
