@@ -39,7 +39,7 @@ impl Imbalance {
 
 /// Error tolerance, rad, below which the balance of a step is round-off.
 const LEAST_TOLERANCE: f64 = 1e-11;
-/// Round-off of energies and work, in machine epsilons of their sizes.
+/// Round-off of energies and work, in machine epsilons of their sizes; of sines, in machine epsilons.
 const ROUND_OFF: f64 = 1e3;
 /// Distance from a singularity at which a sign may change, in displacements of a link that rates and accelerations at both ends of the
 /// step allow: two links turn, and between its ends a long step is not known.
@@ -126,7 +126,8 @@ fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f6
     if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
 }
 
-/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than the motion can have gone.
+/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than the motion can have gone. Where a
+/// branch is singular all along (folded legs), signs are those of round-off.
 #[cold]
 #[inline(never)]
 fn check_signs<const N: usize, const M: usize>(
@@ -135,7 +136,7 @@ fn check_signs<const N: usize, const M: usize>(
     changed: u8,
     reach: f64,
 ) -> Result<(), StepError> {
-    let admissible = REACH * reach;
+    let admissible = REACH * reach + ROUND_OFF * f64::EPSILON;
     for (determinant, sine) in system.determinants(&system.pose(to.q)).into_iter().enumerate() {
         if changed >> determinant & 1 == 1 && sine.abs() > admissible {
             return Err(StepError::SignWithoutSingularity { determinant, sine, admissible });

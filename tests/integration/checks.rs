@@ -1,6 +1,9 @@
 //! What a unit checks in each of its steps: faults of every kind are found by every kind of step, in the step in which they happen; right
 //! steps pass (`measure/hard-cases`, command `checks`, runs thousands of random scenes).
 
+use std::f64::consts::PI;
+
+use fivebar::hybrid::Law;
 use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes};
 use fivebar::integrator::{
     AccelerationTangents, CONFIGURATION_SIGNS, Events, Features, Implicit, Kkt, Passage, Path, State, StepError, System,
@@ -257,5 +260,25 @@ fn steps_of_fixed_length_are_counted() {
         assert_eq!(count(1e-4, true), 0, "{method:?}");
         assert!(count(2e-2, true) > 0, "{method:?}");
         assert_eq!(count(2e-2, false), 0, "{method:?}");
+    }
+}
+
+/// Folded legs are singular all along, so that the signs of their bends are those of round-off, also while friction holds everything.
+#[test]
+fn folded_legs_that_come_to_rest_are_not_stopped() {
+    for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
+        for motor in 0..40 {
+            let mut parameters = default_parameters();
+            parameters.geometry.base_distance = 0.0;
+            parameters.settings.method = method;
+            let friction = &mut parameters.effects.friction;
+            (friction.enabled, friction.law) = (true, Law::Stick);
+            (friction.coulomb, friction.breakaway) = ([0.5; 5], [0.6; 5]);
+            let [left, right] = [0.3 + 0.07 * f64::from(motor), -1.1 + 0.05 * f64::from(motor)];
+            let (theta, omega) = ([left, left + PI, right - PI, right], [2.0, 2.0, -1.0, -1.0]);
+            let mut simulation = Simulation::at(&parameters, &default_inputs(), theta, omega).expect("a scene");
+            let done = simulation.advance(&default_inputs(), 1e-3, 100);
+            done.unwrap_or_else(|failure| panic!("{method:?}, {motor}: {failure}"));
+        }
     }
 }

@@ -41,20 +41,24 @@ pub(crate) fn run(quick: bool) -> Result<()> {
     let out = folder();
     fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", paths::short(&out)))?;
     let unoptimised = unoptimised_fingerprint(&out)?;
-    let mut battery = battery();
-    battery.args(["run", "--out"]).arg(&out);
-    battery.arg("--unoptimised").arg(unoptimised);
+    let mut cases = battery();
+    cases.args(["run", "--out"]).arg(&out);
+    cases.arg("--unoptimised").arg(unoptimised);
     if quick {
-        battery.arg("--quick");
+        cases.arg("--quick");
     }
     // Its tables are worth drawing above all when a case fails.
     let table = out.join("hard-cases.csv");
     remove(&table)?;
-    let outcome = process::run(&mut battery);
+    let outcome = process::run(&mut cases);
     ensure!(table.is_file(), outcome.map_or_else(|error| format!("{error:#}"), |()| "the battery wrote no table".into()));
     process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases.py").arg("--folder").arg(&out))?;
-    outcome
-        .with_context(|| format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md"))))
+    outcome.with_context(|| {
+        format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md")))
+    })?;
+    let scenes = if quick { "14" } else { "420" };
+    process::run(battery().args(["coaxial", "--scenes", scenes, "--out"]).arg(&out))
+        .with_context(|| format!("a run with coaxial motors is wrong; {} says which", paths::short(&out.join("coaxial.csv"))))
 }
 
 /// The folder of tables and pictures.

@@ -333,7 +333,8 @@ impl<'a> Independent<'a> {
         for round in 0..4 {
             let [one, other] = self.closure(&state);
             let dot = |x: &[f64; 4], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-            let gap = if round == 3 { [&one, &other].map(|equation| dot(&equation.row, &state[4..])) } else { [one.gap, other.gap] };
+            let gap =
+                if round == 3 { [&one, &other].map(|equation| dot(&equation.row, &state[4..])) } else { [one.gap, other.gap] };
             let (xx, xy, yy) = (dot(&one.row, &one.row), dot(&one.row, &other.row), dot(&other.row, &other.row));
             let determinant = xx * yy - xy * xy;
             let pull = [(yy * gap[0] - xy * gap[1]) / determinant, (xx * gap[1] - xy * gap[0]) / determinant];

@@ -8,7 +8,9 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Extent, Row, Setting, Verdict, books, checks, coaxial, ends, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::{
+    Case, Extent, Row, Setting, Verdict, books, checks, coaxial, ends, horizon, speed, step_times, write_csv, write_markdown,
+};
 
 /// The battery of hard cases
 #[derive(Parser)]

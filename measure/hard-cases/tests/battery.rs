@@ -1,10 +1,11 @@
 //! A sample of the battery, one test per item of its list; `cargo xtask hard-cases` runs it in full.
 
 use std::process::Command;
+use std::sync::Mutex;
 
 use hard_cases::books::{self, Books, Sample};
 use hard_cases::cases::{bits_row, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, checks, speed};
+use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, checks, coaxial, speed};
 
 /// The judged settings meet the demands of every case of an item.
 fn hold(item: u8) {
@@ -166,4 +167,15 @@ fn what_is_dissipated_is_never_taken_back() {
     let rows: Vec<Books> = samples.iter().flat_map(|sample| books::measure(sample, |_| ())).collect();
     let wrong: Vec<String> = rows.iter().filter(|row| !row.is_met()).map(Books::to_string).collect();
     assert!(rows.len() == 10 * (4 + 4 + 2 + 1) && wrong.is_empty(), "{} rows, {}", rows.len(), wrong.join("\n"));
+}
+
+/// Every effect, and all lengths: each run that ends with OK ends where a program without the library's code ends.
+#[test]
+fn machines_with_coaxial_motors_stay_on_their_branch() {
+    let complaints = Mutex::new(Vec::new());
+    let note = |complaint: &str| complaints.lock().expect("no panic").push(complaint.to_owned());
+    let rows = coaxial::measure(&Vec::from_iter(0..14), note);
+    let complaints = complaints.into_inner().expect("no panic").join("\n");
+    assert_eq!(rows.len(), 14 + 6 + 1);
+    assert!(rows.iter().all(coaxial::Coaxial::is_met), "{complaints}");
 }
