@@ -151,7 +151,49 @@ fn write((parameters, inputs): &mut (Parameters, Inputs), (variable, value): (&s
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::path::Path;
+
     use super::*;
+    use fivebar::simulation::{Method, Simulation};
+
+    /// Every scene by every method that checks its steps, at tolerances from loose to tight; the conserving one at two steps.
+    #[test]
+    fn no_check_stops_a_shipped_scene() {
+        let nightly = std::env::var_os("FIVEBAR_NIGHTLY").is_some();
+        let (milliseconds, every) = if nightly { (1000, 1) } else { (200, 4) };
+        let tolerances = (0..=8).step_by(every).map(|digits| 1e-3 * 10_f64.powi(-digits));
+        let by_tolerance = |method| tolerances.clone().map(move |tolerance| (method, tolerance, 1e-3));
+        let mut ways: Vec<(Method, f64, f64)> =
+            [Method::I3alp, Method::Dop853, Method::Automatic].into_iter().flat_map(by_tolerance).collect();
+        ways.extend([1e-3, 2.5e-4].map(|step| (Method::I3alpConserving, 3e-9, step)));
+        let names: Vec<String> = fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes"))
+            .expect("a folder")
+            .filter_map(|file| Some(file.ok()?.file_name().to_str()?.strip_suffix(".json")?.to_owned()))
+            .collect();
+        assert!(names.len() > 20);
+        for name in names {
+            for &(method, tolerance, step) in &ways {
+                let (mut parameters, inputs) = load(&name, 1e-3 * f64::from(milliseconds)).expect("a shipped scene");
+                let settings = &mut parameters.settings;
+                (settings.method, settings.error_tolerance, settings.step_size) = (method, tolerance, step);
+                // A fixed step cannot end where friction sticks.
+                let Ok(mut simulation) = Simulation::new(&parameters, &inputs[0]) else {
+                    assert_eq!(method, Method::I3alpConserving, "{name}");
+                    continue;
+                };
+                for millisecond in 0..milliseconds as usize {
+                    let input = inputs[millisecond.min(inputs.len() - 1)];
+                    let done = simulation.advance(&input, step, (1e-3 / step).round() as u64);
+                    assert!(
+                        done.is_ok(),
+                        "{name}, {method:?}, {tolerance:e} rad, {step} s, {millisecond} ms: {}",
+                        done.unwrap_err()
+                    );
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_scene_is_what_its_file_says() {

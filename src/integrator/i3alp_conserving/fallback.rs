@@ -258,7 +258,7 @@ where
         projected.ok_or(StepError::FallbackFailed)
     }
 
-    /// Projects this increment, m and rad, and scales its velocity to the energy.
+    /// Projects this increment, m and rad, and scales its velocity to the energy; `None` where rates of that size do not lead so far.
     fn project_end(
         &self,
         settings: &Settings,
@@ -290,6 +290,8 @@ where
             return None;
         }
         let scaled = (wanted / got).sqrt() * v;
-        scaled.is_finite().then_some(ConservingEnd { x: None, d, acting: v, v: scaled, secant })
+        // Next to a vertex equilibrium asks for any acceleration, and a long increment may be projected onto another assembly.
+        let reach = h * (system.error_norm(&v0) + system.error_norm(&scaled));
+        (scaled.is_finite() && system.error_norm(&d) <= reach).then_some(ConservingEnd { x: None, d, acting: v, v: scaled, secant })
     }
 }
