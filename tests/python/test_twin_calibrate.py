@@ -18,7 +18,7 @@ import pytest
 from fivebar import scene as scenes_of
 from fivebar.commands import main
 from fivebar.scene_file import OFFSETS
-from fivebar.twin import record, setup
+from fivebar.twin import record, recording, setup
 from fivebar.twin import scene as twin_scene
 from fivebar.twin.calibrate import command, data, fit, motion, parameters, pictures, propose, scenes, trials
 from fivebar.twin.config import Config
@@ -260,7 +260,7 @@ def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) ->
     truth = np.array([1.2, 0.9, 1.001, 1.001])
     unknowns = parameters.parameters(names, library, WEIGHTLESS)
     columns = made(library, names, truth.tolist(), 1.2, base=WEIGHTLESS)
-    samples = data.split(columns.pop("time"), columns, [])
+    samples = data.split(recording.of("a record", columns.pop("time"), columns, []))
     device = motion.Machine(library, WEIGHTLESS, unknowns)
     free, result = (
         command.calibrate(device, samples, "rate", 10.0, lambda _: None, taken=taken)
@@ -281,7 +281,7 @@ def test_derivatives_are_those_at_the_solution(library: Library) -> None:
     stiff = WEIGHTLESS | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 20.0), ("kd", 0.5)) for i in (1, 2)}
     columns = made(library, names, [1.2, 0.95, 1.05], 1.2, base=stiff)
     device = motion.Machine(library, stiff, parameters.parameters(names, library, stiff))
-    fitter = fit.Fitter(device, data.split(columns.pop("time"), columns, []), "rate", 10.0, lambda _: None)
+    fitter = fit.Fitter(device, data.split(recording.of("a record", columns.pop("time"), columns, [])), "rate", 10.0, lambda _: None)
     found = fitter.run()
     device.close()
     error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
