@@ -281,7 +281,9 @@ def test_derivatives_are_those_at_the_solution(library: Library) -> None:
     stiff = WEIGHTLESS | {f"servo.{gain}[{i}]": value for gain, value in (("kp", 20.0), ("kd", 0.5)) for i in (1, 2)}
     columns = made(library, names, [1.2, 0.95, 1.05], 1.2, base=stiff)
     device = motion.Machine(library, stiff, parameters.parameters(names, library, stiff))
-    fitter = fit.Fitter(device, data.split(recording.of("a record", columns.pop("time"), columns, [])), "rate", 10.0, lambda _: None)
+    fitter = fit.Fitter(
+        device, data.split(recording.of("a record", columns.pop("time"), columns, [])), "rate", 10.0, lambda _: None
+    )
     found = fitter.run()
     device.close()
     error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
