@@ -105,7 +105,7 @@ export function quantity(value, unit) {
 export const SYMBOLS = {
   automatic: { form: "disc", colour: "left" },
   dop853: { form: "square", colour: "right" },
-  i3alp: { form: "triangle", colour: "trace" },
+  i3alp: { form: "triangle", colour: "tip" },
   i3alpConserving: { form: "diamond", colour: "direct" },
   i3alpPrinted: { form: "cross", colour: "muted" },
   rk4: { form: "ring", colour: "ink" },

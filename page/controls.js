@@ -5,7 +5,6 @@ import { part } from "./source.js";
 import { SPEEDS } from "./settings.js";
 
 const SPEED_NAMES = { 0.01: "1/100", 0.1: "1/10", 0.25: "1/4", 1: "1×", 4: "4×" };
-const SIDES = { plusPlus: "+ +", plusMinus: "+ −", minusPlus: "− +", minusMinus: "− −" };
 
 // An element with properties and children.
 function make(tag, properties = {}, ...children) {
@@ -199,7 +198,7 @@ export class Controls {
     by("time").textContent = now.time.toFixed(3);
     by("error").textContent = `${powerOfTen(now["energy.error"])} J`;
     by("assembly").textContent = settings.written("mode.assembly", now["mode.assembly"]);
-    by("working").textContent = SIDES[settings.written("mode.working", now["mode.working"])];
+    by("working").textContent = settings.written("mode.working", now["mode.working"]);
     by("direct").textContent = counts.direct;
     by("inverse").textContent = counts.inverse;
   }

@@ -257,10 +257,10 @@ class Page {
     this.pictured = moment;
     const { colours } = this;
     const curves = [
-      { label: "kinetic", colour: colours.left },
-      { label: "potential", colour: colours.right, dash: [7, 3] },
-      { label: "dissipated", colour: colours.direct, dash: [2, 3] },
-      { label: "input", colour: colours.trace, dash: [9, 3, 2, 3] },
+      { label: "kinetic", colour: colours.accent },
+      { label: "potential", colour: colours.ink, dash: [7, 3] },
+      { label: "dissipated", colour: colours.muted, dash: [2, 3] },
+      { label: "input", colour: colours.ghost, dash: [9, 3, 2, 3] },
     ];
     drawHistory(element("energy"), this.energies, curves, "J", colours);
     if (this.settings.chaos) drawHistory(element("apart"), this.distances, [{ label: this.apart(), colour: colours.ghost }], "m", colours, [-9, 0]);

@@ -74,7 +74,7 @@ export class View {
 
   restyle() {
     const style = getComputedStyle(document.documentElement);
-    const names = ["paper", "reach", "grid", "ink", "muted", "left", "right", "direct", "inverse", "trace", "hand", "ghost", "solid"];
+    const names = ["paper", "reach", "grid", "ink", "muted", "left", "right", "tip", "direct", "inverse", "hand", "ghost", "solid", "accent"];
     this.colours = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
     this.stale = true;
   }
@@ -238,7 +238,7 @@ export class View {
   drawTraces() {
     const { context } = this;
     this.traces.forEach((trace, which) => {
-      context.strokeStyle = this.colour(which ? "ghost" : "trace");
+      context.strokeStyle = this.colour(which ? "ghost" : "tip");
       context.lineWidth = which ? 1.25 : 1.75;
       // Older parts are fainter: a few pieces, each of one colour.
       const pieces = 8;
@@ -301,7 +301,7 @@ export class View {
     for (const motor of motors) joint(motor, 0.62 * width, this.colour("paper"));
     for (const elbow of elbows) joint(elbow, 0.5 * width, this.colour("paper"));
     const mass = this.settings.value("payload.enabled") ? this.settings.value("payload.mass") : 0;
-    joint(tip, 0.7 * width + 22 * Math.sqrt(Math.min(mass, 1)), this.colour(faint ? "ghost" : "solid"));
+    joint(tip, 0.7 * width + 22 * Math.sqrt(Math.min(mass, 1)), this.colour(faint ? "ghost" : "tip"));
     context.globalAlpha = 1;
   }
 

@@ -481,7 +481,7 @@ def test_the_rim_of_the_reach_is_reached() -> None:
         ),
         (
             lambda: PAPER.inverse((0.21, 0.3), OUT, "minus"),
-            ("tip = (0.21, 0.3) m lies in the other assembly in working mode minus, plus: it needs assembly plus."),
+            ("tip = (0.21, 0.3) m lies in the other assembly in working mode minusPlus: it needs assembly plus."),
         ),
         (lambda: PAPER.inverse((0.21, np.nan)), "tip = (0.21, nan) m: it must be finite."),
         (lambda: PAPER.inverse((0.21, np.inf)), "tip = (0.21, inf) m: it must be finite."),

@@ -19,6 +19,7 @@ from websockets.exceptions import InvalidStatus
 
 from browser import open_browser
 from conftest import PATIENCE, wait_until
+from fivebar.colours import COLOURS
 from fivebar.twin import dashboard, scene
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.dashboard import FILES, KEPT, TRAIL, Pace, Server, packet_from, topic_of
@@ -325,8 +326,9 @@ def test_colours_of_the_page_are_told_apart(cones: str) -> None:
     light, dark = (
         dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", text, re.DOTALL)
     )
-    for colours in (light, dark):
-        seen = {name: lab(colours[name], SEEN[cones]) for name in ("left", "right", "tip", "direct", "inverse", "ink")}
+    for colours in (light | COLOURS, dark | COLOURS):
+        names = ("left", "right", "tip", "direct", "inverse", "combined", "ink")
+        seen = {name: lab(colours[name], SEEN[cones]) for name in names}
         for (a, one), (b, other) in itertools.combinations(seen.items(), 2):
             assert np.linalg.norm(one - other) > 20, (a, b, colours[a], colours[b])
         for state in ("good", "bad"):

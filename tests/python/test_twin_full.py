@@ -26,6 +26,7 @@ from websockets.sync.client import connect
 
 from browser import open_browser
 from conftest import PATIENCE, REPOSITORY, started, wait_until
+from fivebar.colours import COLOURS
 from fivebar.twin import figures
 from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
@@ -464,9 +465,10 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         shot = np.asarray(
             Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")
         ).astype(int)
-        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x12, 0xB8, 0x86), 800), ((0xE8, 0x59, 0x0C), 60)):
+        for part, least in (("left", 800), ("right", 800), ("tip", 60)):
+            colour = [int(COLOURS[part][i : i + 2], 16) for i in (1, 3, 5)]
             seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
-            assert seen > least, f"{seen} points of {colour}: left leg, right leg, tip"
+            assert seen > least, f"{seen} points of {part}"
         # The fan of the forecast: the tip's colour, thin over the page.
         fan = (shot[..., 0] > 245) & (shot[..., 2] < 242) & (shot[..., 1] < 248) & (shot[..., 2] > 140)
         assert fan.sum() > 40, f"{fan.sum()} points of the fan"

@@ -17,7 +17,8 @@ import matplotlib.pyplot as plt
 from fmpy.model_description import ModelDescription
 from matplotlib.axes import Axes
 
-from fivebar.drawing import FAINT, INK, LEFT, TIP, plane, thinned
+from fivebar.colours import LEFT, TIP
+from fivebar.drawing import FAINT, INK, plane, thinned
 from fivebar.drive import Progress, Run, drive
 from fivebar.scene import Scene, Variant, read
 from fivebar.variables import Variables

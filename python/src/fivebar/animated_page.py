@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fivebar.borders import REACH, outline
+from fivebar.colours import STYLE_SHEET
 from fivebar.drawing import plane
 from fivebar.drive import Run
 from fivebar.kinematics import GEOMETRY, Machine
@@ -46,6 +47,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
     page = TEMPLATE.read_text(encoding="utf-8")
     page = (
         page.replace("{{title}}", html.escape(scene.name))
+        .replace("{{colours}}", STYLE_SHEET.read_text(encoding="utf-8"))
         .replace("{{reach}}", REACH.read_text(encoding="utf-8"))
         .replace("{{data}}", packed)
     )

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 # The page and the moving picture are made without matplotlib, whose import takes longer than most runs.
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
-KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}
-LEFT, RIGHT, TIP, INK, FAINT, BARRIER = "#1864ab", "#2b8a3e", "#e8590c", "#212529", "#adb5bd", "#f1f3f5"
+INK, FAINT, BARRIER = "#212529", "#adb5bd", "#f1f3f5"
 WRONG = "#c2255c"
+
+ABOVE: Final[dict[str, Any]] = {"loc": "lower right", "bbox_to_anchor": (1, 1.0), "borderaxespad": 0.2}
+"""Place of a legend above its axes."""
 
 STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
@@ -113,7 +115,20 @@ def run_label(run: Run) -> str:
 def ordered_legend(axes: "Axes", count: int) -> None:
     """A legend above the axes, the scene's own run first."""
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles[::-1], labels[::-1], ncols=count, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+    axes.legend(handles[::-1], labels[::-1], ncols=count, **ABOVE)
+
+
+def legend_above(axes: "Axes", columns: int = 4) -> None:
+    """A legend above the axes, where no curve is."""
+    axes.legend(ncols=columns, **ABOVE)
+
+
+def legend_below(axes: "Axes", columns: int = 4) -> None:
+    """A legend below the only axes of a figure whose title needs the room above them."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.legend(handles, labels, ncols=columns, loc="outside lower center")
 
 
 def positive(values: np.ndarray) -> np.ndarray:

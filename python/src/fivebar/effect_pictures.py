@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fivebar.drawing import BARRIER, FAINT, INK, LEFT, RIGHT, TIP, panels, plane, thinned, time_axis
+from fivebar.colours import LEFT, RIGHT, TIP
+from fivebar.drawing import BARRIER, FAINT, INK, legend_above, panels, plane, thinned, time_axis
 from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import Event
@@ -48,7 +49,7 @@ def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     errors.set_ylabel("reference − angle\n(deg)")
     torques.set_ylabel("servo torque  (mN·m)")
     angles.set_title(f"{scene.name}: servos")
-    _legend(angles)
+    legend_above(angles)
     time_axis(torques, [run])
     return figure
 
@@ -89,7 +90,7 @@ def contact(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     _curve(forces, run, force[1] * normal[0] - force[0] * normal[1], RIGHT, label="friction, along (−ny, nx)")
     forces.set_ylabel("force on the tip  (N)")
     gap.set_title(f"{scene.name}: contact of the tip with the plane")
-    _legend(forces)
+    legend_above(forces)
     time_axis(forces, [run])
     return figure
 
@@ -109,7 +110,3 @@ def _limits(axes: "Axes", limit: float) -> None:
     if max(map(abs, axes.get_ylim())) > limit / 2:
         for value in (-limit, limit):
             axes.axhline(value, color=FAINT, linewidth=1, linestyle="--")
-
-
-def _legend(axes: "Axes") -> None:
-    axes.legend(ncols=4, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)

@@ -32,6 +32,12 @@ Floats = NDArray[np.float64]
 WORKING_MODES: tuple[Working, ...] = (("minus", "plus"), ("plus", "plus"), ("minus", "minus"), ("plus", "minus"))
 """The four working modes; the first has its elbows apart where the tip is above the motors."""
 
+
+def mode_name(working: Working) -> str:
+    """Such as `minusPlus`, as the unit's `mode.working` has it."""
+    return working[0] + working[1].capitalize()
+
+
 GEOMETRY = ("base.distance", "link[1].length", "link[2].length", "link[3].length", "link[4].length")
 """Names of the lengths that make a machine."""
 
@@ -206,7 +212,7 @@ class Machine:
             if np.any(beyond):
                 at, count = _first(beyond)
                 raise FiveBarError(
-                    f"{_item('tip', tip, at, 'm')} lies in the other assembly in working mode {working[0]}, {working[1]}: "
+                    f"{_item('tip', tip, at, 'm')} lies in the other assembly in working mode {mode_name(working)}: "
                     f"it needs assembly {'minus' if assembly == 'plus' else 'plus'}{count}."
                 )
         return posture

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fivebar.borders import REACH, outline, shown
+from fivebar.colours import STYLE_SHEET
 from fivebar.workspace import Map, Mode
 from fivebar.workspace_pictures import KAPPAS, force_levels, load_words, scale_colours
 
@@ -43,6 +44,7 @@ def write(survey: Map, file: Path) -> Path:
     page = TEMPLATE.read_text(encoding="utf-8")
     page = (
         page.replace("{{title}}", html.escape(scene.name))
+        .replace("{{colours}}", STYLE_SHEET.read_text(encoding="utf-8"))
         .replace("{{reach}}", REACH.read_text(encoding="utf-8"))
         .replace("{{data}}", packed)
     )

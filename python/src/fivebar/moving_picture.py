@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fivebar.drawing import BARRIER, FAINT, INK, KIND_COLOURS, LEFT, RIGHT, TIP, extent, plane, thinned
+from fivebar.colours import KIND_COLOURS, LEFT, RIGHT, TIP
+from fivebar.drawing import BARRIER, FAINT, INK, extent, plane, thinned
 from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import PAIRS, Event, alignments

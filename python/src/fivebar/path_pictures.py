@@ -12,8 +12,9 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from fivebar.borders import direct_curves, stop_curves
-from fivebar.drawing import thinned
-from fivebar.kinematics import SIDES, Machine, Working
+from fivebar.colours import LEFT, RIGHT, TIP
+from fivebar.drawing import WRONG, thinned
+from fivebar.kinematics import SIDES, Machine, Working, mode_name
 from fivebar.paths import Blocked, Limits, Outcome, Plan, strokes_of
 from fivebar.scene import Scene
 from fivebar.strokes import Drawing, points_of
@@ -21,12 +22,11 @@ from fivebar.workspace_pictures import (
     BLACK,
     GREY,
     MM,
-    PURPLE,
     SKY,
     STYLE,
-    VERMILLION,
     WHITE,
     chain,
+    draw_legs,
     draw_loci,
     hide_outside,
 )
@@ -75,11 +75,10 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
         sheet = place(0.75, top, wide, high)
         top += high + 0.85
         error, torque = place(0.75, top, 2.75, heights[2]), place(4.2, top, 2.75, heights[2])
-        left, right = made.working
         figure.text(
             0.15 / size[0],
             1 - 0.22 / size[1],
-            f"{made.scene.name} draws {name} in working mode {left}{right.capitalize()}",
+            f"{made.scene.name} draws {name} in working mode {mode_name(made.working)}",
             va="center",
             fontsize=11,
         )
@@ -114,9 +113,9 @@ def draw_blocked(
             handles = _background(axes, scene, machine, working)
             # One artist: drawings have up to 100,000 strokes.
             axes.add_collection(
-                LineCollection([stroke * MM for stroke in strokes], colors=PURPLE, linewidths=1.3, zorder=7)
+                LineCollection([stroke * MM for stroke in strokes], colors=TIP, linewidths=1.3, zorder=7)
             )
-            axes.plot(*(blocked.place * MM), "X", color=VERMILLION, markeredgecolor=WHITE, markersize=11, zorder=10)
+            axes.plot(*(blocked.place * MM), "X", color=WRONG, markeredgecolor=WHITE, markersize=11, zorder=10)
         points = np.concatenate([*strokes, blocked.place[None]])
         _frame(whole, np.concatenate([points, _corners(machine)]), 0.03)
         low, high = points.min(axis=0), points.max(axis=0)
@@ -124,10 +123,8 @@ def draw_blocked(
         _frame(near, np.stack([blocked.place - half, blocked.place + half]), 0.0)
         whole.set_title("a  The drawing and what bounds it", fontsize=9)
         near.set_title("b  The place where it is blocked", fontsize=9)
-        handles.append(Line2D([], [], color=PURPLE, linewidth=1.3, label=f"{name}"))
-        handles.append(
-            Line2D([], [], color=VERMILLION, marker="X", markersize=9, linestyle="none", label="blocked here")
-        )
+        handles.append(Line2D([], [], color=TIP, linewidth=1.3, label=f"{name}"))
+        handles.append(Line2D([], [], color=WRONG, marker="X", markersize=9, linestyle="none", label="blocked here"))
         figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 0.0), frameon=False, ncols=1)
         figure.text(0.02, 0.97, _broken(str(blocked)), va="top", fontsize=9)
         return _save(figure, folder, "blocked")
@@ -194,11 +191,11 @@ def _background(axes: Axes, scene: Scene, machine: Machine, working: Working) ->
 def _overview(axes: Axes, made: Plan) -> None:
     _background(axes, made.scene, made.machine, made.working)
     for part in strokes_of(made.tip, made.pen):
-        axes.plot(*(part.T * MM), color=PURPLE, linewidth=0.9, zorder=7)
+        axes.plot(*(part.T * MM), color=TIP, linewidth=0.9, zorder=7)
     row = int(np.argmax(made.pen))
     joints = chain(made.machine, made.theta[row], made.tip[row]) * MM
     axes.plot(*joints.T, color=WHITE, linewidth=3.6, zorder=7.9, solid_joinstyle="round")
-    axes.plot(*joints.T, color=BLACK, linewidth=1.6, zorder=8, solid_joinstyle="round", marker="o", markersize=3)
+    draw_legs(axes, joints, 1.6)
     _frame(axes, np.concatenate([_corners(made.machine), joints / MM]), 0.03)
 
 
@@ -244,13 +241,13 @@ def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes, window: Floats) -> None
             tuple(window[0] * MM),
             *((window[1] - window[0]) * MM),
             fill=False,
-            edgecolor=VERMILLION,
+            edgecolor=WRONG,
             linewidth=1.0,
             zorder=8,
         )
     )
     for spine in axes.spines.values():
-        spine.set_edgecolor(VERMILLION)
+        spine.set_edgecolor(WRONG)
 
 
 def _shade(axes: Axes, made: Plan) -> None:
@@ -275,7 +272,7 @@ def _errors(axes: Axes, outcome: Outcome) -> None:
 def _torques(axes: Axes, outcome: Outcome, limits: Limits) -> None:
     made = outcome.plan
     _shade(axes, made)
-    for leg, colour, width in ((0, BLACK, 1.2), (1, VERMILLION, 0.8)):
+    for leg, colour, width in ((0, LEFT, 1.2), (1, RIGHT, 0.8)):
         most = limits.torques[leg]
         label = f"{SIDES[leg]} motor" + (f", limit {most:g} N·m" if np.isfinite(most) else "")
         axes.plot(

@@ -18,7 +18,7 @@ from fivebar import table
 from fivebar.borders import Obstacles, borders, stop_margin
 from fivebar.demand import Demand
 from fivebar.errors import FiveBarError
-from fivebar.kinematics import SIDES, Machine, Working
+from fivebar.kinematics import SIDES, Machine, Working, mode_name
 from fivebar.pieces import Piece, Timing
 from fivebar.scene import Scene
 from fivebar.simulate import Result
@@ -256,7 +256,7 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
 
     A span of a curve is free if its middle is farther from every border than either half is long; others are halved.
     """
-    name = working[0] + working[1].capitalize()
+    name = mode_name(working)
     if machine.is_degenerate(working):
         raise FiveBarError(
             f"In working mode {name} every posture of this machine is a direct singularity: it needs another mode"
@@ -357,8 +357,7 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
         if not key.startswith(("init.", "servo.theta", "servo.omega"))
     }
     values |= made.scene.offsets
-    left, right = made.working
-    text = f"The machine of {made.scene.name} draws {name}: {made.drawn:.3g} m of lines in {made.time[-1]:.4g} s, in working mode {left}, {right}."
+    text = f"The machine of {made.scene.name} draws {name}: {made.drawn:.3g} m of lines in {made.time[-1]:.4g} s, in working mode {mode_name(made.working)}."
     kept = _knots(made.tip)
     knots = {
         f"tip.{axis}": {"linear": list(zip(made.time[kept].tolist(), made.tip[kept, i].tolist()))}

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fivebar import effect_pictures
+from fivebar.colours import KIND_COLOURS, LEFT, RIGHT, TIP
 from fivebar.drawing import (
     FAINT,
     INK,
-    KIND_COLOURS,
-    LEFT,
-    RIGHT,
     RUN_COLOURS,
     STYLE,
-    TIP,
     drawing_order,
     extent,
     full_decades,
     lay_out,
+    legend_above,
+    legend_below,
     ordered_legend,
     panels,
     positive,
@@ -86,7 +85,7 @@ def curves(run: Run, names: Sequence[str]) -> "Figure":
             for i, name in enumerate(group):
                 axes.plot(*thinned(run.time, run[name]), color=RUN_COLOURS[i % len(RUN_COLOURS)], label=name)
             axes.set_ylabel(f"({unit})" if len(group) > 1 else f"{group[0]}  ({unit})")
-            axes.legend(loc="best")
+            legend_above(axes)
         time_axis(rows[-1], [run])
     return figure
 
@@ -120,7 +119,7 @@ def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
         for i, other in drawing_order(runs):
             right.plot(other["tip.x"], other["tip.y"], color=RUN_COLOURS[i % 5], label=run_label(other), **run_style(i))
         handles, labels = right.get_legend_handles_labels()
-        right.legend(handles[::-1], labels[::-1], loc="upper right")
+        figure.legend(handles[::-1], labels[::-1], ncols=len(runs), loc="outside lower right")
     right.set_title(f"Path of the tip up to {run.time[-1]:g} s")
     for axes in (left, right):
         surroundings(axes, run)
@@ -151,7 +150,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     top.set_ylim(low, high + 0.05 * (high - low))  # a constant energy would lie on the upper edge
     top.set_ylabel("energy  (mJ)")
     top.set_title(f"{scene.name}: energies")
-    top.legend(ncols=5, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+    legend_above(top, 5)
     scale = energy_scale(run)
     for i, other in drawing_order(runs):
         time, residual = thinned(other.time, np.abs(other["energy.error"]))
@@ -228,7 +227,7 @@ def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     axes.set_yscale("log", base=2)
     mean = float(np.mean(per_step)) if len(per_step) else 1.0
     axes.axhline(mean, color=RUN_COLOURS[1], linewidth=1.0, linestyle="--", label=f"mean {mean:.3g}")
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+    legend_above(axes)
     axes.set_ylabel("sub-steps per macro step")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda n, _: f"{n:g}"))
     axes.set_title(f"{scene.name}: sub-steps per macro step of {1e3 * run.parameters['solver.stepSize']:g} ms")
@@ -248,7 +247,7 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure"
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-16))
     axes.set_ylabel("|ΔQ|  (m)")
     axes.set_title(f"{scene.name}: distance between the tips")
-    axes.legend(loc="lower right")
+    legend_below(axes)
     time_axis(axes, runs)
     return figure
 

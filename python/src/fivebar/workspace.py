@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fivebar import statics, table
 from fivebar.borders import Curve, Obstacles, bends_like, direct_curves, stop_curves, stop_margin, stretches
 from fivebar.errors import FiveBarError
-from fivebar.kinematics import WORKING_MODES, Circle, Machine, Sign, Working, sines
+from fivebar.kinematics import WORKING_MODES, Circle, Machine, Sign, Working, mode_name, sines
 from fivebar.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -91,7 +91,7 @@ class Mode:
     @property
     def name(self) -> str:
         """Such as `minusPlus`, as the unit's `mode.working` has it."""
-        return self.working[0] + self.working[1].capitalize()
+        return mode_name(self.working)
 
 
 @dataclass(frozen=True)

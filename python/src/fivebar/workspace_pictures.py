@@ -20,7 +20,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from fivebar.borders import Curve
-from fivebar.kinematics import WORKING_MODES, Machine
+from fivebar.colours import KIND_COLOURS, LEFT, RIGHT, TIP
+from fivebar.kinematics import WORKING_MODES, Machine, mode_name
 from fivebar.workspace import Map, Mode
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-BLACK, GREY, VERMILLION, SKY, PURPLE, WHITE = "#000000", "#6c757d", "#D55E00", "#56B4E9", "#CC79A7", "#FFFFFF"
+BLACK, GREY, SKY, WHITE = "#000000", "#6c757d", "#56b4e9", "#ffffff"
+DIRECT, INVERSE = KIND_COLOURS["direct"], KIND_COLOURS["inverse"]
+
 MM = 1e3
 """Lengths are drawn in mm."""
 
@@ -229,7 +232,7 @@ def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float =
         Line2D(
             [],
             [],
-            color=BLACK,
+            color=INVERSE,
             linewidth=thin,
             label="inverse singularity: a leg stretched or folded (rim of the reach)",
         )
@@ -240,7 +243,7 @@ def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float =
             _within(
                 axes,
                 machine,
-                Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=thin, zorder=4),
+                Circle(centre, circle.radius * MM, fill=False, edgecolor=INVERSE, linewidth=thin, zorder=4),
                 circle.leg,
             )
     names = {
@@ -251,10 +254,10 @@ def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float =
     for posture, style in styles.items():
         shown = [curve.tip for curve in curves if curve.kind == "direct" and curve.detail == posture]
         for tip in shown:
-            (line,) = axes.plot(*(tip.T * MM), color=VERMILLION, linewidth=thick, linestyle=style, zorder=5)
+            (line,) = axes.plot(*(tip.T * MM), color=DIRECT, linewidth=thick, linestyle=style, zorder=5)
             line.set_path_effects([withStroke(linewidth=thick + 1.4, foreground=WHITE)] if style == "-" else [])
         if shown:
-            handles.append(Line2D([], [], color=VERMILLION, linewidth=thick, linestyle=style, label=names[posture]))
+            handles.append(Line2D([], [], color=DIRECT, linewidth=thick, linestyle=style, label=names[posture]))
     return handles
 
 
@@ -303,15 +306,15 @@ def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
         )
     for part in parts:
         axes.plot(*tip[part].T, linewidth=3.2, color=WHITE, zorder=7, path_effects=casing)
-        axes.plot(*tip[part].T, linewidth=1.6, color=PURPLE, zorder=7.1)
+        axes.plot(*tip[part].T, linewidth=1.6, color=TIP, zorder=7.1)
     if parts:
-        handles.append(Line2D([], [], color=PURPLE, linewidth=1.6, label="motion of the scene, from the ring"))
+        handles.append(Line2D([], [], color=TIP, linewidth=1.6, label="motion of the scene, from the ring"))
         if parts[0].start == 0:
             axes.plot(
                 *tip[0],
                 "o",
                 markerfacecolor=WHITE,
-                markeredgecolor=PURPLE,
+                markeredgecolor=TIP,
                 markersize=5,
                 markeredgewidth=1.4,
                 zorder=10,
@@ -338,18 +341,17 @@ def _machine(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
     if not len(joints):
         return [Line2D([], [], color=BLACK, marker="^", linestyle="none", markersize=6, label="motors")]
     axes.plot(*joints.T, color=WHITE, linewidth=4.2, zorder=7.9, solid_joinstyle="round")
-    axes.plot(*joints.T, color=BLACK, linewidth=2.0, zorder=8, solid_joinstyle="round", marker="o", markersize=3.5)
+    draw_legs(axes, joints, 2.0)
     return [
-        Line2D(
-            [],
-            [],
-            color=BLACK,
-            linewidth=2.0,
-            marker="o",
-            markersize=3.5,
-            label="a posture of the machine, with its motors ▲",
-        )
+        Line2D([], [], color=colour, linewidth=2.0, marker="o", markersize=3.5, label=label)
+        for colour, label in ((LEFT, "left leg of the machine, with its motors ▲"), (RIGHT, "right leg"))
     ]
+
+
+def draw_legs(axes: Axes, joints: Floats, width: float) -> None:
+    """The legs of a posture from the `joints` of `chain`, in mm."""
+    for colour, rows in ((LEFT, [0, 1, 2]), (RIGHT, [2, 3, 4])):
+        axes.plot(*joints[rows].T, color=colour, linewidth=width, marker="o", markersize=1.75 * width, zorder=8)
 
 
 def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
@@ -370,24 +372,22 @@ def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> 
             axes.plot(*(machine.motors.T * MM), "^", color=BLACK, markersize=8, zorder=3)
             axes.plot(*joints[[1, 3]].T, color=SKY, linewidth=1.2, linestyle=":", zorder=1)
             axes.annotate("", joints[3], joints[1], arrowprops={"arrowstyle": "->", "color": SKY, "linestyle": ":"})
-            for colour, rows in ((BLACK, [0, 1, 2]), (VERMILLION, [2, 3, 4])):
-                axes.plot(*joints[rows].T, color=colour, linewidth=2.2, marker="o", markersize=4, zorder=2)
+            draw_legs(axes, joints, 2.2)
             for link, (begin, end) in enumerate(((0, 1), (1, 2), (3, 2), (4, 3))):
                 middle = joints[begin] + 0.4 * (joints[end] - joints[begin])
-                text = axes.text(*middle, f"{link + 1}", ha="center", va="center", fontsize=9, zorder=4)
+                text = axes.text(*middle, f"{link + 1}", ha="center", va="center", fontsize=9, zorder=9)
                 text.set_bbox(
                     {
                         "boxstyle": "circle,pad=0.15",
                         "facecolor": WHITE,
-                        "edgecolor": (BLACK, VERMILLION)[link > 1],
+                        "edgecolor": (LEFT, RIGHT)[link > 1],
                         "linewidth": 0.8,
                     }
                 )
             signs = ["> 0" if bend == "plus" else "< 0" for bend in working]
             side = "> 0" if posture.assembly == "plus" else "< 0"
             axes.set_title(
-                f"{working[0]}{working[1].capitalize()}: sin(θ₂ − θ₁) {signs[0]}, sin(θ₃ − θ₄) {signs[1]}\n"
-                f"assembly {posture.assembly}: sin(θ₃ − θ₂) {side}",
+                f"{mode_name(working)}: s₁₂ {signs[0]}, s₄₃ {signs[1]}\nassembly {posture.assembly}: s₂₃ {side}",
                 fontsize=8.5,
             )
             axes.set_aspect("equal")

@@ -27,6 +27,7 @@ from websockets.http11 import Request, Response
 from websockets.typing import Origin, Subprotocol
 
 from fivebar.borders import REACH, outline
+from fivebar.colours import STYLE_SHEET
 from fivebar.kinematics import GEOMETRY, Machine
 from fivebar.twin import priority, process, scene, setup
 from fivebar.twin.config import Config
@@ -44,9 +45,12 @@ FILES: Final = {
     "/messages.schema.json": (SCHEMA_FILE, "application/json"),
     **{f"/{name}": (FOLDER / name, SCRIPT) for name in ("dashboard.js", "mqtt.min.js")},
     "/reach.js": (REACH, SCRIPT),
+    "/colours.css": (STYLE_SHEET, "text/css; charset=utf-8"),
     **{f"/json-schema/{file.name}": (file, SCRIPT) for file in sorted(FOLDER.glob("json-schema/*.js"))},
 }
-POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src data:"
+)
 LARGEST: Final = 1_000_000
 """Bytes of a frame, and of a packet of MQTT."""
 

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from fivebar.colours import TIP
 from fivebar.twin import figures, handover, scene
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
@@ -37,7 +38,7 @@ MOST_POINTS: Final = 3000
 USUAL, SHOWN = 0.95, 1.5
 """Range of a picture: `SHOWN` times the value below which the share `USUAL` of all values lies."""
 
-TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
+TWIN, MACHINE, BAND, BAD = TIP, "#1d2329", "#a3b28f", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
 
 plt.rcParams |= {
@@ -380,10 +381,14 @@ def _cards(content: dict[str, Any]) -> str:
         (
             card(content["samples"]["estimated"], "d", "", "estimates"),
             card(content["samples"]["lost"], "d", "", "samples lost"),
+            card(content["latency_ms"]["p50"], ".1f", "ms", "sample to estimate, median"),
             card(content["latency_ms"]["p99"], ".1f", "ms", "sample to estimate, p99"),
             card(content["tip_error_mm"]["rms"], ".3f", "mm", "tip error, rms"),
+            card(content["tip_error_mm"]["max"], ".3f", "mm", "tip error, largest"),
+            card(forecasts["count"], "d", "", "forecasts"),
             card(forecasts["halfwidth_mm"]["median"], ".1f", "mm", f"forecast {forecasts['ahead_s']:g} s, half-width"),
             card(None if covered is None else 100 * covered, ".1f", "%", "inside the 95 % circle"),
+            card(content["alarms"], "d", "", "alarms"),
         )
     )
 

@@ -7,7 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from fivebar.drawing import FAINT, INK, LEFT, RIGHT, STYLE, TIP, WRONG, save
+from fivebar.colours import LEFT, RIGHT, TIP
+from fivebar.drawing import FAINT, INK, STYLE, WRONG, save
 from fivebar.twin.calibrate.fit import Fit
 from fivebar.twin.calibrate.identify import Judgement, interval
 from fivebar.twin.calibrate.parameters import Parameter

@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
-from fivebar.drawing import FAINT, INK, LEFT, RIGHT, STYLE, TIP, WRONG, save
+from fivebar.colours import LEFT, RIGHT, TIP
+from fivebar.drawing import FAINT, INK, STYLE, WRONG, legend_above, legend_below, save
 from fivebar.twin.ensemble.member import KINDS, SHOWN, Plan
 
 LEVELS: Final = (0.025, 0.25, 0.5, 0.75, 0.975)
@@ -148,7 +149,7 @@ def _bands(story: Story) -> Figure:
             axes.fill_between(story.time, band[:, 1], band[:, 3], color=colour, alpha=0.35, linewidth=0, label="50 %")
         axes.plot(story.time, band[:, 2], color=colour, label="median")
         axes.set_ylabel(f"{name}  ({unit})")
-    rows[0, 0].legend(ncols=3)
+    legend_above(rows[0, 0])
     rows[0, 0].set_title(f"Where {story.members} members are")
     for axes in rows[1]:
         axes.set_xlabel("time  (s)")
@@ -188,7 +189,7 @@ def _singular(story: Story) -> Figure:
     other.set_ylabel("have met one  (%)")
     other.grid(False)
     axes.axvline(end, color=FAINT, linewidth=0.8)
-    axes.legend(loc="upper left")
+    legend_below(axes)
     axes.set_title(
         f"The next singularity of {story.members} members; {100 - 100 * len(every) / running:.1f} % meet none"
     )
