@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
-from fivebar.colours import LEFT, RIGHT, TIP
-from fivebar.drawing import FAINT, INK, STYLE, WRONG, legend_above, legend_below, save
+from fivebar.colours import KIND_COLOURS, LEFT, RIGHT, TIP
+from fivebar.drawing import FAINT, INK, STYLE, legend_above, legend_below, save
 from fivebar.twin.ensemble.member import KINDS, SHOWN, Plan
 
 LEVELS: Final = (0.025, 0.25, 0.5, 0.75, 0.975)
@@ -165,7 +165,7 @@ def _singular(story: Story) -> Figure:
     running = max(1, story.members - story.failed)
     edges = np.linspace(0, end, 81)
     below = np.zeros(80)
-    for (kind, times), colour in zip(story.singular_times.items(), (WRONG, LEFT, RIGHT), strict=True):
+    for (kind, times), colour in zip(story.singular_times.items(), (KIND_COLOURS["direct"], LEFT, RIGHT), strict=True):
         share = 100 * np.histogram(times, edges)[0] / running
         axes.bar(
             edges[:-1],
