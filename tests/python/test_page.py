@@ -153,6 +153,42 @@ def test_small_dark_screen(browser: object) -> None:
     assert picture(browser) not in ("", light)
 
 
+def resized(browser: object, width: int, height: int) -> None:
+    """Gives the page a window of that many pixels, however small."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    wait_until(
+        lambda: (
+            browser.execute_script("return [innerWidth, view.width > 0 && view.width < innerWidth]") == [width, True]
+        )
+    )
+
+
+def fills_its_card(browser: object) -> bool:
+    """Whether the canvas leaves no strip of its card empty, and the card begins and ends on the screen."""
+    return browser.execute_script(
+        """const card = document.querySelector(".stage").getBoundingClientRect(), canvas = document.getElementById("canvas");
+           return canvas.clientHeight >= card.height - 2 && card.bottom <= innerHeight;"""
+    )
+
+
+def test_the_canvas_fills_its_card(browser: object) -> None:
+    resized(browser, 1280, 800)
+    assert fills_its_card(browser)
+
+
+def test_the_path_of_the_tip_stays(browser: object) -> None:
+    """At the end of 2 s the strong trail of 1.5 s is gone from the path's begin; the path is not."""
+    seen = browser.execute_script(
+        """seek(duration);
+           const [, i] = locate(main, 0.2), x = toX(main.path.tip[2 * i]), y = toY(main.path.tip[2 * i + 1]), ratio = devicePixelRatio;
+           const near = pen.getImageData(Math.round(ratio * x) - 1, Math.round(ratio * y) - 1, 3, 3).data;
+           return Math.max(...[0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => near[4 * k + 1] - near[4 * k + 2]));"""
+    )
+    # The tip's green is 51 greener than blue; paper, reach and grid are not.
+    assert seen > 10
+
+
 # The map's page
 
 
@@ -195,7 +231,7 @@ def test_the_machine_follows_the_pointer(map_browser: object) -> None:
             )
         )
         posture = machine.inverse((0.05, 0.25), working)
-        assert [shown["θ₁, left motor"], shown["θ₄, right motor"]] == [
+        assert [shown["θ₁, left motor"], shown["θ₂, right motor"]] == [
             f"{np.degrees(angle):.2f}°" for angle in posture.motors
         ]
         assert float(shown["condition number"]) == pytest.approx(float(machine.condition(posture.theta)), abs=5e-3)
@@ -205,6 +241,24 @@ def test_the_machine_follows_the_pointer(map_browser: object) -> None:
     assert map_browser.find_element("id", "refusal").text == "82.5 mm too far for the left leg"
     map_browser.execute_script("mode = data.modes[0]; update(); go([-0.15, 0.05])")
     assert "beyond its stops" in map_browser.find_element("id", "refusal").text
+
+
+def test_the_map_fits_a_screen_and_a_telephone(map_browser: object) -> None:
+    resized(map_browser, 1280, 800)
+    assert fills_its_card(map_browser)
+    for width in (390, 1280):
+        resized(map_browser, width, 800)
+        end = map_browser.execute_script(
+            """let end = 0;
+               const write = CanvasRenderingContext2D.prototype.fillText;
+               CanvasRenderingContext2D.prototype.fillText = function (text, x, y) { end = Math.max(end, x + this.measureText(text).width); };
+               background = null;
+               draw();
+               CanvasRenderingContext2D.prototype.fillText = write;
+               return end / view.width;"""
+        )
+        # A quarter for the bar, and its label.
+        assert 0 < end < 0.6, f"the scale bar with its label takes {end:.0%} of the canvas at {width} px"
 
 
 def test_the_pointer_the_keys_and_the_fields(map_browser: object) -> None:
