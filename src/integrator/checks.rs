@@ -52,6 +52,8 @@ pub(super) struct Checked<'a, const N: usize> {
     pub(super) q: &'a Vector<N>,
     /// Velocities, m/s and rad/s.
     pub(super) v: &'a Vector<N>,
+    /// Accelerations, m/s² and rad/s²; 0 of methods that do not keep them.
+    pub(super) a: &'a Vector<N>,
     /// Kinetic plus potential energy, J.
     pub(super) energy: f64,
     /// Work since the start, J.
@@ -67,24 +69,27 @@ pub(super) struct Books {
     work: Work,
     configuration_signs: u8,
     branch: Option<u8>,
+    /// Largest rate, rad/s, and acceleration, rad/s², of a link.
+    rates: [f64; 2],
 }
 
 impl Books {
     /// Notes the beginning of a step.
     #[inline(always)]
     pub(super) fn open<const N: usize, const M: usize>(system: &impl System<N, M>, from: &Checked<'_, N>) -> Self {
-        let &Checked { q, v, energy, work, configuration_signs } = from;
-        Self { energy, work, configuration_signs, branch: system.branch(q, v) }
+        let &Checked { q, v, a, energy, work, configuration_signs } = from;
+        let rates = [system.error_norm(v), system.error_norm(a)];
+        Self { energy, work, configuration_signs, branch: system.branch(q, v), rates }
     }
 
-    /// Refuses a step to `to` that no right step could be; `reach` is the largest displacement of a link in it, rad.
+    /// Refuses a step of `h` seconds to `to` that no right step could be.
     #[inline(always)]
     pub(super) fn check<const N: usize, const M: usize>(
         &self,
         system: &impl System<N, M>,
         Imbalance { part, always }: Imbalance,
         to: &Checked<'_, N>,
-        reach: impl FnOnce() -> f64,
+        h: f64,
     ) -> Result<(), StepError> {
         let done = to.work.net() - self.work.net();
         let off = to.energy - self.energy - done;
@@ -93,7 +98,7 @@ impl Books {
             check_imbalance(to, off, part * (to.energy.abs() + done.abs() + always))?;
         }
         if to.configuration_signs != self.configuration_signs {
-            check_signs(system, to, to.configuration_signs ^ self.configuration_signs, reach())?;
+            check_signs(system, to, to.configuration_signs ^ self.configuration_signs, (self.rates, h))?;
         }
         match self.branch {
             Some(branch) => check_branch(system, to, branch),
@@ -112,7 +117,7 @@ pub fn count_breaches<const N: usize, const M: usize>(
     let books = state.checked().map(|from| Books::open(system, &from));
     step(state)?;
     let (Some(books), Some(to)) = (books, state.checked()) else { return Ok(()) };
-    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale()), &to, || state.displacement(state, system, h));
+    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale()), &to, h);
     state.counters.breaches += u64::from(checked.is_err());
     Ok(())
 }
@@ -126,7 +131,8 @@ fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f6
     if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
 }
 
-/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than the motion can have gone. Where a
+/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than rates and accelerations at both ends of `h`
+/// seconds lead. Where a
 /// branch is singular all along (folded legs), signs are those of round-off.
 #[cold]
 #[inline(never)]
@@ -134,9 +140,10 @@ fn check_signs<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     to: &Checked<'_, N>,
     changed: u8,
-    reach: f64,
+    ([rate, acceleration], h): ([f64; 2], f64),
 ) -> Result<(), StepError> {
-    let admissible = REACH * reach + ROUND_OFF * f64::EPSILON;
+    let displacement = h * (rate + system.error_norm(to.v) + h * (acceleration + system.error_norm(to.a)));
+    let admissible = REACH * displacement + ROUND_OFF * f64::EPSILON;
     for (determinant, sine) in system.determinants(&system.pose(to.q)).into_iter().enumerate() {
         if changed >> determinant & 1 == 1 && sine.abs() > admissible {
             return Err(StepError::SignWithoutSingularity { determinant, sine, admissible });

@@ -47,9 +47,9 @@ pub enum Progress {
 
 /// A step by a method, as the driver asks for it.
 pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
-    /// State at the beginning of the step; after an accepted trial, where the method does not keep it, that at its end.
+    /// State at the beginning of the step.
     fn start(&self) -> &State<N, M>;
-    /// State at the end of the accepted step.
+    /// State at the end of the accepted step; methods may keep only this one then.
     fn end(&self) -> &State<N, M>;
     /// Mode at the beginning of the step.
     fn initial_mode(&self) -> S::Mode;
@@ -114,10 +114,9 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let books = method.start().checked().map(|from| Books::open(&*in_mode, &from));
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
             if let (Progress::Done, Some(books)) = (end, books)
-                && let (from, to) = (method.start(), method.end())
-                && let Some(checked) = to.checked()
+                && let Some(to) = method.end().checked()
             {
-                books.check(&*in_mode, limits.imbalance, &checked, || from.displacement(to, &*in_mode, trials.h))?;
+                books.check(&*in_mode, limits.imbalance, &to, trials.h)?;
             }
             return Ok(end);
         }

@@ -270,7 +270,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
         let books = system.features().checks.then(|| {
             let energy = self.energy.unwrap_or_else(|| system.energy(&self.q, &system.pose(&self.q), &self.v));
-            (Books::open(system, &self.checked(energy)), over.h * (system.error_norm(&self.v) + system.error_norm(v)))
+            Books::open(system, &self.checked(energy))
         });
         if system.features().work {
             self.work = self.work.plus(1.0, system.work_over(over));
@@ -280,16 +280,16 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let configuration_signs = system.configuration_signs(end);
         self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
         self.counters.substeps += 1;
-        let Some((books, displacement)) = books else { return Ok(()) };
+        let Some(books) = books else { return Ok(()) };
         let energy = system.energy(&self.q, end, &self.v);
         self.energy = Some(energy);
-        books.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), || displacement)
+        books.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), over.h)
     }
 
     /// The motion, as far as a step is checked, with its energy.
     fn checked(&self, energy: f64) -> Checked<'_, N> {
         let &Self { ref q, ref v, work, configuration_signs, .. } = self;
-        Checked { q, v, energy, work, configuration_signs }
+        Checked { q, v, a: &Vector::ZERO, energy, work, configuration_signs }
     }
 
     /// A step so short that q̈ changes by round-off only.

@@ -148,14 +148,8 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// The motion, as far as a step is checked; `None` where its energy is not known.
     #[inline(always)]
     pub(super) fn checked(&self) -> Option<Checked<'_, N>> {
-        let &Self { ref q, ref v, energy, work, configuration_signs, .. } = self;
-        energy.map(|energy| Checked { q, v, energy, work, configuration_signs })
-    }
-
-    /// Bound on the displacement of a link, rad, on the way of `h` seconds to another state, by rates and accelerations at both.
-    pub(super) fn displacement(&self, to: &Self, system: &impl System<N, M>, h: f64) -> f64 {
-        let norm = |x: &Vector<N>| system.error_norm(x);
-        h * (norm(&self.v) + norm(&to.v) + h * (norm(&self.a) + norm(&to.a)))
+        let &Self { ref q, ref v, ref a, energy, work, configuration_signs, .. } = self;
+        energy.map(|energy| Checked { q, v, a, energy, work, configuration_signs })
     }
 
     /// Counts the determinants that have changed sign, and stores the new signs.

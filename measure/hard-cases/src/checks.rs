@@ -59,6 +59,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Number of runs that came to their end.
+    pub fn complete(&self) -> usize {
+        self.runs - self.refused - self.given_up.len() - self.stopped.len()
+    }
+
     /// Whether no check has stopped a run.
     pub fn is_met(&self) -> bool {
         self.stopped.is_empty()

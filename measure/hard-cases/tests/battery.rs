@@ -27,7 +27,7 @@ fn no_check_stops_a_right_step() {
     let mut table = Vec::new();
     let rows = checks::measure(0, 400);
     checks::write_markdown(&rows, &mut table).expect("a table");
-    assert!(rows.iter().all(checks::Row::is_met), "{}", String::from_utf8_lossy(&table));
+    assert!(rows.iter().all(|row| row.is_met() && row.complete() > 50), "{}", String::from_utf8_lossy(&table));
 }
 
 fn complaint(row: &Row) -> Option<String> {
