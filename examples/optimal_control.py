@@ -8,6 +8,8 @@ Where `fivebar` is installed (in a checkout `target/venv`): python examples/opti
 It needs CasADi: pip install casadi. The picture is target/optimal_control.svg.
 """
 
+from pathlib import Path
+
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
@@ -79,4 +81,5 @@ if __name__ == "__main__":
         below.plot(time, np.degrees(states[i]), "o", markersize=4, label=f"{side}, played back", color=f"C{i}")
     above.set_ylabel("torque (mN·m)"), above.legend()
     below.set(xlabel="time (s)", ylabel="motor angle (°)"), below.legend(loc="upper center", ncols=2)
+    Path("target").mkdir(exist_ok=True)
     figure.savefig("target/optimal_control.svg", metadata={"Date": None})
