@@ -107,7 +107,7 @@ impl Books {
     }
 }
 
-/// Makes a step of fixed length, and counts it where it fails the checks: to compare its errors is what such steps are for.
+/// Makes a step of fixed length, and counts it if it fails the checks. It is not refused: such steps are made to compare their errors.
 pub fn count_breaches<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     energy_scale: impl FnOnce() -> f64,
@@ -131,9 +131,8 @@ fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f6
     if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
 }
 
-/// Refuses the `changed` signs, one bit each, where the posture is farther from their singularity than rates and accelerations at both ends of `h`
-/// seconds lead. Where a
-/// branch is singular all along (folded legs), signs are those of round-off.
+/// Refuses the `changed` signs, one bit each, if the posture is farther from their singularity than rates and accelerations at both ends of
+/// the `h` seconds lead. On a branch that is singular all along (folded legs) round-off alone changes signs.
 #[cold]
 #[inline(never)]
 fn check_signs<const N: usize, const M: usize>(
