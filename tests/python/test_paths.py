@@ -330,6 +330,16 @@ def test_work_on_blocked_drawings_is_bounded(monkeypatch: pytest.MonkeyPatch, tm
     assert all(any(len(each.get_paths()) == 100 for each in axes.collections) for axes in figures[0].axes)
 
 
+def test_a_drawing_that_takes_too_long_is_refused_before_the_work_on_its_pieces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawing = strokes.Drawing([line((0.05, 0.3), (0.05, 0.31))] * 10_000)
+    monkeypatch.setattr(pieces, "_lengths", None)
+    monkeypatch.setattr(paths, "borders", None)
+    with pytest.raises(FiveBarError, match=r"takes 3000 s or more, and up to 1000 s are allowed in steps of 0.001 s"):
+        paths.plan(table(), drawing, SLOW)
+
+
 def test_ways_with_lifted_pen_are_checked() -> None:
     """Two strokes left and right of the direct locus, each of them free."""
     left, right = line((-0.1, 0.05), (-0.1, 0.06)), line((0.2, 0.05), (0.2, 0.06))

@@ -20,7 +20,7 @@ from fivebar.demand import Demand
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import SIDES, Machine, Working, mode_name
 from fivebar.pieces import Piece, Timing
-from fivebar.scene import Scene
+from fivebar.scene import MOST_POINTS, Scene
 from fivebar.simulate import Result
 from fivebar.strokes import Drawing
 from fivebar.variables import of_unit
@@ -131,6 +131,13 @@ def plan(
     """
     machine, mode, step = Machine.from_scene(scene), working or mode_of(scene), scene.step_size
     sequence = ways.of(drawing.strokes)
+    # Chords are quick to measure: a drawing that takes too long is refused before the work on its pieces.
+    least = sum(timing.duration(piece.chord) for piece in sequence)
+    if least > MOST_POINTS * step:
+        raise FiveBarError(
+            f"the drawing takes {least:.4g} s or more, and up to {MOST_POINTS * step:g} s are allowed in steps of {step:g} s: "
+            "a higher speed or a smaller size makes it shorter"
+        )
     check(scene, machine, mode, sequence)
     with Demand(scene, machine.inverse(sequence[0].curves[0, 0], mode).theta) as demand:
         told = [max(1, math.ceil(timing.duration(piece.length) / step - 1e-9)) for piece in sequence]

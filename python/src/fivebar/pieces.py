@@ -1,5 +1,6 @@
 """Pieces of a drawing that a pen follows without a rest: smooth chains of curves by arc length, and how fast they are followed."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -86,6 +87,11 @@ class Piece:
     def length(self) -> float:
         """m."""
         return float(self._before[-1])
+
+    @property
+    def chord(self) -> float:
+        """Distance of its ends, m: at most its length."""
+        return math.dist(self.curves[0, 0], self.curves[-1, 3])
 
     def at(self, way: Floats) -> tuple[Floats, Floats, Floats]:
         """Places, m, unit tangents and curvature vectors, 1/m, (n, 2) each, at ways (n,) along the piece, m."""
