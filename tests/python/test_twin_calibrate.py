@@ -5,6 +5,7 @@ import math
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -595,6 +596,20 @@ def test_a_fit_that_comes_to_no_end_is_given_up(
     assert "the fit has come to no end within 0.05 s of CPU" in told.err
     # A motion is planned for the scene's machine, whatever the record is.
     assert "a motion that would tell payload.mass to ±" in told.out and (tmp_path / "out" / "proposal.json").is_file()
+    assert "--fmu" not in told.out
+
+
+def test_the_command_that_is_printed_runs_the_same_unit(
+    fmu: Path, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene.json").write_text(json.dumps({"description": "before"} | BASE), encoding="utf-8")
+    names = ["payload.mass", "link[2,3].mass"]
+    file = write(tmp_path / "a.csv", made(library, names, [1.1, 0.9], 1.5))
+    other = shutil.copy(fmu, tmp_path / "my unit.fmu")
+    common = ["--fmu", str(other), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
+    assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("  fivebar twin "))
+    assert shlex.split(line)[-2:] == ["--fmu", str(other)]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar import shipped
 from fivebar.links import doubts
 from fivebar.scene import write as write_scene
 from fivebar.scene_file import OFFSETS
@@ -206,12 +207,12 @@ def run(options: Options) -> int:
         except GivenUp:
             if options.proposal:
                 motion = propose(library, scene, sought, taken, np.full(2, SMALL), unknown)
-                _say_proposal(_write_proposal(proposed, motion, sought, unknown, library))
+                _say_proposal(_write_proposal(proposed, motion, sought, unknown, library, options.fmu))
             raise
         proposal = None
         if result.refused() and not result.wrong and options.proposal:
             motion = propose(library, scene, sought, taken, np.minimum(result.fit.sigma, SMALL), result.judgement.sigma)
-            proposal = _write_proposal(proposed, motion, sought, result.judgement.sigma, library)
+            proposal = _write_proposal(proposed, motion, sought, result.judgement.sigma, library, options.fmu)
         whole = dict(library.known.start) | fitted_values(result, scene, library)
         report = _report(result, given, source, options, time.process_time() - begun, proposal, doubts(whole))
         (options.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
@@ -273,7 +274,7 @@ def _write_scene(
 
 
 def _write_proposal(
-    file: Path, motion: Motion | None, sought: list[Parameter], present: np.ndarray, library: Library
+    file: Path, motion: Motion | None, sought: list[Parameter], present: np.ndarray, library: Library, fmu: Path
 ) -> dict[str, Any] | None:
     """Writes the scene of a motion, if there is one; how to run it, and what it tells."""
     if motion is None:
@@ -284,9 +285,12 @@ def _write_proposal(
         f"{motion.frequency:g} Hz, about the posture in which it begins."
     )
     write_scene(file, text, motion.values, SECONDS, 1e-3, library.known, motion.signals())
+    command = ["fivebar", "twin", "--scene", str(file), "--seconds", f"{SECONDS + 1:g}"]
+    if not fmu.samefile(shipped.unit()):
+        command += ["--fmu", str(fmu)]
     return {
         "scene": str(file),
-        "command": shlex.join(["fivebar", "twin", "--scene", str(file), "--seconds", f"{SECONDS + 1:g}"]),
+        "command": shlex.join(command),
         "tells": {sought[k].name: float(sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
     }
 
