@@ -154,6 +154,7 @@ HIDDEN = {
     "opacity": "0",
     "fill": "none",
     "fill ": "transparent",
+    "fill  ": "rgb(0 0 0 / 0)",
     "fill-opacity": "0",
 }
 
@@ -263,6 +264,15 @@ def test_a_switch_draws_one_child(read: Read) -> None:
             '<g transform="translate(10,0)"><g transform="scale(2 3)"><path d="M0 0L5 5" transform="translate(1)"/></g></g>',
             (12, -15, 22, 0),
         ),
+        # The size that a <use> gives an <svg>.
+        (
+            '<defs><svg id="s" width="5" height="5" viewBox="0 0 5 5"><path d="M0 0H5"/></svg></defs><use href="#s" width="10" height="20"/>',
+            (0, -5, 10, -5),
+        ),
+        # An <svg> without size shows nothing.
+        ('<svg width="0" viewBox="0 0 5 5"><path d="M0 0H9"/></svg><path d="M0 0H5"/>', (0, 0, 5, 0)),
+        # Of two elements with one id the first is meant.
+        ('<defs><path id="p" d="M0 0H5"/><path id="p" d="M0 0H9"/></defs><use href="#p"/>', (0, 0, 5, 0)),
         ('<g x="5" width="9" r="4"><path d="M0 0H5"/><rect height="9"/><circle/></g>', (0, 0, 5, 0)),
         (
             '<path style="transform: rotate(90deg) translateX(10px) scaleY(2)" d="M0 0V-5"/>',

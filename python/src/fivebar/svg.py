@@ -179,7 +179,8 @@ class _Document:
         self.hidden = ""
         """A sentence on what is hidden, if anything is."""
         self.css = _Sheet(root, self.said)
-        self.named = {identity: element for element in root.iter() if (identity := element.get("id")) is not None}
+        # Of several elements with one id, browsers take the first.
+        self.named = {identity: element for element in reversed([*root.iter()]) if (identity := element.get("id"))}
         self.unit = 1.0
         """mm that a user unit of the page has, but for a viewBox: a page without any unit is in mm."""
 
@@ -234,6 +235,9 @@ class _Document:
             frame = frame._replace(matrix=frame.matrix @ self._transform(element, style, frame))
             if name == "svg":
                 frame = self._nested(element, style, frame)
+                if 0.0 in frame.viewport:
+                    self._hide(element)
+                    return
         if name in SHAPES:
             if not _is_visible(inherited):
                 self._hide(element)
@@ -262,7 +266,7 @@ class _Document:
         if not self.hidden:
             self.hidden = (
                 f"What is hidden is not drawn, such as {_called(element)} "
-                "(display, visibility, opacity, or neither fill nor stroke)."
+                "(display, visibility, opacity, no size, or neither fill nor stroke)."
             )
 
     def _used(self, element: Element, style: Style, frame: _Frame) -> Iterator[_Planned]:
@@ -357,10 +361,22 @@ class _Document:
     def _nested(self, element: Element, style: Style, frame: _Frame) -> _Frame:
         """The frame of what is in an <svg> within the root."""
         x, y = (self._length(element, style, name, frame, axis) or 0.0 for axis, name in enumerate("xy"))
-        size = [self._length(element, style, name, frame, axis, 0.0) for axis, name in enumerate(("width", "height"))]
+        # The sizes of a <use> that names it come before its own.
+        outer = frame.within[-2]
+        size = self._size(element, style, frame)
+        if _name(outer) == "use":
+            size = [
+                own if told is None else told
+                for told, own in zip(self._size(outer, self.css.style(outer), frame), size)
+            ]
         width, height = (known if told is None else told for told, known in zip(size, frame.viewport))
         frame = frame._replace(matrix=frame.matrix @ _moved(x, y), viewport=(width, height))
+        if 0.0 in frame.viewport:
+            return frame
         return self._within_box(element, frame, self._view_box(element))
+
+    def _size(self, element: Element, style: Style, frame: _Frame) -> list[float | None]:
+        return [self._length(element, style, name, frame, axis, 0.0) for axis, name in enumerate(("width", "height"))]
 
     def _view_box(self, element: Element) -> Floats | None:
         text = element.get("viewBox")
@@ -633,6 +649,9 @@ def _is_visible(inherited: Style) -> bool:
 
 @lru_cache
 def _is_clear(colour: str) -> bool:
+    # svgelements does not know the opacity of rgb(0 0 0 / 0).
+    if opacity := re.search(r"/\s*([^)]*)\)\s*$", colour):
+        return _is_zero(opacity[1])
     try:
         made = Color(colour.strip())
     except (ValueError, TypeError, AttributeError, IndexError):
