@@ -1,6 +1,6 @@
-//! Planar five-bar mechanism as a unit for FMI 2.0 co-simulation and model exchange.
+//! Planar five-bar mechanism as an FMI 2.0 unit for co-simulation and model exchange.
 //!
-//! The modules and the arrows between them are described in `ARCHITECTURE.md`.
+//! `ARCHITECTURE.md` describes the modules and their dependencies.
 
 pub mod dynamics;
 pub mod effects;

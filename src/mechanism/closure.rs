@@ -1,7 +1,7 @@
-//! Closure of the loop: q and q̇ from the proximal angles and rates and the assembly mode.
+//! Closure of the loop: q and q̇ from the proximal angles, their rates and the assembly mode.
 //!
-//! The tip is the intersection of two circles about the elbows with the radii l₂ and l₃; the distal rates solve
-//! l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = velocity of the right elbow relative to the left one. Singular postures are closed separately (see [`close`]).
+//! The tip is an intersection of two circles around the elbows, with radii l₂ and l₃. The distal rates solve l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ =
+//! velocity of the right elbow relative to the left one. [`close`] describes singular postures.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -11,7 +11,7 @@ use super::coordinates::set_angles;
 use super::placement::by_legs;
 use super::{Coordinates, Geometry, Mechanism, SceneError};
 
-/// Side of the arrow from left elbow to right elbow on which the tip lies.
+/// Assembly mode: the side of the arrow from left elbow to right elbow on which the tip lies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Assembly {
     /// To the left of the arrow.
@@ -41,17 +41,16 @@ pub struct Start {
     pub assembly: Assembly,
 }
 
-/// Relative tolerance within which the distal links count as in line, coinciding or parallel: far above round-off, far below any
-/// tolerance of manufacture.
+/// Relative tolerance for distal links that are in line or parallel: far above round-off, far below manufacturing tolerances.
 pub(crate) const COLLINEARITY_TOLERANCE: f64 = 1e-9;
 
-/// Round-off of the distance of the elbows, relative to the mechanism's size: some sums and products.
+/// Round-off of the distance between the elbows, relative to the size of the mechanism: a few sums and products.
 const DISTANCE_ROUND_OFF: f64 = 16.0 * f64::EPSILON;
 
-/// Rank tolerance of the closure of the distal links, relative to their lengths: smaller singular values are round-off.
+/// Rank tolerance of the distal closure, relative to the lengths of the distal links: smaller singular values are round-off.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// Least sine of the angle between the distal links at which the proximal angles are valid coordinates: rates keep half of their digits.
+/// Smallest sine of the angle between the distal links at which the proximal angles are valid coordinates: rates keep half of their digits.
 const LEAST_SINE: f64 = 1e-8;
 
 /// A unit vector û(θ) and its derivative n̂(θ).
@@ -60,11 +59,11 @@ fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
     (Vector2::new(cos, sin), Vector2::new(-sin, cos))
 }
 
-/// Elbows of an initial posture, and their distance relative to the distal links.
+/// Elbows of an initial posture, and whether the distal links are in line.
 struct ElbowSpan {
     /// Vector from the left to the right elbow, m.
     arrow: Vector2<f64>,
-    /// Distance of the elbows, m.
+    /// Distance between the elbows, m.
     distance: f64,
     /// Whether the distal links are in line (direct singularity), within [`COLLINEARITY_TOLERANCE`].
     in_line: bool,
@@ -73,14 +72,15 @@ struct ElbowSpan {
 }
 
 impl ElbowSpan {
-    /// Elbows at the proximal angles `theta`, rad, which an error calls `name`.
+    /// Computes the elbows at the proximal angles `theta`, rad; error messages call them `name`. Refuses elbows that the distal links
+    /// cannot join, and elbows that coincide.
     fn new(geometry: &Geometry, name: &str, theta: [f64; 2]) -> Result<Self, SceneError> {
         let [l1, l2, l3, l4] = geometry.lengths();
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
         let distance = libm::hypot(arrow.x, arrow.y);
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
         let start = || format!("{name} = ({:?}, {:?}) rad", theta[0], theta[1]);
-        // Round-off of the elbows' positions must not make a fully stretched start unreachable.
+        // Round-off of the elbow positions must not make a fully stretched start unreachable.
         let round_off = DISTANCE_ROUND_OFF * geometry.length_scale();
         if distance > longest + round_off || distance < shortest - round_off {
             return Err(SceneError(format!(
@@ -103,8 +103,8 @@ impl ElbowSpan {
     }
 }
 
-/// A number rounded to ten significant digits for an error message, and to 0 below 1e-22. Powers of ten are products, which are exact:
-/// a power function would add a table of 4 kB.
+/// Rounds to ten significant digits for an error message, and to 0 below 1e-22. The scale is a product of tens, which is exact: a power
+/// function would add a table of 4 kB.
 fn rounded(value: f64) -> f64 {
     let mut scale = 1.0;
     while value.abs() * scale < 1e9 && scale < 1e22 {
@@ -113,12 +113,13 @@ fn rounded(value: f64) -> f64 {
     (value * scale).round() / scale
 }
 
-/// Coordinates q and velocities q̇ of an initial state that satisfy all constraints.
+/// Returns coordinates q and velocities q̇ of an initial state that satisfy all constraints.
 ///
-/// Regular postures and their rates are unique. At a direct singularity (distal links in line) rates that violate the closure
-/// are refused, and the velocity of the tip across the line, which is undetermined, is 0. With all links on one line (a vertex of the
-/// configuration space) the passive rates are a root of the tangent cone's quadratic, the one that moves the tip to the side of
-/// the assembly mode.
+/// Regular postures have exactly one solution. At a direct singularity (distal links in line) the velocity of the tip across the line is
+/// undetermined and is set to 0. With all links on one line (a vertex of the configuration space) the distal rates solve the quadratic
+/// equation of the tangent cone; of its roots, the one that moves the tip to the side of the assembly mode is taken.
+///
+/// Refused: elbows that the distal links cannot join or that coincide, and rates that violate the closure at a direct singularity.
 pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), SceneError> {
     let span = ElbowSpan::new(geometry, "init.theta", start.theta)?;
     let theta = angles(geometry, &span, start);
@@ -129,11 +130,11 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 /// Angles of the four links, rad, from the proximal angles.
 fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.lengths();
-    // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
+    // Position of the tip `along` and `across` the arrow, without cancellation when the tip is close to it.
     let &ElbowSpan { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
-    // An error of ε in the distance would tilt distal links in line by √ε.
+    // If the distal links are in line, an error of ε in the distance would tilt them by √ε.
     let across = if span.collinear_exactly { 0.0 } else { start.assembly.sign() * across_squared.max(0.0).sqrt() };
     let unit = arrow / distance;
     let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
@@ -141,8 +142,8 @@ fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     [start.theta[0], libm::atan2(from_left.y, from_left.x), libm::atan2(from_right.y, from_right.x), start.theta[1]]
 }
 
-/// Angles, rad, and rates, rad/s, of all links from the proximal ones; refused where |det J_x| is below 1e-8 of its largest possible value
-/// (direct singularity), or the distal links cannot meet.
+/// Angles, rad, and rates, rad/s, of links 1 to 4 from the proximal angles and rates. Refused: distal links that cannot meet, elbows that
+/// coincide, and direct singularities, |det J_x| below 1e-8 of its largest possible value.
 pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2], SceneError> {
     let span = ElbowSpan::new(geometry, "theta", start.theta)?;
     let theta = angles(geometry, &span, start);
@@ -154,7 +155,7 @@ pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 
     Ok([theta, [w1, w2, w3, w4]])
 }
 
-/// Refuses a direct singularity, given the sine of the angle between the distal links.
+/// Refuses a direct singularity: a sine of the angle between the distal links below 1e-8.
 pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     if sine.abs() < LEAST_SINE {
         return Err(SceneError(format!(
@@ -166,8 +167,8 @@ pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Rates of the distal links, rad/s, with directions û, from the velocity `parting` of the right elbow relative to the left one, m/s:
-/// l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = parting is solved by products with û₃ and û₂.
+/// Rates of the distal links, rad/s, with directions û, from the velocity `parting` of the right elbow relative to the left one, m/s.
+/// Products with û₃ and û₂ solve l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = parting.
 fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vector2<f64>) -> [f64; 2] {
     let [_, l2, l3, _] = geometry.lengths();
     let sine = u2.perp(&u3);
@@ -185,7 +186,7 @@ fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) 
         let [w2, w3] = distal_rates(geometry, [u2, u3], parting);
         return Ok([w1, w2, w3, w4]);
     }
-    // All links on one line: the x axis, or with coaxial motors any line through them.
+    // All links are on one line: the x axis, or any line through the motors if they are coaxial.
     let line = span.arrow / span.distance;
     if span.collinear_exactly && [n1, n4].iter().all(|n| n.dot(&line).abs() <= COLLINEARITY_TOLERANCE) {
         return vertex_rates(geometry, line, theta, start);
@@ -198,15 +199,15 @@ fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) 
             rounded(opening)
         )));
     }
-    // The tip is at rest across the line; the least-norm correction closes the residual of links that are not exactly in line.
+    // The tip is at rest across the line. Links that are not exactly in line leave a residual, which a least-norm correction closes.
     let rates = Vector2::new(-left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3);
     let closing = Matrix2::from_columns(&[n2 * l2, -n3 * l3]);
     let change = closing.svd(true, true).solve(&(parting - closing * rates), RANK_TOLERANCE * (l2 + l3)).unwrap_or_default();
     Ok([w1, rates.x + change.x, rates.y + change.y, w4])
 }
 
-/// Rates of the four links, rad/s, with all links on one line: with the signed lengths s along the line, Σ s ω = 0 and Σ s ω² = 0 around
-/// the loop (closure to second order).
+/// Rates of the four links, rad/s, if all links are on one line: closure to second order, Σ s ω = 0 and Σ s ω² = 0 around the loop, with
+/// the signed lengths s along the line.
 fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let mut arm = [0.0; 4];
@@ -230,14 +231,14 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
         let w2 = (first + c3 * w3) / c2;
         (w2, w3)
     });
-    // Velocity of the tip across the line through the elbows, times the arrow: the sign is the side of the assembly mode.
+    // Velocity of the tip relative to the turning line through the elbows, times the arrow; positive on the side of the assembly mode.
     let side = |(w2, _): (f64, f64)| start.assembly.sign() * c2 * ((c2 - c3) * w2 - first);
     let (w2, w3) = if side(roots[0]) >= side(roots[1]) { roots[0] } else { roots[1] };
     Ok([w1, w2, w3, w4])
 }
 
-/// Variations of q and q̇ by variations of the proximal angles and rates (left, right) on the closed loop, at link angles `theta`, rad, and
-/// rates `omega`, rad/s. Undefined at a direct singularity, where the proximal angles are no coordinates.
+/// Variations of q and q̇ for variations of the proximal angles and rates (left, right) with the loop closed, at link angles `theta`, rad,
+/// and rates `omega`, rad/s. Undefined at a direct singularity, because the proximal angles are no coordinates there.
 pub fn varied(
     geometry: &Geometry,
     theta: [f64; 4],
@@ -256,8 +257,8 @@ pub fn varied(
     (q, v)
 }
 
-/// Displacements across the four links, per length, that keep the loop closed, given those of the proximal links and all displacements
-/// along the links.
+/// Displacements across the four links, divided by their lengths, that keep the loop closed, for given displacements of the proximal links
+/// and given displacements along all links.
 fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
     let [(u1, n1), (u2, _), (u3, _), (u4, n4)] = theta.map(direction);
     let [l1, l2, l3, l4] = geometry.lengths();
@@ -267,7 +268,7 @@ fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [
     [first, second, third, fourth]
 }
 
-/// Coordinates q and velocities q̇ of all links from their angles and rates, each leg built up from its motor axis.
+/// Coordinates q and velocities q̇ from the angles, rad, and rates, rad/s, of links 1 to 4; each leg is built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
     let (mechanism, angles) = (Mechanism::new(geometry), by_legs(theta));
     let pose = mechanism.pose_at(angles);

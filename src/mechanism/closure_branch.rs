@@ -1,14 +1,14 @@
-//! Branches of a reducible closure: with coaxial motors and links of pairwise equal lengths, the configuration space is a union of branches
+//! Branches of a reducible closure. With coaxial motors and links of pairwise equal lengths, the configuration space is a union of branches
 //! that intersect where all links are in line.
 //!
-//! Closed, the four links are vectors with the sum zero. Say two of them have the length a and two the length b. Then the vectors of each
-//! pair are either opposite, or mirror images in an axis that both pairs share, with equal and opposite components along it. Opposite pairs are
-//! parallel or antiparallel links. If a = b, a mirrored posture is an opposite one of another pairing, so that there are three branches of
-//! opposite pairs; if a ≠ b, there is one of either kind.
+//! The four links are vectors; the loop is closed when their sum is zero. Suppose two of them have length a and two have length b. Then the
+//! vectors of each pair are either opposite, or mirror images in an axis that both pairs share, with equal and opposite components along
+//! it. Opposite pairs are parallel or antiparallel links. If a = b, a mirrored posture is an opposite posture of another pairing, so there
+//! are three branches with opposite pairs. If a ≠ b, there is one branch of each kind.
 //!
 //! At an intersection the closure of the tip loses rank, and the force that keeps a motion on its branch is unbounded. A single branch is
-//! regular. With opposite pairs it is two linear equations in the angles. With mirrored pairs it is one, for the common axis, and the
-//! closure of the tip along this axis. So a motion on a branch keeps to these equations instead.
+//! regular. With opposite pairs it satisfies two linear equations in the angles. With mirrored pairs it satisfies one linear equation, for
+//! the common axis, and the closure of the tip along this axis. A motion on a branch therefore uses these equations instead.
 
 use std::f64::consts::{PI, TAU};
 
@@ -27,37 +27,37 @@ pub enum ClosureBranch {
     Coincident,
     /// Folded legs: each distal link lies back along its proximal link, and the tip is on the motor axes.
     Folded,
-    /// A crossed parallelogram: each proximal link is as long as the distal link of the other leg, to which it is not parallel.
+    /// A crossed parallelogram: each proximal link is as long as the distal link of the other leg, but not parallel to it.
     CrossedParallelogram,
-    /// A kite with equal legs, which are mirror images in the line from the motors to the tip.
+    /// A kite with equal legs: they are mirror images in the line from the motors to the tip.
     Kite,
-    /// A kite with legs of two equal links each, whose axis is the line through both elbows.
+    /// A kite with two equal links in each leg; its axis is the line through both elbows.
     ElbowKite,
 }
 
-/// Angles of both proximal and both distal links, rad, their rates, rad/s, or their weights.
+/// Proximal and distal values of both legs: angles, rad, rates, rad/s, or weights.
 pub(crate) type Pairs = [Legs; 2];
 
-/// Deviations of a motion from the branches of a mechanism: of its posture, rad, or of its rates, rad/s.
+/// Deviation from each branch of a mechanism: of a posture, rad, or of rates, rad/s.
 type Deviations = ArrayVec<(ClosureBranch, f64), { ClosureBranch::ALL.len() }>;
 
-/// Largest deviation from a branch of a motion that is on it, rad, and of its rates relative to the fastest of them: above the drift of a
-/// coarse step, below any motion to be seen.
+/// Largest deviation from its branch of a motion on the branch: of the posture, rad, or of the rates, relative to the fastest rate. It is
+/// above the drift of a coarse step and below any visible motion.
 const LARGEST_DEVIATION: f64 = 1e-6;
-/// Least deviation from every other branch of a posture that is on one, rad: nearer to an intersection, a closed loop no longer tells the
-/// branches apart, for its round-off is divided by the distance.
+/// Smallest deviation of a posture from all other branches, rad, at which the posture decides. Nearer to an intersection, a closed loop
+/// does not distinguish the branches: its round-off is divided by the distance.
 const LEAST_SEPARATION: f64 = 1e-6;
-/// Least deviation of the rates from every other branch, rad/s, where the rates decide.
+/// Smallest deviation of the rates from all other branches, rad/s, at which the rates decide.
 const LEAST_RATE: f64 = 1e-4;
-/// Least ratio of the deviations from another branch to those from the chosen one.
+/// Smallest ratio of the deviation from any other branch to the deviation from the chosen branch.
 const TIMES: f64 = 100.0;
 
 impl ClosureBranch {
     const ALL: [Self; 6] =
         [Self::Parallelogram, Self::Coincident, Self::Folded, Self::CrossedParallelogram, Self::Kite, Self::ElbowKite];
 
-    /// The branch of a motion; `None` if the motors are not coaxial or the lengths not equal in pairs, and at an intersection if the rates
-    /// do not tell either. The posture decides wherever it can.
+    /// Returns the branch of a motion. The posture decides if it can, otherwise the rates. `None` if the motors are not coaxial, the
+    /// lengths are not equal in pairs, or the motion is at an intersection and the rates do not decide either.
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
         let largest = |of: [f64; 2]| of[0].abs().max(of[1].abs());
         let branches = Self::ALL.into_iter().filter(|branch| branch.is_of(geometry));
@@ -71,20 +71,21 @@ impl ClosureBranch {
         })
     }
 
-    /// The branch with the smallest deviation, if it is at most `largest` and every other one exceeds it `TIMES` and is more than `least`.
+    /// Returns the branch with the smallest deviation if it is at most `largest` and all other deviations exceed `least` and `TIMES` the
+    /// smallest.
     fn nearest(deviations: &Deviations, largest: f64, least: f64) -> Option<Self> {
         let &(nearest, deviation) = deviations.iter().min_by(|(_, one), (_, other)| one.total_cmp(other))?;
         let separate = |(branch, other): &(Self, f64)| *branch == nearest || *other > least.max(TIMES * deviation);
         (deviation <= largest && deviations.iter().all(separate)).then_some(nearest)
     }
 
-    /// Whether a mechanism has some branch but for differences of up to `length`, m, in its pairs, and a base of up to `base`, m.
+    /// Whether, for some branch, the lengths in each pair differ by at most `length`, m, and the base distance is at most `base`, m.
     pub fn any_is_nearly_of(geometry: &Geometry, [length, base]: [f64; 2]) -> bool {
         let are_near = |[x, y]: [f64; 2]| (x - y).abs() <= length;
         geometry.base_distance <= base && Self::ALL.into_iter().any(|branch| branch.pairs(geometry).into_iter().all(are_near))
     }
 
-    /// Lengths of both pairs, m.
+    /// Lengths of the links of both pairs, m.
     fn pairs(self, geometry: &Geometry) -> [[f64; 2]; 2] {
         let [left, distal_left, distal_right, right] = geometry.lengths();
         match self {
@@ -94,7 +95,7 @@ impl ClosureBranch {
         }
     }
 
-    /// Whether a mechanism has the branch, to the round-off of its lengths.
+    /// Whether a mechanism has the branch, within the round-off of its lengths.
     pub fn is_of(self, geometry: &Geometry) -> bool {
         let pairs = self.pairs(geometry);
         let [[one, _], [other, _]] = pairs;
@@ -102,12 +103,12 @@ impl ClosureBranch {
         geometry.base_distance == 0.0 && pairs.into_iter().all(are_equal) && !(self.is_mirrored() && are_equal([one, other]))
     }
 
-    /// Whether the links of a pair are mirror images in an axis.
+    /// Whether the two links of each pair are mirror images in an axis.
     fn is_mirrored(self) -> bool {
         matches!(self, Self::CrossedParallelogram | Self::Kite | Self::ElbowKite)
     }
 
-    /// Indices of the joints that do not turn on the branch, counted from the left base joint to the right one.
+    /// Indices of the joints that do not turn on the branch, counted from the left base joint to the right base joint.
     pub fn still_joints(self) -> &'static [usize] {
         match self {
             Self::Parallelogram | Self::CrossedParallelogram | Self::Kite | Self::ElbowKite => &[],
@@ -116,7 +117,8 @@ impl ClosureBranch {
         }
     }
 
-    /// Deviations from the linear equations of the branch, rad: of its two pairs from parallel, or of their axes from each other, twice.
+    /// Deviations from the linear equations of the branch, rad: angle between the links of each opposite pair, or twice the angle between
+    /// the axes of mirrored pairs.
     pub fn apart(self, q: Pairs) -> [f64; 2] {
         let straight = if self == Self::Folded { PI } else { 0.0 };
         self.rates(q).map(|angle| {
@@ -125,7 +127,7 @@ impl ClosureBranch {
         })
     }
 
-    /// Rates of these deviations, rad/s.
+    /// Rates of the deviations [`ClosureBranch::apart`], rad/s.
     pub fn rates(self, [proximal, distal]: Pairs) -> [f64; 2] {
         let ([pl, pr], [dl, dr]) = (proximal.to_array(), distal.to_array());
         match self {
@@ -151,18 +153,18 @@ impl ClosureBranch {
     }
 }
 
-/// Factor that scales the angle equations of branches to lengths, m/rad: about the length of a link; it affects round-off only.
+/// Factor that scales the angle equations of branches to lengths, m/rad: about the length of a link. It affects only round-off.
 pub const BRANCH_ARM: f64 = 0.25;
 
-/// Rows of Φ_q for the tip's closure or a branch, as a weighted sum: code without a conditional keeps the factorisation in registers.
+/// Rows of Φ_q for the tip's closure or for a branch, as a weighted sum: code without conditionals keeps the factorisation in registers.
 #[derive(Debug)]
 pub struct ClosureTerms {
-    /// Weight of the closure of the tip: 1, or 0 on a branch of opposite pairs.
+    /// Weight of the tip's closure: 0 on a branch with opposite pairs, otherwise 1.
     pub open: Legs,
-    /// Derivatives of the linear equations of a branch by the proximal and by the distal angles, m/rad; 0 without a branch.
+    /// Derivatives of a branch's linear equations with respect to the proximal and the distal angles, m/rad; 0 without a branch.
     pub constant: [Legs2; 2],
-    /// Weights of both mirrored pairs of a branch, whose closure of the tip counts along the axis only: the weighted sum of the proximal and
-    /// distal directions is normal to the axis, whichever pair is taken.
+    /// Weights for each mirrored pair, on a branch with mirrored pairs. There the tip's closure counts only along the axis: the weighted
+    /// sum of the proximal and distal directions of either pair is normal to the axis.
     pub mirrored: Option<[Pairs; 2]>,
 }
 

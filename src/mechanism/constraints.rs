@@ -1,6 +1,6 @@
-//! The five revolute joints: Φ(q) = 0 and its derivatives, at a [`Pose`]: directions of the links and arms along them.
+//! The five revolute joints: the constraints Φ(q) = 0 and their derivatives, evaluated at a [`Pose`].
 //!
-//! Per leg (σ = +1 left, −1 right), with û = (cos θ, sin θ) of each link, n̂ = û turned by +90°, c the centre of mass:
+//! Per leg (σ = +1 left, −1 right), with û = (cos θ, sin θ) along each link, n̂ = û rotated by +90°, and c the centre of mass:
 //!
 //! ```text
 //! G:  c_P − a_P û_P − ground               = 0     proximal link on its motor axis
@@ -8,8 +8,8 @@
 //! Q:  Σ σ (c_D + b_D û_D)                  = 0     both distal links meet in the tip
 //! ```
 //!
-//! Φ_q follows with dû/dθ = n̂, Φ̇_q q̇ with d(n̂ω)/dt = −û ω², the geometric stiffness with d²û/dθ² = −û.
-//! The constraints do not depend on time: Φ_t = 0.
+//! Φ_q follows from dû/dθ = n̂, Φ̇_q q̇ from d(n̂ω)/dt = −û ω² at constant ω, and the geometric stiffness from d²û/dθ² = −û. The
+//! constraints do not depend on time: Φ_t = 0.
 
 use nalgebra::SMatrix;
 
@@ -19,7 +19,7 @@ use super::coordinates::{
 use super::legs::{Legs, Legs2, SIGMA, are_small, both, rotated_by, sin_cos, sin_cos_of_both, sum};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
-/// The directions of the links at one q, and the arms from the centres of mass to the joints.
+/// Directions of the links at one q, and arms from the centres of mass to the joints.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     /// Directions û of the proximal links.
@@ -36,7 +36,7 @@ pub struct Pose {
     pub(crate) sigma_b_d: Legs2,
 }
 
-/// Multipliers λ by joints, N: ground and elbow of each leg, and the tip for both legs.
+/// Multipliers λ by joint, N: ground and elbow of each leg, and the tip, which both legs share.
 #[derive(Clone, Copy)]
 struct ByJoint {
     ground: Legs2,
@@ -52,7 +52,8 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
     }
 }
 
-/// Directions of links after rotations, rad, from known directions at known angles: a small rotation costs half of a sine and cosine.
+/// Directions of links that turn by `by`, rad, from known directions at known angles: a small rotation costs half as much as a sine and a
+/// cosine.
 #[inline(always)]
 pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if are_small(by) {
@@ -62,7 +63,7 @@ pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 
     }
 }
 
-/// Directions û of the proximal and the distal links at their angles, rad.
+/// Directions û of the proximal and the distal links at the given angles, rad.
 #[inline(never)]
 pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
     let [(sin_p, cos_p), (sin_d, cos_d)] = sin_cos_of_both(angles);
@@ -75,7 +76,7 @@ impl Mechanism {
         self.pose_at(angles_by_leg(q))
     }
 
-    /// Pose from the angles of the proximal and the distal links, rad; one compiled copy for its many callers.
+    /// Pose at angles of the proximal and the distal links, rad; one compiled copy for its many callers.
     #[inline(never)]
     pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
@@ -110,7 +111,7 @@ impl Mechanism {
 }
 
 impl Pose {
-    /// Directions of the proximal and the distal links.
+    /// Directions û of the proximal and the distal links.
     pub(crate) fn along(&self) -> [Legs2; 2] {
         [self.u_p, self.u_d]
     }
@@ -162,8 +163,8 @@ impl Pose {
         (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))
     }
 
-    /// Variation of directions and arms by a variation of q. Products with the result are derivatives of products with the pose, except for
-    /// the unit entries of Φ_q, which are constant.
+    /// Variation of directions and arms for a variation of q. A product with the result is the derivative of the product with the pose,
+    /// apart from the constant unit entries of Φ_q.
     pub fn varied(&self, q: &Coordinates) -> Self {
         let [proximal, distal] = angles_by_leg(q);
         Self {
@@ -176,7 +177,7 @@ impl Pose {
         }
     }
 
-    /// The product (∂Φ_q/∂q w) v, symmetric in v and w; with v = w = q̇ it is Φ̇_q q̇.
+    /// The product (∂Φ_q/∂q w) v. It is symmetric in v and w; for v = w = q̇ it is Φ̇_q q̇.
     pub fn phi_q_varied_times(&self, w: &Coordinates, v: &Coordinates) -> Multipliers {
         let mut turning = Coordinates::ZERO;
         for i in THETA {

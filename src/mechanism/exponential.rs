@@ -1,8 +1,7 @@
-//! Exponential functions of two numbers at once, for friction and servos: tanh, and exp(−x²) beside tanh.
+//! Exponential functions of two numbers at once, for friction and servos: tanh, and exp(−x²) together with tanh.
 //!
-//! Results have equal bits on every platform: no fused multiply-add, no platform libm. With x = k ln 2 + r, |r| ≤ ln 2/2, the core is
-//! e^r − 1 by its Taylor polynomial of degree 13, whose remainder is below 1.3e-17 r, in Estrin's scheme, which shortens the chain of
-//! dependent operations.
+//! The bits are equal on every platform: no fused multiply-add, no platform libm. With x = k ln 2 + r and |r| ≤ ln 2/2, the core is e^r − 1
+//! by its Taylor polynomial of degree 13. Its remainder is below 1.3e-17 r. Estrin's scheme shortens the chain of dependent operations.
 
 use wide::bytemuck::cast;
 use wide::i64x2;
@@ -10,14 +9,14 @@ use wide::i64x2;
 use super::legs::{Legs, both};
 use crate::vector::ROUND;
 
-/// Least exponent of e: e^−700 is about 1e-304, still a normal number, and 0 for every use.
+/// Smallest exponent of e: e^−700 is about 1e-304, which is a normal number and 0 for every use.
 const LEAST_EXPONENT: f64 = -700.0;
 /// Largest argument 2|x| of tanh: from |x| = 22 on, tanh is 1 to the last bit.
 const TANH_SATURATION: f64 = 44.0;
 
-/// Factors 2^k and e^r − 1 of e^x with x = k ln 2 + r, for |x| up to 708.
+/// Factors 2^k and e^r − 1 of e^x, with x = k ln 2 + r, for |x| up to 708.
 fn exp_factors(x: Legs) -> (Legs, Legs) {
-    // ln 2 in two parts; the first has 33 bits, so that k times it is exact.
+    // ln 2 in two parts. The first has 33 bits, so its product with k is exact.
     const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
     const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
     const BIAS: i64 = 1023;
@@ -40,20 +39,20 @@ fn exp_factors(x: Legs) -> (Legs, Legs) {
 
 /// Magnitude tanh |x| from the result of [`exp_factors`] for 2|x|.
 fn tanh_of(power: Legs, exp_minus_one: Legs) -> Legs {
-    // The value m = e^(2|x|) − 1 is computed without cancellation.
+    // m = e^(2|x|) − 1, computed without cancellation.
     let m = power * exp_minus_one + (power - both(1.0));
     m / (m + both(2.0))
 }
 
-/// The hyperbolic tangent, within 4 ulp.
+/// Hyperbolic tangent, within 4 ulp.
 pub fn tanh(x: Legs) -> Legs {
     let sign = x & both(-0.0);
     let (power, exp_minus_one) = exp_factors(((x ^ sign) * both(2.0)).fast_min(both(TANH_SATURATION)));
     tanh_of(power, exp_minus_one) ^ sign
 }
 
-/// Values exp(−bell²), within 3 ulp and the rounding of its argument, and tanh(turn), within 4 ulp. Where both are saturated, as for a
-/// fast joint, nothing is computed.
+/// Returns exp(−bell²), within 3 ulp and the rounding of its argument, and tanh(turn), within 4 ulp. If both are saturated, as for a fast
+/// joint, nothing is computed.
 pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
     if -bell * bell < LEAST_EXPONENT && 2.0 * turn.abs() > TANH_SATURATION {
         return [0.0, 1.0_f64.copysign(turn)];
@@ -68,7 +67,7 @@ pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// Arguments of every size up to saturation and more.
+    /// Arguments of all sizes, also beyond saturation.
     fn arguments() -> impl Iterator<Item = f64> {
         let fine = (0..200_000).map(|i| f64::from(i) * 1.5e-4);
         let small = (0..3000).map(|i| 1e-300 * 10f64.powf(f64::from(i) / 10.0));
@@ -85,7 +84,7 @@ mod tests {
             assert_eq!(gaussian_and_tanh(0.3, x)[1], got, "{x}");
             worst = worst.max((got - want).abs() / want.abs().max(f64::MIN_POSITIVE));
         }
-        // The tanh of libm is within 1 ulp, 2.2e-16 at most.
+        // The tanh of libm is within 1 ulp, at most 2.2e-16.
         assert!(worst < 8e-16, "worst relative difference {worst:e}");
         assert_eq!(tanh(Legs::new([0.0, -0.0])).to_array().map(f64::to_bits), [0.0, -0.0].map(f64::to_bits));
         assert_eq!(tanh(Legs::new([1e308, -22.1])).to_array(), [1.0, -1.0]);
@@ -98,7 +97,7 @@ mod tests {
             let (got, want) = (gaussian_and_tanh(x, 0.7)[0], libm::exp(-x * x));
             worst = worst.max((got - want).abs() / want);
         }
-        // The bound is 3 ulp, and one of libm.
+        // The bound is 3 ulp, plus one of libm.
         assert!(worst < 8e-16, "worst relative difference {worst:e}");
         assert!(gaussian_and_tanh(1e200, 0.0)[0] < 1e-300);
         assert_eq!(gaussian_and_tanh(0.0, 0.0), [1.0, 0.0]);

@@ -1,6 +1,6 @@
-//! The two legs side by side: one value for the left and one for the right leg, in the two lanes of a SIMD register.
+//! The two legs side by side: a value holds the left and the right leg in the two lanes of a SIMD register.
 //!
-//! Both legs run ground → proximal link → distal link → tip, so that the two lanes execute the same code.
+//! Both legs run ground → proximal link → distal link → tip, so both lanes execute the same code.
 
 use std::ops::{Add, Sub};
 
@@ -12,10 +12,10 @@ use crate::vector::ROUND;
 /// A quantity of both legs: lane 0 left, lane 1 right.
 pub type Legs = f64x2;
 
-/// The sign with which each leg enters the tip's closure: + left, − right.
+/// Sign of each leg in the tip's closure: + left, − right.
 pub const SIGMA: Legs = Legs::new([1.0, -1.0]);
 
-/// One value for both legs.
+/// Sets both legs to one value.
 pub fn both(value: f64) -> Legs {
     Legs::splat(value)
 }
@@ -36,17 +36,17 @@ pub struct Legs2 {
 }
 
 impl Legs2 {
-    /// The vector times a scalar of each leg.
+    /// The vector of each leg times the scalar of that leg.
     pub fn scaled(self, factor: Legs) -> Self {
         Self { x: self.x * factor, y: self.y * factor }
     }
 
-    /// The scalar product, leg by leg.
+    /// Scalar product, leg by leg.
     pub fn dot(self, other: Self) -> Legs {
         self.x * other.x + self.y * other.y
     }
 
-    /// The third component of the vector product, leg by leg.
+    /// Cross product (its z component), leg by leg.
     pub fn cross(self, other: Self) -> Legs {
         self.x * other.y - self.y * other.x
     }
@@ -73,33 +73,33 @@ impl Sub for Legs2 {
     }
 }
 
-/// The larger magnitude of both legs; NaN if that of the right one is.
+/// Larger magnitude of the two legs; NaN if the right leg is NaN.
 pub fn largest(x: Legs) -> f64 {
     let [left, right] = x.abs().to_array();
     if left > right { left } else { right }
 }
 
-/// Largest angle of [`rotated_by`], rad: the limit of the polynomials' accuracy.
+/// Largest angle for [`rotated_by`], rad: the polynomials are accurate up to it.
 const LARGEST_SMALL_ANGLE: f64 = 0.45;
 
-/// Whether both angles of both legs, rad, are small enough for [`rotated_by`], judged by their squares, which [`rotated_by`] needs as well.
-/// NaN counts as small and propagates.
+/// Whether the angles of both legs, rad, are small enough for [`rotated_by`]. The test uses their squares because [`rotated_by`] needs them
+/// too. NaN counts as small and propagates.
 #[inline(always)]
 pub fn are_small([one, other]: [Legs; 2]) -> bool {
     (one * one).fast_max(other * other).simd_gt(both(LARGEST_SMALL_ANGLE * LARGEST_SMALL_ANGLE)).to_bitmask() == 0
 }
 
-/// A direction of each leg rotated by an angle of at most 0.45 rad, at less than half the cost of sine and cosine: no range reduction, no
+/// Rotates a direction of each leg by at most 0.45 rad, at less than half the cost of sine and cosine: without range reduction or
 /// quadrants.
 ///
-/// With the tangent of half the angle b/a, a quotient of polynomials of degree 5 and 4 within 2.1e-17 rad of the angle (Remez, in 60
-/// digits), sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) keep the length of a direction for any quotient. Both are small, so that
-/// the round-off is that of the direction itself.
+/// The tangent of half the angle is b/a, with polynomials of degree 5 and 4 whose angle is within 2.1e-17 rad (Remez, in 60 digits). Then
+/// sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) preserve the length of the direction for any quotient. Both are small, so the result
+/// has the round-off of the direction itself.
 #[inline(always)]
 pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];
     const B: [f64; 3] = [0.5 * A[0], -13.995_239_444_296_098, 0.033_359_826_126_325_32];
-    // Polynomials a and b with b/a the tangent of half the angle.
+    // Polynomials a and b; b/a is the tangent of half the angle.
     let z = angle * angle;
     let a = (z + both(A[1])) * z + both(A[0]);
     let b = ((both(B[2]) * z + both(B[1])) * z + both(B[0])) * angle;
@@ -111,14 +111,14 @@ pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
 
 /// Sine and cosine of an angle of each leg, rad, within 1 ulp and the rounding of the angle.
 ///
-/// Results have equal bits on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax
-/// polynomials of FreeBSD's msun `k_sin.c`, `k_cos.c`, two lanes at a time. Above 2²⁰·π/2 rad, the limit of the reduction, and for
-/// non-finite angles the libm crate is used.
+/// The bits are equal on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax polynomials of
+/// FreeBSD's msun `k_sin.c` and `k_cos.c`, two lanes at a time. Above 2²⁰·π/2 rad, the limit of the reduction, and for non-finite angles
+/// the libm crate takes over.
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     if is_reducible(angle) { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
 }
 
-/// Sine and cosine of two angles of each leg, rad, with one test of their size.
+/// Sine and cosine of two angles of each leg, rad, with a single size test.
 #[inline(always)]
 pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
     if is_reducible(one.abs().fast_max(other.abs())) {
@@ -128,7 +128,7 @@ pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
     }
 }
 
-/// Whether the range reduction is accurate for an angle of each leg, rad; false for NaN.
+/// Whether the range reduction is accurate for the angles of both legs, rad; false for NaN.
 #[inline(always)]
 fn is_reducible(angle: Legs) -> bool {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
@@ -144,7 +144,7 @@ fn sin_cos_far(angle: Legs) -> (Legs, Legs) {
 }
 
 fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
-    // π/2 in three parts; the first two have 33 bits, so that k times them is exact for |k| < 2^20.
+    // π/2 in three parts. The first two have 33 bits, so their products with k are exact for |k| < 2^20.
     const HALF_PI_1: f64 = 1.570_796_326_734_125_6;
     const HALF_PI_2: f64 = 6.077_100_506_303_966e-11;
     const HALF_PI_3: f64 = 2.022_266_248_795_950_7e-21;
@@ -166,7 +166,7 @@ fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
     let w = both(1.0) - half;
     let cos = w + (((both(1.0) - w) - half) + z * c);
 
-    // Odd quadrants exchange sin and cos; the second bit is the sign.
+    // Odd quadrants exchange sin and cos; the second bit of the quadrant is the sign.
     let one = i64x2::splat(1);
     let odd: Legs = cast(i64x2::splat(0) - (quadrant & one));
     let exchange = (sin ^ cos) & odd;
@@ -179,7 +179,7 @@ fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
 mod tests {
     use super::*;
 
-    /// Rotations of directions all around by angles of both signs up to the largest agree in both components.
+    /// Compares rotations of directions all around, by angles of both signs up to the largest, in both components.
     #[test]
     fn small_turns_agree_with_libm() {
         let mut worst: f64 = 0.0;
@@ -195,11 +195,11 @@ mod tests {
                 }
             }
         }
-        // Half an ulp below 1 each of sums, products and libm's values, on both sides.
+        // Half an ulp below 1 each for sums, products and libm's values, on both sides.
         assert!(worst <= 4.5e-16, "worst difference {worst:e}");
     }
 
-    /// Angles lie in all quadrants, near multiples of π/2, and up to and above the limit of the reduction.
+    /// Angles cover all quadrants, multiples of π/2 and their neighbourhood, and values up to and above the limit of the reduction.
     #[test]
     fn sin_cos_agrees_with_libm() {
         let mut worst: f64 = 0.0;
@@ -217,7 +217,7 @@ mod tests {
             check(f64::from(i) * std::f64::consts::FRAC_PI_2);
             check(f64::from(i) * 1e5);
         }
-        // 1 ulp below 1 is 1.1e-16; both sides may be off by that much.
+        // 1 ulp below 1 is 1.1e-16; both results may be off by that much.
         assert!(worst <= 2.3e-16, "worst difference {worst:e}");
     }
 }

@@ -13,7 +13,7 @@
 //!         left  distance  right motor
 //! ```
 //!
-//! Invariant: does no input or output, reads no clock; the same input bits give the same output bits.
+//! Invariant: no input or output, no clock; the same input bits give the same output bits.
 
 pub mod closure;
 mod closure_branch;

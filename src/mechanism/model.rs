@@ -1,4 +1,4 @@
-//! Constants of the mechanism: geometry and masses as a user gives them, and arranged by legs.
+//! Geometry and masses of the mechanism, by link (as a user gives them) and by leg (as the code computes with them).
 
 use std::fmt;
 
@@ -25,13 +25,13 @@ pub const LINKS: usize = 4;
 /// Geometry and masses of the mechanism: links in the order left proximal, left distal, right distal, right proximal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Geometry {
-    /// Distance between the motor axes, both on the x axis, the left one at the origin, m. 0 = coaxial motors.
+    /// Distance between the motor axes, m; 0 = coaxial motors. Both axes are on the x axis, the left one at the origin.
     pub base_distance: f64,
     /// The four moving links.
     pub links: [Link; LINKS],
 }
 
-/// A value that cannot be simulated: one sentence naming the variable, its value and the allowed values.
+/// Message about a value that cannot be simulated: one sentence that names the variable, its value and the allowed values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneError(pub String);
 
@@ -44,14 +44,14 @@ impl fmt::Display for SceneError {
 impl std::error::Error for SceneError {}
 
 impl Geometry {
-    /// Largest possible coordinate magnitude, m, to which round-off in Φ is proportional.
+    /// Largest possible coordinate magnitude, m. Round-off in Φ is proportional to it.
     pub fn length_scale(&self) -> f64 {
         let [left_proximal, left_distal, right_distal, right_proximal] = self.links;
         let arm = |link: Link| link.length.max(link.com.abs()).max((link.length - link.com).abs());
         self.base_distance + (arm(left_proximal) + arm(left_distal)).max(arm(right_proximal) + arm(right_distal))
     }
 
-    /// Whether the motors are coaxial and all links can be in line, to the round-off of their lengths.
+    /// Whether the motors are coaxial and all links can lie in line, within the round-off of their lengths.
     pub fn turns_in_line(&self) -> bool {
         let [first, others @ ..] = self.lengths();
         let round_off = 2.0 * f64::EPSILON * self.lengths().iter().sum::<f64>();
@@ -70,22 +70,22 @@ impl Geometry {
     }
 }
 
-/// The mechanism by legs: `P` the proximal, `D` the distal links.
+/// The mechanism by legs; `P` stands for the proximal links, `D` for the distal links.
 ///
-/// Along each link, a is the arm from its first joint (motor axis, elbow) to the centre of mass and b the rest of its length.
+/// In each link, a is the distance from its first joint (motor axis or elbow) to the centre of mass, and b the rest of its length.
 #[derive(Clone, Copy, Debug)]
 pub struct Mechanism {
     /// Geometry and masses by links.
     pub geometry: Geometry,
-    /// x of the motor axes, m.
+    /// x coordinates of the motor axes, m.
     pub(crate) ground_x: Legs,
-    /// Motor axis to the centre of mass of the proximal link, m.
+    /// Distance from the motor axis to the centre of mass of the proximal link, m.
     pub(crate) a_p: Legs,
-    /// Centre of mass of the proximal link to the elbow, m.
+    /// Distance from the centre of mass of the proximal link to the elbow, m.
     pub(crate) b_p: Legs,
-    /// Elbow to the centre of mass of the distal link, m.
+    /// Distance from the elbow to the centre of mass of the distal link, m.
     pub(crate) a_d: Legs,
-    /// Centre of mass of the distal link to the tip, with the sign of the leg in the tip's closure, m.
+    /// Distance from the centre of mass of the distal link to the tip, times the sign σ of the leg in the tip's closure, m.
     pub(crate) sigma_b_d: Legs,
     /// Masses of the proximal links, kg.
     pub(crate) mass_p: Legs,
@@ -98,7 +98,7 @@ pub struct Mechanism {
 }
 
 impl Mechanism {
-    /// A geometry arranged by legs.
+    /// Arranges a geometry by legs.
     pub fn new(geometry: &Geometry) -> Self {
         let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
         let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
@@ -117,7 +117,7 @@ impl Mechanism {
         }
     }
 
-    /// The product M x with the diagonal and constant mass matrix of centre-of-mass coordinates.
+    /// The product M x. The mass matrix of centre-of-mass coordinates is diagonal and constant.
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
         let mut product = Coordinates::ZERO;
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
@@ -126,7 +126,7 @@ impl Mechanism {
         product
     }
 
-    /// Kinetic energy plus potential energy of a constant force, J: both legs at once.
+    /// Kinetic energy plus the potential energy of a constant generalised force, J.
     pub fn energy(&self, [q, v]: [&Coordinates; 2], force: &Coordinates) -> f64 {
         let (mut twice_kinetic, mut work) = (both(0.0), both(0.0));
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
@@ -137,7 +137,7 @@ impl Mechanism {
         sum(both(0.5) * twice_kinetic - work)
     }
 
-    /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.
+    /// Diagonal of M by legs, kg and kg·m², in the order of the coordinate pairs.
     pub fn mass_diagonal(&self) -> [Legs; 6] {
         let mut diagonal = [both(0.0); 6];
         diagonal[P_X] = self.mass_p;

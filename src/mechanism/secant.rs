@@ -1,6 +1,6 @@
-//! Derivatives of the joints' constraints over a finite step, from q₀ to q₁ = q₀ + d.
+//! Derivatives of the joint constraints over a finite step from q₀ to q₁ = q₀ + d.
 //!
-//! Over a step of Δθ a link turns from û₀ to û₁ about its direction in the middle, û_m. With s = sin(Δθ/2)/(Δθ/2) and c = cos(Δθ/2)
+//! In a step a link turns by Δθ, from û₀ to û₁; û_m is its direction half-way. With s = sin(Δθ/2)/(Δθ/2) and c = cos(Δθ/2)
 //!
 //! ```text
 //! û₁ − û₀ = s n̂_m Δθ          J_b, with normals s n̂_m:  J_b d = Φ(q₁) − Φ(q₀)
@@ -8,9 +8,9 @@
 //! n̂₁ − n̂₀ = −s û_m Δθ         (Φ_q(q₁) − Φ_q(q₀)) z = K_b(z) d
 //! ```
 //!
-//! exactly, for a step of any length: each matrix is Φ_q in the middle with scaled angle columns. So a step with J_b and J_c
-//! conserves energy and both levels of the constraints (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear
-//! Sci. 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
+//! exactly, for a step of any length: each matrix is Φ_q half-way with scaled angle columns. A step with J_b and J_c therefore conserves
+//! energy and the constraints of position and velocity (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Sci.
+//! 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
 //! mechanical systems*, 2006). `docs/conserving.md` derives the step.
 
 use super::legs::{Legs, Legs2, both, sin_cos};
@@ -19,7 +19,7 @@ use super::{Mechanism, Pose};
 /// Poses and factors of a finite step.
 #[derive(Clone, Copy, Debug)]
 pub struct Secant {
-    /// Pose with each angle in the middle of its increment.
+    /// Pose with each link half-way through its turn.
     pub(crate) middle: Pose,
     /// Pose at the step's end.
     pub(crate) end: Pose,
@@ -29,7 +29,7 @@ pub struct Secant {
     pub(crate) cos: [Legs; 2],
 }
 
-/// Cosine, sine and sin x/x of an angle x below 1/4 rad, by their series to round-off.
+/// Cosine, sine and sin x/x of an angle |x| < 1/4 rad, by series exact to round-off.
 fn small(angle: Legs) -> [Legs; 3] {
     let z = angle * angle;
     let series = |divisors: [f64; 6]| divisors.into_iter().rev().fold(both(0.0), |sum, divisor| both(1.0 / divisor) + z * sum);
@@ -45,7 +45,7 @@ fn large(angle: Legs) -> [Legs; 3] {
     let (sin, cos) = sin_cos(angle);
     let exact = Legs::new([0, 1].map(|leg| {
         let (sin, angle) = (sin.to_array()[leg], angle.to_array()[leg]);
-        // A small angle beside a large one takes the series, as [`small`] does.
+        // If only one angle is small, it takes the series too, as in [`small`].
         if angle.abs() < 0.25 { small(both(angle))[2].to_array()[0] } else { sin / angle }
     }));
     [cos, sin, exact]
@@ -64,7 +64,7 @@ impl Legs2 {
 }
 
 impl Mechanism {
-    /// The step from a pose by turns of the proximal and the distal links, rad.
+    /// Finite step from a pose, by turns of the proximal and the distal links, rad.
     #[inline(always)]
     pub(crate) fn secant(&self, begin: &Pose, turns: [Legs; 2]) -> Secant {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
@@ -86,7 +86,7 @@ pub(crate) mod tests {
     use crate::mechanism::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
     use crate::mechanism::{Coordinates, Multipliers};
 
-    /// Coordinates whose angle entries are multiplied by factors.
+    /// Multiplies the angle entries of coordinates by factors.
     fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
         let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
         set_legs(&mut x, P_THETA, proximal * p);
@@ -94,7 +94,7 @@ pub(crate) mod tests {
         x
     }
 
-    /// The matrices of the step in all coordinates.
+    /// Products with the step's matrices in all coordinates.
     impl Secant {
         /// The product J_bᵀ Λ.
         pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
@@ -106,7 +106,7 @@ pub(crate) mod tests {
             with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
         }
 
-        /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: nonzero only in the angles.
+        /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q. It is nonzero only in the angles.
         pub(crate) fn discrete_hessian_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
             let (stiffness_p, stiffness_d) = self.middle.geometric_stiffness(multipliers);
             let mut product = Coordinates::ZERO;

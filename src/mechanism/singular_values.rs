@@ -1,13 +1,13 @@
-//! Singular values of a matrix of the size of Φ_q, 10×12: the smallest alone, for an output, or all with their vectors, for derivatives.
-//! The former by bisection of a tridiagonal matrix, the latter by one-sided Jacobi rotations; nalgebra's decomposition would add 30 kB.
+//! Singular values of Φ_q, a 10×12 matrix: only the smallest, for an output, or all with their vectors, for derivatives. The smallest comes
+//! from bisection of a tridiagonal matrix, all values from one-sided Jacobi rotations; nalgebra's decomposition would add 30 kB.
 
 use super::{Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
-/// Largest |cosine| of the angle between two orthogonal rows: round-off of a scalar product.
+/// Largest |cosine| of the angle between two rows that count as orthogonal: round-off of a scalar product.
 const ORTHOGONALITY_TOLERANCE: f64 = 4.0 * f64::EPSILON;
 
-/// Largest number of Jacobi sweeps; convergence is quadratic, and six are usual.
+/// Largest number of Jacobi sweeps. Convergence is quadratic; six are usual.
 const LARGEST_SWEEP_COUNT: usize = 30;
 
 /// A singular value σ of a matrix A with its singular vectors u and v: Aᵀ u = σ v.
@@ -17,7 +17,7 @@ pub struct SingularValue {
     pub value: f64,
     /// Left singular vector u, of length 1.
     pub left: Multipliers,
-    /// Right singular vector v, of length 1, or 0 where σ = 0.
+    /// Right singular vector v: of length 1, or 0 if σ = 0.
     pub right: Coordinates,
 }
 
@@ -38,8 +38,8 @@ impl Pose {
     }
 }
 
-/// All singular values of the matrix with these rows, unordered, by one-sided Jacobi rotations of pairs of rows until all rows are
-/// orthogonal; the rows are then σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
+/// All singular values of the matrix with these rows, unsorted. One-sided Jacobi rotations act on pairs of rows until all rows are
+/// orthogonal; then the rows are σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
 fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
     let mut left: [Multipliers; MULTIPLIERS] = std::array::from_fn(Multipliers::unit);
     for _ in 0..LARGEST_SWEEP_COUNT {
@@ -52,7 +52,7 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
                     continue;
                 }
                 are_orthogonal = false;
-                // Of the two angles that make the rows orthogonal, the smaller is taken.
+                // Two angles make the rows orthogonal; the smaller one is taken.
                 let cotangent_of_twice = (yy - xx) / (2.0 * xy);
                 let tangent = 1.0_f64.copysign(cotangent_of_twice)
                     / (cotangent_of_twice.abs() + (1.0 + cotangent_of_twice * cotangent_of_twice).sqrt());
@@ -74,14 +74,16 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
     })
 }
 
-/// Smallest singular value of the matrix with these rows, to round-off of the largest, at some 50,000 instructions less than all with
-/// their vectors. Householder reflections from both sides give a bidiagonal matrix (Golub and Van Loan, Matrix Computations, third edition,
-/// section 5.4.3); its elements, with a zero diagonal, form a tridiagonal matrix whose eigenvalues are ±σ, and bisection by Sturm's
-/// sequence counts the eigenvalues below a bound (sections 8.5.2 and 8.6.1).
+/// Smallest singular value of the matrix with these rows, accurate to the round-off of the largest. It takes some 50,000 instructions less
+/// than all values with their vectors.
+///
+/// Householder reflections from both sides give a bidiagonal matrix (Golub and Van Loan, Matrix Computations, third edition, section
+/// 5.4.3). Its elements, with a zero diagonal, form a tridiagonal matrix with the eigenvalues ±σ. Bisection counts the eigenvalues below a
+/// bound by Sturm's sequence (sections 8.5.2 and 8.6.1).
 fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     let mut high = rows.iter().map(Coordinates::norm).fold(f64::INFINITY, f64::min);
     let precision = f64::EPSILON * high;
-    // Squares of the bidiagonal matrix: each diagonal element, then its off-diagonal neighbour.
+    // Squared elements of the bidiagonal matrix: each diagonal element, then its off-diagonal neighbour.
     let mut squares = [0.0; 2 * MULTIPLIERS];
     for k in 0..MULTIPLIERS {
         let (done, below) = rows.split_at_mut(k + 1);
@@ -112,7 +114,7 @@ fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
         let mut pivot = -middle;
         for square in &squares[..2 * MULTIPLIERS - 1] {
             below += u32::from(pivot < 0.0);
-            // A pivot of 0 is replaced by the least positive number.
+            // A pivot of 0 is replaced by the smallest positive normal number.
             pivot = -middle - square / if pivot.abs() < f64::MIN_POSITIVE { f64::MIN_POSITIVE } else { pivot };
         }
         below += u32::from(pivot < 0.0);
@@ -120,8 +122,8 @@ fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     }
 }
 
-/// Vector u and factor s of the Householder reflection 1 − s u uᵀ that maps a vector onto its axis `place`, given the square of the
-/// vector's length; `None` for a vector of length 0 or a place outside the vector.
+/// Vector u and factor s of the Householder reflection 1 − s u uᵀ that maps a vector onto its axis `place`. `square` is the square of the
+/// vector's length. `None` if the length is 0 or the place is outside the vector.
 fn reflection<const N: usize>(mut vector: Vector<N>, place: usize, square: f64) -> Option<(Vector<N>, f64)> {
     let element = *vector.get(place)?;
     let length = square.sqrt().copysign(element);
@@ -133,7 +135,7 @@ fn reflection<const N: usize>(mut vector: Vector<N>, place: usize, square: f64) 
 mod tests {
     use super::*;
 
-    /// Arbitrary rows of size 1, the last nearly a sum of others.
+    /// Arbitrary rows of size 1; the last is nearly a sum of two others.
     fn rows(rest: f64) -> [Coordinates; MULTIPLIERS] {
         let mut rows: [Coordinates; MULTIPLIERS] = std::array::from_fn(|i| {
             Coordinates::from_fn(|j| f64::from((7 * i * i + 3 * j * (i + 2) + j * j) as u32 % 23) / 11.0 - 1.0)
@@ -150,7 +152,7 @@ mod tests {
             let matrix = nalgebra::SMatrix::<f64, MULTIPLIERS, { super::super::COORDINATES }>::from_fn(|i, j| rows[i][j]);
             let mut values = found.map(|of| of.value);
             values.sort_by(|a, b| b.total_cmp(a));
-            // The values of nalgebra are sorted; the tolerance is round-off of the largest, some 6.
+            // nalgebra sorts its values; the tolerance is round-off of the largest value, about 6.
             for (value, expected) in values.iter().zip(matrix.singular_values().iter()) {
                 assert!((value - expected).abs() < 1e-14, "{value} {expected}");
             }
@@ -164,13 +166,13 @@ mod tests {
         }
     }
 
-    /// A small row has a small singular value with full relative accuracy beside large rows.
+    /// A small row next to large rows has a small singular value with full relative accuracy.
     #[test]
     fn small_values_keep_their_digits() {
         let mut rows: [Coordinates; MULTIPLIERS] = std::array::from_fn(Coordinates::unit);
         rows[1] = 1e-12 * Coordinates::from_fn(|j| if j < 2 { 1.0 } else { 0.0 });
         let smallest = singular_values(rows).map(|of| of.value).into_iter().fold(f64::INFINITY, f64::min);
-        // Gram's determinant of the first two rows is 1e-24, and the larger of their singular values 1 + 5e-25.
+        // Gram's determinant of the first two rows is 1e-24, and their larger singular value is 1 + 5e-25.
         assert!((smallest / 1e-12 - 1.0).abs() < 1e-15, "{smallest:e}");
         assert!((smallest_singular_value(rows) - smallest).abs() < 1e-16);
         rows[0] = Coordinates::ZERO;

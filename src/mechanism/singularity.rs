@@ -1,13 +1,13 @@
-//! Distance to the direct, inverse and constraint singularities, and assembly and working modes (`docs/vertices.md`, "Singularities").
+//! Distance to direct, inverse and constraint singularities; assembly and working modes (`docs/vertices.md`, "Singularities").
 //!
-//! From |Q − A_i|² = const, with A_i the elbows: J_x ẋ = J_q θ̇, rows (Q − A_i) of J_x. In link directions
+//! Differentiating |Q − A_i|² = const for the tip Q and the elbows A_i gives J_x ẋ = J_q θ̇, with rows (Q − A_i) in J_x. In link directions
 //! det J_x = l₂ l₃ û₂ × û₃ and det J_q = Π l_P l_D û_P × û_D.
 
 use super::{Assembly, Geometry, Pose};
 use crate::scalar::Scalar;
 
-/// Threshold of a singularity, for a determinant relative to its largest value, and for the smallest singular value of Φ_q in its own unit:
-/// conditions worse than 1000.
+/// Threshold of a singularity: for a determinant relative to its largest value, and for the smallest singular value of Φ_q in its own unit.
+/// Condition numbers above 1000 count as singular.
 const SINGULARITY_THRESHOLD: f64 = 1e-3;
 
 /// Kind of the gravest singularity near a posture.
@@ -21,11 +21,11 @@ pub enum SingularityKind {
     Inverse,
     /// Direct and inverse at once.
     Combined,
-    /// The smallest singular value of Φ_q below 1e-3: the constraints lose rank, all links near one line through the motors.
+    /// The smallest singular value of Φ_q is below 1e-3: the constraints lose rank, with all links near one line through the motors.
     Constraint,
 }
 
-/// Determinants and singular values of the Jacobians J_x and J_q, and the assembly and working modes by their signs.
+/// Determinants and singular values of the Jacobians J_x and J_q, and the assembly and working modes, which follow from their signs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jacobians<T = f64> {
     /// det J_x, m².
@@ -42,7 +42,7 @@ pub struct Jacobians<T = f64> {
     pub working: [bool; 2],
 }
 
-/// Distance to the singularities, with assembly and working modes.
+/// Distance to the singularities, and the modes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Singularity {
     /// Determinants and modes.
@@ -54,20 +54,20 @@ pub struct Singularity {
 }
 
 impl Pose {
-    /// Signs of the configuration, one bit for each negative value: det J_x (assembly mode), bend of the left and right elbow (working
-    /// mode). A bit that changes shows that the trajectory has passed a direct or inverse singularity.
+    /// Signs of the configuration, one bit for each negative value: det J_x (assembly mode), then the bend of the left and of the right
+    /// elbow (working mode). A changed bit means that the motion passed a direct or an inverse singularity.
     pub fn configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines();
         u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
     }
 
-    /// Event indicators, relative: each changes sign where a mode changes or the threshold of a direct or inverse singularity is crossed.
+    /// Relative event indicators: each changes sign when a mode changes or the threshold of a direct or inverse singularity is crossed.
     pub fn configuration_indicators(&self) -> [f64; 5] {
         let [tip, left, right] = self.sines();
         [tip, left, right, tip.abs() - SINGULARITY_THRESHOLD, (left * right).abs() - SINGULARITY_THRESHOLD]
     }
 
-    /// Sines of the angle between the distal links and of the angles in the left and right elbow.
+    /// Sines of three angles: between the distal links, and at the left and the right elbow.
     pub fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
         let [left, right] = self.u_p.cross(self.u_d).to_array();
@@ -98,7 +98,7 @@ impl Geometry {
         };
 
         let det_jx = sine(1, 2) * (l2 * l3);
-        // With σ_max σ_min = |det| and σ_max² + σ_min² = l₂² + l₃², σ_min has no cancellation near a singularity.
+        // Since σ_max σ_min = |det| and σ_max² + σ_min² = l₂² + l₃², σ_min has no cancellation near a singularity.
         let trace = l2 * l2 + l3 * l3;
         let det = det_jx.magnitude(l2 * l3);
         let spread = ((-det * 2.0 + trace) * (det * 2.0 + trace)).root(trace * trace);
@@ -115,7 +115,7 @@ impl Geometry {
         }
     }
 
-    /// Kind of the gravest singularity, given the Jacobians and the smallest singular value of Φ_q.
+    /// Kind of the gravest singularity, from the Jacobians and the smallest singular value of Φ_q.
     pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
         let [p1, l2, l3, p4] = self.lengths();
         let direct = jacobians.det_jx.abs() < SINGULARITY_THRESHOLD * l2 * l3;

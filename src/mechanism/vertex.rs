@@ -1,7 +1,7 @@
-//! The vertices of the configuration space: all links on the x axis, where the constraints lose rank and branches intersect.
+//! Vertices of the configuration space: all links lie on the x axis, the constraints lose rank and branches intersect.
 //!
-//! With the signed lengths s = (c₁l₁, c₂l₂, −c₃l₃, −c₄l₄), c = cos θ = ±1, closure to second order around a vertex is
-//! Σ s w = 0 and Σ s w² = 0 for displacements or rates w of the link angles: a quadratic cone in a space of three dimensions.
+//! With c = cos θ = ±1 and the signed lengths s = (c₁l₁, c₂l₂, −c₃l₃, −c₄l₄), closure to second order around a vertex is Σ s w = 0 and Σ s
+//! w² = 0 for displacements or rates w of the link angles: a quadratic cone in a three-dimensional space.
 
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
@@ -9,10 +9,10 @@ use super::Geometry;
 use super::legs::{Legs, both};
 use crate::vector::ROUND;
 
-/// Largest distance from a vertex, rad, at which its tangent cone is used: terms of third order are a few percent there.
+/// Largest distance from a vertex, rad, at which its tangent cone is used: third-order terms are a few percent there.
 const LARGEST_OFFSET: f64 = 0.3;
 
-/// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
+/// Displacements of the link angles (proximal, distal) from the nearest vertex, rad; `None` if any is 0.3 rad or more.
 pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     let near = |angle: Legs| {
         let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
@@ -23,26 +23,27 @@ pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     near(angles[0]).and_then(|proximal| near(angles[1]).map(|distal| [proximal, distal]))
 }
 
-/// The branch of least constraint of a motion that starts from rest in a vertex.
+/// Branch of least constraint: how a motion leaves a vertex from rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Branch {
     /// Unit direction of the initial accelerations of the angles of links 1 to 4.
     pub direction: [f64; 4],
-    /// Number of other local maxima of the gain, each a possible branch.
+    /// Number of other local maxima of the gain; each is a possible branch.
     pub alternatives: u32,
 }
 
-/// Gauss's principle on the tangent cone at the angles of links 1 to 4: the motion from rest takes the direction d of the cone with the
-/// largest gain (g·d)²/(d·M d), with g the generalised forces, N·m, and M the mass matrix in the link angles, kg·m².
+/// Applies Gauss's principle of least constraint to the tangent cone at the angles of links 1 to 4, rad. The motion from rest takes the
+/// direction d on the cone with the largest gain (g·d)²/(d·M d). Here g are the generalised forces, N·m, and M is the mass matrix in the
+/// link angles, kg·m².
 ///
-/// Each local maximum is a branch that the theory allows; the largest is taken, or the first around the cone of two equal ones. `None`
-/// where forces drive no direction, or where the cone is a single point (the links lock).
+/// Each local maximum is a possible branch. The largest is taken, or the first around the cone if two are equal. `None` if the forces drive
+/// no direction, or if the cone is a single point (the links lock).
 pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], mass: [[f64; 4]; 4]) -> Option<Branch> {
     let cone = Cone::new(geometry, theta)?;
     let (force, mass) = (Vector4::from(force), Matrix4::from_fn(|i, j| mass[i][j]));
     let gain = |angle: f64| cone.gain(angle, &force, &mass);
 
-    // Local maxima on a grid around the cone, each refined by golden sections.
+    // Local maxima on a grid around the cone; a golden-section search refines each.
     const GRID: usize = 360;
     let at = |i: usize| (i % GRID) as f64 * std::f64::consts::TAU / GRID as f64;
     let values: [f64; GRID] = std::array::from_fn(|i| gain(at(i)));
@@ -59,7 +60,7 @@ pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], m
     for peak in peaks {
         let angle = golden_maximum(&gain, at(peak) - step, at(peak) + step);
         count += 1;
-        // Equal maxima of symmetric cases differ in rounding only; the first is kept.
+        // Equal maxima of symmetric cases differ only by rounding; the first is kept.
         if gain(angle) > best.0 * (1.0 + 1e-12) || count == 1 {
             best = (gain(angle), angle);
         }
@@ -69,7 +70,7 @@ pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], m
     Some(Branch { direction: direction.into(), alternatives: (count as u32).saturating_sub(1) })
 }
 
-/// Unit directions on one half of the tangent cone, by an angle around its axis; the other half are the opposite directions.
+/// Unit directions on one half of the tangent cone, by the angle around its axis; the other half has the opposite directions.
 struct Cone {
     axis: Vector4<f64>,
     across: [Vector4<f64>; 2],
@@ -81,7 +82,7 @@ impl Cone {
             let side = if i < 2 { 1.0 } else { -1.0 };
             side * libm::cos(theta[i]).signum() * geometry.links[i].length
         });
-        // An orthonormal basis of Σ s w = 0: the images of three axes under the reflection that maps the fourth to s.
+        // Orthonormal basis of Σ s w = 0: the images of three axes under the reflection that maps the fourth axis to s.
         let last = s.iamax();
         let mut normal = s;
         normal[last] += s[last].signum() * s.norm();
@@ -94,7 +95,7 @@ impl Cone {
         for (basis, i) in free.iter_mut().zip((0..4).filter(|&i| i != last)) {
             *basis = reflected(i);
         }
-        // The quadratic form Σ s w² in that basis is a cone if one eigenvalue differs in sign from the other two.
+        // In this basis the quadratic form Σ s w² is a cone if one eigenvalue differs in sign from the other two.
         let form = Matrix3::from_fn(|i, j| free[i].component_mul(&s).dot(&free[j]));
         let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(form);
         let sign = -eigenvalues.product().signum();
@@ -121,7 +122,7 @@ impl Cone {
         (self.axis + self.across[0] * cos + self.across[1] * sin).normalize()
     }
 
-    /// Gain (g·d)²/(d·M d) of a direction, N·m/(kg·m²) times N·m; one compiled copy for all callers.
+    /// Gain (g·d)²/(d·M d) of a direction, N²·m²/(kg·m²); one compiled copy for all callers.
     #[inline(never)]
     fn gain(&self, angle: f64, force: &Vector4<f64>, mass: &Matrix4<f64>) -> f64 {
         let direction = self.direction(angle);
@@ -131,7 +132,7 @@ impl Cone {
 
 fn golden_maximum(f: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    // At a maximum f is flat, so that a search finds half of the digits of the angle.
+    // f is flat at a maximum, so the search finds only half of the digits of the angle.
     while high - low > 1e-9 {
         let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
         if f(a) < f(b) { low = a } else { high = b }
