@@ -1,19 +1,19 @@
-//! Contact: a plane that the tip may touch; the half-plane n·(x, y) ≥ offset is free.
+//! Contact: a plane that the tip may touch. The half-plane n·(x, y) ≥ offset is free.
 //!
-//! With the penetration d = offset − n·p and the tip's velocity v_t along t = (−n_y, n_x):
+//! With the penetration d = offset − n·p of the tip at p and its velocity v_t along t = (−n_y, n_x):
 //!
 //! ```text
 //! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + c ḋ))
 //! ```
 //!
-//! see `hybrid/unilateral.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
-//! C = −∂F/∂ṗ; both couple links and are not symmetric. Potential: the spring part of N; the damper and the
-//! friction dissipate. The tanh belongs to `law` 1, smooth. By `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): a slipping tip
-//! feels mu N against its motion, and a sticking tip feels the force that keeps it at rest along the plane, up to mu N.
+//! `hybrid/unilateral.rs` describes N. The tangential part is regularised Coulomb friction. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ and C =
+//! −∂F/∂ṗ couple links and are not symmetric. The spring part of N has a potential; the damper and the friction dissipate. The formula is
+//! `law` 1, smooth. With `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): mu N opposes the motion of a slipping tip, and a
+//! sticking tip feels the force that keeps it at rest along the plane, up to mu N.
 //! Defaults: a floor 1 m below the motor axes, out of reach of the paper's mechanism; k 2e3 N/m and 5 N·s/m, a soft fingertip or a
 //! haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
-//! Limits: a point against a plane; by the smooth law the tip creeps under a tangential load F_t below mu N, at about
-//! slipVelocity F_t/(mu N).
+//! Limits: a point against a plane. With the smooth law the tip creeps under a tangential load F_t below mu N, at about slipVelocity
+//! F_t/(mu N).
 
 use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::{ForceLaw, Properties};
@@ -49,7 +49,7 @@ pub struct Parameters {
     pub law: Law,
 }
 
-/// The plane, made ready from its parameters.
+/// The plane, prepared from its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contact {
     normal: [f64; 2],
@@ -58,11 +58,11 @@ pub struct Contact {
     mu: f64,
     slip_velocity: f64,
     law: Law,
-    /// Lever arms: largest |∂p/∂θ| of the tip's position by the angle of each link of the leg that carries the tip, m/rad.
+    /// Largest |∂p/∂θ| of the tip's position for the angle of each link in the leg that carries the tip, m/rad.
     arms: [f64; LINKS],
 }
 
-/// Product of a column, a row and a factor.
+/// Product of a factor, a column and a row.
 fn outer(factor: f64, column: Planar, row: Planar) -> Matrix {
     column.map(|x| row.map(|y| factor * x * y))
 }
@@ -75,7 +75,7 @@ fn add(sum: &mut Matrix, matrix: Matrix) {
 }
 
 impl Contact {
-    /// Makes the plane ready; refuses a normal of length 0.
+    /// Prepares the plane. Refuses a normal of length 0.
     pub(super) fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
         let length = libm::hypot(nx, ny);
@@ -88,7 +88,7 @@ impl Contact {
         Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, law: parameters.law, arms })
     }
 
-    /// The unilateral spring at penetration d, m, and its rate ḋ, m/s.
+    /// Unilateral spring of the plane, with penetration d, m, and its rate ḋ, m/s.
     fn guard(&self, at: &Motion) -> UnilateralGuard<'_> {
         let depth = self.offset - dot(self.normal, at.position);
         let rate = -dot(self.normal, at.velocity);
@@ -100,7 +100,7 @@ impl Contact {
         dot(self.tangent(), at.velocity)
     }
 
-    /// Whether friction may stick.
+    /// Whether friction can stick.
     fn may_stick(&self) -> bool {
         self.law == Law::Stick && self.mu > 0.0
     }
@@ -110,7 +110,7 @@ impl Contact {
         [-self.normal[1], self.normal[0]]
     }
 
-    /// Friction along −t divided by mu N: tanh(v_t/slipVelocity) by the smooth law, ±1 (slip) or 0 (stick) by the set-valued law.
+    /// Friction along −t divided by mu N: tanh(v_t/slipVelocity) with the smooth law, ±1 (slip) or 0 (stick) with the set-valued law.
     fn friction_ratio(&self, mode: &Mode, slip: f64) -> f64 {
         match self.law {
             Law::Smooth => libm::tanh(slip / self.slip_velocity),
@@ -118,20 +118,21 @@ impl Contact {
         }
     }
 
-    /// Contact force divided by N, F/N = n − mu `friction_ratio` t.
+    /// Contact force divided by N: n − mu `friction_ratio` t.
     fn direction(&self, friction_ratio: f64) -> Planar {
         let (drag, tangent) = (self.mu * friction_ratio, self.tangent());
         [0, 1].map(|i| self.normal[i] - drag * tangent[i])
     }
 
-    /// Force on the tip, N, when friction sticks with the given torques of the joints, N·m, and tangential force, N.
+    /// Force on the tip, N. `sticking_loads` are the loads of friction that sticks: torques in the joints, N·m, then the tangential force
+    /// at the tip, N.
     pub fn force(&self, at: &Motion, sticking_loads: &[f64; FRICTION_PLACES]) -> Planar {
         let (mut wrench, tangent) = (Wrench::default(), self.tangent());
         self.act(at, &mut wrench);
         [0, 1].map(|i| wrench.force[i] + sticking_loads[TIP_FRICTION] * tangent[i])
     }
 
-    /// The reaction over a step; `None` where the tip is off the plane at both ends.
+    /// Mean reaction over a step; `None` if the tip is off the plane at both ends.
     fn reaction(&self, over: &FiniteMotion) -> Option<Reaction> {
         let (depth, change) = (self.offset - dot(self.normal, over.begin), -dot(self.normal, over.change));
         if depth <= 0.0 && depth + change <= 0.0 {
@@ -231,10 +232,10 @@ struct Reaction {
     push: MeanReaction,
     /// Mean friction along −t, N.
     drag: f64,
-    /// Derivative of the friction by the slip velocity, N·s/m.
+    /// Derivative of the friction with respect to the slip velocity, N·s/m.
     slip_slope: f64,
     /// Weight γ of the step's end in the slip velocity, 0 to 1 (`finite_motion.rs`).
     weight: f64,
-    /// Derivative of the friction by N.
+    /// Derivative of the friction with respect to N.
     by_normal: f64,
 }

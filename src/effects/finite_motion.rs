@@ -1,9 +1,9 @@
 //! Motion over a finite step as force laws see it, for the energy-conserving method.
 //!
-//! A law with decay rate r, 1/s, is evaluated at the rate w̄ + γ (w₁ − w̄), with w̄ the mean rate of the step, w₁ the rate at its end,
-//! γ = x/(1 + x) and x = h r/2, and at the angle that the same weight gives, (1 + γ)/2 of the increment from the step's beginning. For x → 0
-//! that is the midpoint rule, of second order; for x → ∞ it is implicit Euler, which damps a force that would otherwise reverse within the
-//! step. For every γ the work is force times displacement.
+//! Let w̄ be the mean rate of the step, w₁ the rate at its end, h its length and r the decay rate of a law, 1/s. The law is evaluated at
+//! the rate w̄ + γ (w₁ − w̄), with γ = x/(1 + x) and x = h r/2, and at an angle after (1 + γ)/2 of the increment. For x → 0 this is the
+//! midpoint rule, of second order. For x → ∞ it is implicit Euler, which damps a force that would otherwise reverse within the step. For
+//! every γ the work is force times displacement.
 
 use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES, Planar};
 use super::{Inputs, Mode};
@@ -26,15 +26,15 @@ pub struct FiniteMotion<'a> {
     pub velocity: Planar,
     /// Length of the step, s.
     pub h: f64,
-    /// Factor on the widths of smooth nonlinearities, see [`JointMotion::softening`].
+    /// Factor on the widths of smooth nonlinearities; see [`JointMotion::softening`].
     pub softening: f64,
-    /// Typical inertias, for estimates of decay rates.
+    /// Typical inertias, from which decay rates are estimated.
     pub inertia: TypicalInertia,
     /// Inputs set by the master.
     pub inputs: &'a Inputs,
 }
 
-/// Typical inertias by which decay rates of dampers are estimated.
+/// Typical inertias, from which the decay rates of dampers are estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct TypicalInertia {
     /// Moment of inertia of a link about its joint, kg·m².
@@ -44,16 +44,16 @@ pub struct TypicalInertia {
 }
 
 impl TypicalInertia {
-    /// Means over the links.
+    /// Means over the links of a geometry.
     pub fn new(geometry: &Geometry) -> Self {
         let about_joint = geometry.links.iter().map(|link| link.inertia + link.mass * link.length * link.length);
         Self { joint: about_joint.sum::<f64>() / 4.0, tip: geometry.mean_mass() }
     }
 }
 
-/// Weight γ = x/(1 + x) of the step's end for a damper with decay rate r, x = h r/2.
+/// Weight γ = x/(1 + x) of the step's end, with x = h r/2 for a damper with decay rate r.
 pub(super) fn end_weight(x: f64) -> f64 {
-    // In this form the weight is 1 also where x is infinite.
+    // In this form an infinite x also gives 1.
     1.0 - 1.0 / (1.0 + x)
 }
 
@@ -63,7 +63,7 @@ impl FiniteMotion<'_> {
         end_weight(0.5 * self.h * damping / self.inertia.joint)
     }
 
-    /// Motion of the joints at which a law with these weights of the step's end is evaluated.
+    /// Motion of the joints at which a law is evaluated, for the given weights of the step's end.
     pub(super) fn joints(&self, weights: &[f64; JOINTS]) -> JointMotion<'_> {
         let rate = |joint: usize| {
             let mean = self.changes[joint] / self.h;

@@ -1,16 +1,16 @@
-//! Friction: Coulomb and Stribeck friction in the joints. By `law` 1, smooth:
+//! Friction: Coulomb and Stribeck friction in the joints. With `law` 1, smooth:
 //!
 //! ```text
 //! T_j = −[√(2e) (T_brk − T_c) exp(−(w/w_st)²) w/w_st + T_c tanh(w/w_c)]      w_st = √2 w_brk,  w_c = w_brk/10
 //! ```
 //!
-//! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c, w_brk = `breakawayVelocity`: the Stribeck curve of a widely
-//! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
-//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 4e-9 T_c. C = −∂T/∂w, K = 0; the power
+//! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c and w_brk = `breakawayVelocity`. This is the Stribeck curve of
+//! a widely used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
+//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). The curve reaches T_brk at w_brk to within 4e-9 T_c. C = −∂T/∂w, K = 0; the power
 //! −T w ≥ 0 is dissipated.
 //!
-//! By `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk, and
-//! a slipping joint has
+//! With `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk,
+//! and a slipping joint has
 //!
 //! ```text
 //! T_j = −[T_c + (T_brk − T_c) exp(−(w/w_st)²)] sign w
@@ -18,9 +18,9 @@
 //!
 //! which falls from T_brk at rest to T_c.
 //! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
-//! Limits: by the smooth law there is no true sticking: under a load T below breakaway a joint creeps at about w_c T/T_c. The eigenvalue
-//! near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Above w_brk the slope is negative. By the
-//! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
+//! Limits: with the smooth law no joint truly sticks: under a load T below breakaway it creeps at about w_c T/T_c. Near w = 0 the
+//! eigenvalue is T_c/(w_c I), about 1,500/s for the paper's links: stiff for explicit methods. Above w_brk the slope is negative. With the
+//! set-valued law there is no presliding displacement, and T_brk does not grow with the time at rest.
 
 use super::force_law::{ForceLaw, PowerFlow, Properties};
 use super::wrench::{FrictionElement, FrictionElements, JOINT_ARMS, JOINTS, JointMotion, Motion, Wrench};
@@ -54,7 +54,7 @@ struct Curve {
     stribeck: f64,
 }
 
-/// Dry friction, made ready from its parameters.
+/// Dry friction, prepared from its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Friction {
     curves: [Option<Curve>; JOINTS],
@@ -66,7 +66,7 @@ pub struct Friction {
 }
 
 impl Friction {
-    /// Makes the friction ready; refuses a torque below the Coulomb torque at breakaway.
+    /// Prepares the friction. Refuses a breakaway torque below the Coulomb torque.
     pub(crate) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
@@ -86,7 +86,7 @@ impl Friction {
         Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0, law: parameters.law })
     }
 
-    /// Values of a quantity of each curve by joint; `none` in joints without friction.
+    /// Evaluates a quantity of each joint's curve; `none` for joints without friction.
     fn by_joint<T: Copy>(&self, none: T, of: impl Fn(usize, &Curve) -> T) -> [T; JOINTS] {
         std::array::from_fn(|joint| self.curves[joint].as_ref().map_or(none, |curve| of(joint, curve)))
     }
@@ -148,7 +148,7 @@ impl ForceLaw for Friction {
         self.by_joint([0.0; 2], |joint, curve| [0.0, self.slope(joint, curve, joints)])
     }
 
-    /// The slope at w = 0 in closed form, without functions of 0, which may raise flags of floating-point exceptions that some masters trap.
+    /// The slope at w = 0 in closed form. Functions of 0 may raise floating-point exceptions, which some masters trap.
     fn largest_slopes(&self, softening: f64) -> [[f64; 2]; JOINTS] {
         let [stribeck_rate, coulomb_rate] = self.rates(softening);
         self.by_joint([0.0; 2], |_, curve| [0.0, curve.stribeck / stribeck_rate + curve.coulomb / coulomb_rate])

@@ -1,4 +1,4 @@
-//! Gravity: a constant acceleration g·sin(tilt) in the plane of the mechanism, in a given direction.
+//! Gravity: a constant acceleration g·sin(tilt) in the plane of the mechanism, in a chosen direction.
 //!
 //! Q = m g⃗ at each centre of mass r, potential −Σ m g⃗·r (0 at the left motor axis). K = C = 0; conservative.
 //! Defaults: standard gravity rounded as in the paper (9.81 m/s²), an upright mechanism, pulling along −y.
@@ -15,14 +15,14 @@ pub struct Parameters {
     pub enabled: bool,
     /// Gravitational acceleration, m/s².
     pub g: f64,
-    /// Angle of the mechanism's plane against the horizontal, rad: 0 = lies flat, π/2 = upright.
+    /// Angle between the mechanism's plane and the horizontal, rad: 0 = lying flat, π/2 = upright.
     pub tilt: f64,
-    /// Direction of the in-plane part, rad, counter-clockwise from +x.
+    /// Direction of the in-plane component, rad, counter-clockwise from +x.
     pub direction: f64,
 }
 
 impl Parameters {
-    /// Adds the weights of the links, N.
+    /// Adds the weights of the links, N, to a generalised force.
     pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) {
         let Self { g, tilt, direction, .. } = *self;
         let (sin, cos) = libm::sincos(direction);

@@ -1,11 +1,10 @@
 //! Force laws on the mechanism: one file per effect that a scene may enable, and the loads that an FMI master sets.
 //!
-//! Every effect is a law on the motion of joints and tip: it answers with a wrench (five joint torques and a force on the tip), its slopes,
-//! its potential and its power. A scene holds only the effects that are enabled ([`Active`]), and a step evaluates all of that list. A new
-//! effect is one file, one word in the list `effects!` below, and its variables in the XML with their bindings; `CONTRIBUTING.md` names
-//! every other place that a new effect touches.
+//! Every effect is a law on the motion of joints and tip: it returns a wrench (five joint torques and a force on the tip), slopes,
+//! potential and power. A scene contains only its enabled effects ([`Active`]), and a step evaluates all of them. A new effect is one file,
+//! one word in the list `effects!` below, and its variables in the XML with their bindings; `CONTRIBUTING.md` lists all other places.
 //!
-//! Invariant: does no input or output; the same input bits give the same output bits.
+//! Invariant: no input or output; the same input bits give the same output bits.
 
 mod finite_motion;
 mod force_law;
@@ -27,8 +26,8 @@ use arrayvec::ArrayVec;
 
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
 
-/// Makes the list of effects: effects that only add masses, constant in M; effects with a constant force; and effects whose force depends
-/// on the motion, in the order of their evaluation.
+/// Declares the effects in three groups: effects that only add masses, which are constant in M; effects with a constant force; and effects
+/// with a force that depends on the motion, in the order of their evaluation.
 macro_rules! effects {
     (masses: $($mass:ident),+; weights: $($weight:ident),+; forces: $($force:ident: $Force:ident),+;) => {
         $(pub mod $mass;)+
@@ -44,7 +43,7 @@ macro_rules! effects {
             $(#[doc = concat!("See [`", stringify!($force), "`].")] pub $force: $force::Parameters,)+
         }
 
-        /// Names of all effects, the prefixes of their `….enabled` variables.
+        /// Names of all effects: the prefixes of their `….enabled` variables.
         pub const NAMES: [&str; [$(stringify!($mass),)+ $(stringify!($weight),)+ $(stringify!($force),)+].len()] =
             [$(stringify!($mass),)+ $(stringify!($weight),)+ $(stringify!($force),)+];
 
@@ -58,7 +57,7 @@ macro_rules! effects {
         }
 
         impl Parameters {
-            /// Names of the effects that are enabled.
+            /// Names of the enabled effects.
             pub fn enabled(&self) -> ArrayVec<&'static str, { NAMES.len() }> {
                 let all = [
                     $((stringify!($mass), self.$mass.enabled),)+
@@ -68,21 +67,22 @@ macro_rules! effects {
                 all.into_iter().filter_map(|(name, enabled)| enabled.then_some(name)).collect()
             }
 
-            /// The geometry with the masses, kg, and inertias, kg·m², of the effects that are enabled.
+            /// The geometry with the masses, kg, and inertias, kg·m², that the enabled effects add.
             pub fn with_added_masses(&self, geometry: &Geometry) -> Geometry {
                 let mut with_added_masses = *geometry;
                 $(if self.$mass.enabled { self.$mass.add_masses(&mut with_added_masses); })+
                 with_added_masses
             }
 
-            /// The constant generalised force of the effects that are enabled, N and N·m.
+            /// Constant generalised force of the enabled effects, N and N·m.
             pub fn weight(&self, mechanism: &Mechanism) -> Coordinates {
                 let mut weight = Coordinates::ZERO;
                 $(if self.$weight.enabled { self.$weight.add_weight(mechanism, &mut weight); })+
                 weight
             }
 
-            /// The enabled effects whose force depends on the motion, in the order of their evaluation.
+            /// Prepares the enabled effects whose force depends on the motion, in the order of their evaluation. Refuses parameters that an
+            /// effect refuses.
             pub fn active(&self, mechanism: &Mechanism) -> Result<Active, SceneError> {
                 let mut active = Active::new();
                 $(if self.$force.enabled { active.push(Effect::$Force($Force::new(&self.$force, mechanism)?)); })+
@@ -90,7 +90,7 @@ macro_rules! effects {
             }
         }
 
-        /// An effect is its force law.
+        /// Effects are used through their force law.
         impl Deref for Effect {
             type Target = dyn ForceLaw;
 
@@ -101,7 +101,8 @@ macro_rules! effects {
     };
 }
 
-/// The enabled effects whose force depends on the motion: an array in place, so that a parameter changed during a run allocates nothing.
+/// Enabled effects whose force depends on the motion. The array is stored in place, so that changing a parameter during a run allocates
+/// nothing.
 pub type Active = ArrayVec<Effect, FORCES>;
 
 effects! {

@@ -4,9 +4,9 @@
 //! T = limit · tanh((kp (θ_ref − θ) + kd (ω_ref − ω))/limit)
 //! ```
 //!
-//! with the references `servo.theta`, `servo.omega` as inputs; PD control with the saturation made smooth (Siciliano et al., Robotics,
-//! 2009, section 8.5). K = kp sech², C = kd sech²: inside the implicit step, so that high gains stay stable. The work of the servo
-//! counts as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
+//! The references `servo.theta` and `servo.omega` are inputs. The law is PD control with a smooth saturation (Siciliano et al., Robotics,
+//! 2009, section 8.5). K = kp sech² and C = kd sech² belong to the implicit step, so high gains stay stable. The work of the servo counts
+//! as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::Inputs;
@@ -15,8 +15,8 @@ use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES};
 use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Mechanism, SceneError};
 
-/// Largest angle to saturation, limit/kp, rad, of a servo with a sharp nonlinearity. A servo that saturates at a larger angle is nearly
-/// linear over a step; where it is stiff as well, a search for the nonlinearity would find round-off.
+/// Largest angle at which a servo saturates, limit/kp, rad, for the nonlinearity to count as sharp. A servo that saturates at a larger
+/// angle is nearly linear over a step; if it is also stiff, a search for the nonlinearity would find round-off.
 const SHARP_SATURATION: f64 = 0.1;
 
 /// The `servo.*` parameters.
@@ -32,7 +32,7 @@ pub struct Parameters {
     pub limit: [f64; 2],
 }
 
-/// The law needs its parameters alone.
+/// The law needs only its parameters.
 pub use Parameters as Servo;
 
 impl Servo {
@@ -44,7 +44,7 @@ impl Servo {
     fn relative_torques(&self, joints: &JointMotion) -> [f64; 2] {
         let JointMotion { angles, moved, rates, inputs, .. } = joints;
         let requested = [0, 1].map(|i| {
-            // The difference comes first: close to the reference it is exact, and finer than the round-off of the angle.
+            // The difference is computed first: near the reference it is exact, and finer than the round-off of the angle.
             let angle = self.kp[i] * ((inputs.servo_theta[i] - angles[i]) - moved[i]);
             let rate = self.kd[i] * (inputs.servo_omega[i] - rates[MOTOR_ANGLES[i]]);
             (angle + rate) / (joints.softening * self.limit[i])
@@ -52,12 +52,12 @@ impl Servo {
         tanh(requested.into()).to_array()
     }
 
-    /// Derivatives of the left and right torque by the argument of tanh times the limit, 0 to 1.
+    /// Derivatives of the left and the right torque with respect to limit times the argument of tanh, 0 to 1.
     fn openness(&self, joints: &JointMotion) -> [f64; 2] {
         self.relative_torques(joints).map(|relative_torque| (1.0 - relative_torque * relative_torque) / joints.softening)
     }
 
-    /// Slopes of the joints for derivatives of the left and right torque by the argument of tanh times the limit.
+    /// Slopes of the joints from these derivatives.
     fn slopes_at(&self, openness: [f64; 2]) -> [[f64; 2]; JOINTS] {
         let mut slopes = [[0.0; 2]; JOINTS];
         for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {

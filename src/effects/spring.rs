@@ -18,7 +18,7 @@ pub struct Parameters {
     pub theta0: [f64; 2],
 }
 
-/// The law needs its parameters alone.
+/// The law needs only its parameters.
 pub use Parameters as Spring;
 
 impl Spring {

@@ -1,8 +1,8 @@
 //! Stop: unilateral end stops on the motor axes, at `lower` and `upper`.
 //!
-//! At a penetration d > 0 of a limit a torque N = max(0, s(d)(k d + c ḋ)) drives the axis back: see `hybrid/unilateral.rs` for the
-//! ramp s, the potential and the dissipation. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns, so that limits past 2π act. Defaults: lower 0, upper π rad, the
-//! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
+//! At a penetration d > 0 of a limit, the torque N = max(0, s(d)(k d + c ḋ)) drives the axis back. `hybrid/unilateral.rs` describes the
+//! ramp s, the potential and the dissipation. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns, so limits beyond 2π act. Defaults: lower 0,
+//! upper π rad, the half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
 use super::finite_motion::FiniteMotion;
@@ -28,7 +28,7 @@ pub struct Parameters {
     pub width: f64,
 }
 
-/// The stops, made ready from their parameters.
+/// The stops, prepared from their parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
     lower: [f64; 2],
@@ -40,7 +40,7 @@ pub struct Stop {
 const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
 
 impl Stop {
-    /// Makes the stops ready; refuses limits that leave no free angle.
+    /// Prepares the stops. Refuses limits that leave no free angle.
     pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
         for i in 0..2 {
@@ -56,7 +56,7 @@ impl Stop {
         Ok(Self { lower, upper, spring: UnilateralSpring { stiffness: k, damping: d, width } })
     }
 
-    /// Unilateral springs of a motor's lower and upper stop at a state.
+    /// Unilateral springs of a motor's lower and upper stop.
     fn guards_of(&self, at: &Motion, motor: usize) -> [UnilateralGuard<'_>; 2] {
         let (angle, rate) = (at.joints.angles[motor], at.joints.rates[MOTOR_ANGLES[motor]]);
         let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
@@ -72,7 +72,7 @@ impl Stop {
         })
     }
 
-    /// Visits the active stops: joint, direction of its axis into the stop, and the unilateral spring.
+    /// Visits the active stops with their joint, the direction of its axis into the stop, and the unilateral spring.
     fn for_each_guard(&self, at: &Motion, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
         for (motor, joint) in MOTOR_ANGLES.into_iter().enumerate() {
             for (direction, guard) in DIRECTIONS.into_iter().zip(self.guards_of(at, motor)) {
@@ -83,7 +83,8 @@ impl Stop {
         }
     }
 
-    /// Joint, direction into the stop and mean reaction of each stop over a step: a fast axis may leave one stop and reach the other.
+    /// Joint, direction into the stop and mean reaction of each stop over a step. A fast axis may leave one stop and reach the other in one
+    /// step.
     fn mean_reactions(&self, over: &FiniteMotion) -> impl Iterator<Item = (usize, f64, MeanReaction)> {
         MOTOR_ANGLES.into_iter().enumerate().flat_map(move |(motor, joint)| {
             let (begin, change) = (over.angles[motor], over.changes[joint]);

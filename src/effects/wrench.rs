@@ -1,7 +1,7 @@
-//! Interface of force laws: the motion of joints and tip that a law sees, and the wrench with slopes that it answers with.
+//! Interface of force laws: the motion of joints and tip that a law sees, and the wrench and slopes that it returns.
 //!
-//! A law acts with torques in the five joints and with a force on the tip. It knows no coordinates: `src/dynamics/` makes motions from
-//! coordinates or link angles, and carries wrenches and slopes to them.
+//! A law acts with torques in the five joints and a force on the tip. It knows no coordinates: `src/dynamics/` computes motions from
+//! coordinates or link angles, and maps wrenches and slopes to them.
 
 use arrayvec::ArrayVec;
 
@@ -12,14 +12,14 @@ use crate::mechanism::LINKS;
 /// Number of joints: left base, left elbow, tip, right elbow, right base.
 pub const JOINTS: usize = 5;
 
-/// Joints of the left and the right motor axis.
+/// Joints at the left and the right motor axis.
 pub const MOTOR_ANGLES: [usize; 2] = [0, 4];
 
-/// Links of each joint, first and second. The rate of a joint is the rate of its first link minus the rate of its second link, if any; a
-/// joint torque acts with + on the first and with − on the second.
+/// Links of each joint, first and second. The rate of a joint is the rate of its first link minus the rate of its second link, if there is
+/// one; a joint torque acts with + on the first and with − on the second link.
 pub const JOINT_LINKS: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
-/// Magnitudes |∂w/∂θ̇| of each joint's rate by the rate of each link.
+/// Magnitude |∂w/∂θ̇| of each joint's rate with respect to the rate of each link.
 pub(super) static JOINT_ARMS: [[f64; LINKS]; JOINTS] = {
     let (mut arms, mut joint) = ([[0.0; LINKS]; JOINTS], 0);
     while joint < JOINTS {
@@ -49,22 +49,22 @@ pub fn times(matrix: Matrix, vector: Planar) -> Planar {
     matrix.map(|row| dot(row, vector))
 }
 
-/// Differences over the joints, first link minus second link, of a quantity of links 1 to 4.
+/// Joint values from link values: first link minus second link.
 pub fn across_joints([one, two, three, four]: [f64; LINKS]) -> [f64; JOINTS] {
     [one, two - one, two - three, three - four, four]
 }
 
-/// Motion of the joints as a joint law sees it: at an instant, or as the finite step evaluates the law.
+/// Motion of the joints as a joint law sees it: at an instant, or at the point where a finite step evaluates the law.
 #[derive(Clone, Copy, Debug)]
 pub struct JointMotion<'a> {
     /// Absolute angles of the left and right motor axis, whole turns included, rad: at the instant, or at the beginning of the step.
     pub angles: [f64; 2],
-    /// Increments of these angles to the point of evaluation, rad; 0 at an instant. They are kept apart from `angles`, since their sum
-    /// would lose digits close to a servo's reference.
+    /// Increments of these angles to the point of evaluation, rad; 0 at an instant. They are separate from `angles` because the sum would
+    /// lose digits near a servo's reference.
     pub moved: [f64; 2],
     /// Rates of the joints, rad/s.
     pub rates: [f64; JOINTS],
-    /// Factor on the widths of smooth nonlinearities: 1, or larger in the homotopy of a Newton iteration that did not converge.
+    /// Factor on the widths of smooth nonlinearities: 1, or larger in the homotopy after a Newton iteration that did not converge.
     pub softening: f64,
     /// Inputs set by the master.
     pub inputs: &'a Inputs,
@@ -92,16 +92,16 @@ pub struct Wrench {
     pub force: Planar,
 }
 
-/// Friction place of an effect at a state, whose sliding rate friction may hold at 0.
+/// A place of an effect where friction may stick, at a state.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionElement {
     /// The place with its sliding rate.
     pub at: FrictionPlace,
-    /// Wrench of a friction torque of 1 N·m, or of a friction force of 1 N; its power is the sliding rate.
+    /// Wrench of a friction torque of 1 N·m or a friction force of 1 N; its power is the sliding rate.
     pub wrench: Wrench,
 }
 
-/// Friction places that are active at a state.
+/// The active friction places at a state.
 pub type FrictionElements = ArrayVec<FrictionElement, FRICTION_PLACES>;
 
 /// Slopes of a wrench.
@@ -109,13 +109,13 @@ pub type FrictionElements = ArrayVec<FrictionElement, FRICTION_PLACES>;
 pub struct Slopes {
     /// Stiffness k = −∂T/∂φ, N·m/rad, and damping d = −∂T/∂w, N·m·s/rad, of each joint with its angle φ and rate w.
     pub joints: [[f64; 2]; JOINTS],
-    /// Stiffness −∂F/∂p, N/m, and damping −∂F/∂ṗ, N·s/m, of the force on the tip by the tip's position p; not symmetric in general.
+    /// Stiffness −∂F/∂p, N/m, and damping −∂F/∂ṗ, N·s/m, of the force on the tip, with the tip's position p; not symmetric in general.
     pub tip: [Matrix; 2],
-    /// Force on the tip, N: its lever arms rotate with the links, which is a stiffness of the links.
+    /// Force on the tip, N. Its lever arms rotate with the links, which adds a stiffness to the links.
     pub force: Planar,
 }
 
-/// Variation of a motion, or its derivative along a parameter.
+/// Variation of a motion, or its derivative with respect to a parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct MotionChange {
     /// Variations of the joint angles, rad.
@@ -129,7 +129,7 @@ pub struct MotionChange {
 }
 
 impl Wrench {
-    /// Torque of 1 N·m in a joint.
+    /// Wrench of a torque of 1 N·m in a joint.
     pub fn of_joint(joint: usize) -> Self {
         let mut wrench = Self::default();
         wrench.torques[joint] = 1.0;
@@ -141,7 +141,7 @@ impl Wrench {
         Self { force, ..Self::default() }
     }
 
-    /// Power, W, at rates of the joints, rad/s, and a velocity of the tip, m/s; or work, J, over increments of angles and position.
+    /// Power, W, for rates of the joints, rad/s, and a velocity of the tip, m/s; or work, J, for increments of angles and position.
     pub fn power(&self, rates: &[f64; JOINTS], velocity: Planar) -> f64 {
         self.torques.iter().zip(rates).map(|(torque, rate)| torque * rate).sum::<f64>() + dot(self.force, velocity)
     }
@@ -155,7 +155,7 @@ impl Wrench {
         self
     }
 
-    /// Sums of the joint torques on links 1 to 4, N·m.
+    /// Sum of the joint torques on each of links 1 to 4, N·m.
     pub fn on_links(&self) -> [f64; LINKS] {
         let [base_left, elbow_left, tip, elbow_right, base_right] = self.torques;
         [base_left - elbow_left, elbow_left + tip, elbow_right - tip, base_right - elbow_right]
