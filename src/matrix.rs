@@ -1,5 +1,5 @@
-//! Small matrices: the inverse of a general matrix, where multiplication is faster than several solves, and the factors of a matrix with a
-//! positive symmetric part.
+//! Small matrices: the inverse of a general matrix, for when multiplication is faster than several solves, and the LU factors of a matrix
+//! with a positive symmetric part.
 
 use crate::vector::Vector;
 
@@ -8,7 +8,7 @@ use crate::vector::Vector;
 pub struct Inverse<const N: usize>([Vector<N>; N]);
 
 impl<const N: usize> Inverse<N> {
-    /// Inverts a matrix given by columns, by Gauss–Jordan elimination with pivoting. A zero pivot becomes `least`: the products are then so
+    /// Inverts a matrix given by columns, by Gauss–Jordan elimination with pivoting. A zero pivot becomes `least`; the products are then so
     /// large that no step is accepted.
     pub fn new(mut columns: [Vector<N>; N], least: f64) -> Self {
         let mut inverse: [Vector<N>; N] = std::array::from_fn(Vector::unit);
@@ -58,27 +58,27 @@ pub fn combination<const N: usize, const K: usize>(columns: &[Vector<N>; K], b: 
     sum
 }
 
-/// A factorised matrix L U with N rows, whose symmetric part T is positive and outweighs the other part S.
+/// Factors L U of a matrix with N rows whose symmetric part T is positive and outweighs the skew-symmetric part S.
 ///
-/// Such a matrix needs no row exchanges (Golub and Van Loan, Matrix Computations, third edition, section 4.2.2: growth is bounded by that of T
-/// and S T⁻¹ Sᵀ), and without them every loop has a length that is known to the compiler.
+/// Such a matrix needs no row exchanges: growth is bounded by the growth of T and S T⁻¹ Sᵀ (Golub and Van Loan, Matrix Computations, third
+/// edition, section 4.2.2). Without exchanges every loop has a length known to the compiler.
 #[derive(Clone, Debug)]
 pub struct Lu<const N: usize> {
     /// Columns of L below the diagonal, 0 elsewhere.
     lower: [Vector<N>; N],
     /// Rows of U above the diagonal, 0 elsewhere.
     upper: [Vector<N>; N],
-    /// 1 over the diagonal of U.
+    /// Reciprocals of the diagonal of U.
     pivots: Vector<N>,
 }
 
 impl<const N: usize> Lu<N> {
-    /// Factorises a matrix given by rows. Where it is singular all the same, the solutions are not finite.
+    /// Factorises a matrix given by rows. If it is singular, the solutions are not finite.
     pub fn new(mut rows: [Vector<N>; N]) -> Self {
         let (mut lower, mut pivots) = ([Vector::ZERO; N], Vector::ZERO);
         for k in 0..N {
             pivots[k] = 1.0 / rows[k][k];
-            // Whole rows: what is left of the diagonal is 0 by now.
+            // Whole rows are used: the entries left of the diagonal are already 0.
             rows[k][k] = 0.0;
             let row = rows[k];
             for i in k + 1..N {
@@ -91,7 +91,7 @@ impl<const N: usize> Lu<N> {
         Self { lower, upper: rows, pivots }
     }
 
-    /// A⁻¹ b.
+    /// Returns A⁻¹ b.
     pub fn solve(&self, mut b: Vector<N>) -> Vector<N> {
         for k in 0..N {
             let factor = b[k];
@@ -121,12 +121,12 @@ mod tests {
             // Round-off times the condition number, about 1e3.
             assert!((back - x).max_norm() < 1e-12, "{back:?}");
         }
-        // A singular matrix gives a large and finite result.
+        // A singular matrix gives a large but finite result.
         let flat = Inverse::new([Vector::<2>::from([1.0, 2.0]); 2], 1e-20).times(&[1.0, 1.0].into());
         assert!(flat.is_finite() && flat.max_norm() > 1e15, "{flat:?}");
     }
 
-    /// Far from symmetric, and badly scaled.
+    /// The matrix is far from symmetric and badly scaled.
     #[test]
     fn solves_what_nalgebra_solves() {
         let rows: [Vector<5>; 5] = std::array::from_fn(|i| {
@@ -143,7 +143,7 @@ mod tests {
         let by_inverse = Inverse::new(columns, 0.0).times(&b);
         for solution in [Lu::new(rows).solve(b), by_inverse] {
             for (x, expected) in solution.iter().zip(expected.iter()) {
-                // Round-off of a matrix of condition below 1e5.
+                // Round-off for a condition number below 1e5.
                 assert!((x - expected).abs() < 1e-11 * expected.abs().max(1.0), "{x} {expected}");
             }
         }

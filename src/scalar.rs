@@ -1,36 +1,36 @@
-//! Scalars of the observers: a number, or a dual number with its derivative along a direction (forward automatic differentiation), so that
-//! one formula gives an output and its derivative.
+//! Scalars of the observers: a number, or a dual number with its derivative along a direction (forward automatic differentiation). One
+//! formula then gives an output and its derivative.
 //!
-//! Only arithmetic and square roots of the crate num-dual are used, which have equal bits on every platform; elementary functions are given
-//! with their derivative by [`Scalar::with`].
+//! Of the crate num-dual only arithmetic and square roots are used, which have equal bits on every platform. Elementary functions supply
+//! their derivative through [`Scalar::with`].
 
 use num_dual::{Dual64, DualNum};
 
-/// Relative distance, to the largest, below which values count as equal and their kink has a derivative by convention
+/// Tolerance relative to the largest value within which values count as equal, so that their kink has a derivative by convention
 /// ([`Scalar::smallest`]): half of the digits.
 const TIE_TOLERANCE: f64 = 1e-8;
 
 /// A number, with or without its derivative.
 pub trait Scalar: DualNum<Primitive = f64> + Copy {
-    /// A scalar from its value and its derivative, which is evaluated for dual numbers only.
+    /// Creates a scalar from its value and its derivative, which is evaluated only for dual numbers.
     fn with(value: f64, derivative: impl FnOnce() -> f64) -> Self;
 
     /// The value without the derivative.
     fn value(self) -> f64;
 
-    /// The number, with derivative 0 where `kink` is true.
+    /// The number itself, with derivative 0 if `kink` is true.
     fn with_flat_kink(self, kink: bool) -> Self;
 
-    /// The smallest of some values. Where several coincide, the minimum has a kink; its derivative is then the mean of their derivatives,
-    /// as by central differences, which is linear in the direction.
+    /// The smallest of the values. If several coincide, the minimum has a kink; its derivative is then the mean of their derivatives, as
+    /// with central differences. The mean is linear in the direction.
     fn smallest<const K: usize>(values: [Self; K]) -> Self;
 
-    /// Magnitude |x| of a value bounded by `largest`: derivative 0 where the value is round-off of the bound.
+    /// Magnitude |x| of a value bounded by `largest`. The derivative is 0 if the value is round-off of the bound.
     fn magnitude(self, largest: f64) -> Self {
         self.abs().with_flat_kink(self.value().abs() <= TIE_TOLERANCE * largest)
     }
 
-    /// Root √x of a value bounded by `largest`, 0 for x < 0: derivative 0 where the root is round-off of √`largest`.
+    /// Square root of a value bounded by `largest`; 0 for x < 0. The derivative is 0 if the root is round-off of √`largest`.
     fn root(self, largest: f64) -> Self {
         let positive = if self.value() > 0.0 { self } else { Self::with(0.0, || 0.0) };
         positive.sqrt().with_flat_kink(positive.value().sqrt() <= TIE_TOLERANCE * largest.sqrt())

@@ -1,7 +1,7 @@
 //! Vectors of coordinates and of multipliers, with the operators of linear algebra.
 //!
-//! Operators work on pairs of elements from the first on: pairs are the two legs, and stay in one register without shuffling (the compiler
-//! by itself would pair the second element with the third). As part of a stored state a vector is a sequence of little-endian doubles.
+//! Operators work on pairs of elements, starting with the first: a pair is the two legs, and stays in one register without shuffling. (The
+//! compiler alone would pair the second element with the third.) In a stored state a vector is a sequence of little-endian doubles.
 
 use std::io::{self, Read, Write};
 use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
@@ -9,7 +9,7 @@ use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
 use borsh::{BorshDeserialize, BorshSerialize};
 use wide::f64x2;
 
-/// 1.5·2^52: added to a number of magnitude below 2^51 it rounds the number to an integer, which then stands in the low bits of the sum.
+/// 1.5·2^52. Adding it to a number of magnitude below 2^51 rounds the number to an integer, which appears in the low bits of the sum.
 pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// A vector with N elements.
@@ -21,12 +21,12 @@ impl<const N: usize> Vector<N> {
     /// All elements 0.
     pub const ZERO: Self = Self([0.0; N]);
 
-    /// A vector whose elements are a function of their index.
+    /// Creates a vector from a function of the index.
     pub fn from_fn(element: impl FnMut(usize) -> f64) -> Self {
         Self(std::array::from_fn(element))
     }
 
-    /// The unit vector along axis `place`.
+    /// Unit vector along axis `place`.
     pub fn unit(place: usize) -> Self {
         let mut unit = Self::ZERO;
         unit[place] = 1.0;
@@ -44,7 +44,7 @@ impl<const N: usize> Vector<N> {
         self.dot(self).sqrt()
     }
 
-    /// The largest magnitude among elements, by one instruction for each pair. NaN is ignored; the end of a step checks for NaN.
+    /// Largest magnitude of the elements, with one instruction per pair. NaN is ignored; the end of a step checks for NaN.
     #[inline]
     pub fn max_norm(&self) -> f64 {
         let larger = |largest: f64, value: f64| if value.abs() > largest { value.abs() } else { largest };
@@ -53,7 +53,7 @@ impl<const N: usize> Vector<N> {
         single.iter().copied().fold(larger(left, right), larger)
     }
 
-    /// Whether the sum of all elements is finite: false for NaN, for infinite elements and for finite ones whose sum overflows.
+    /// Whether the sum of all elements is finite: false for NaN, for infinite elements, and for finite elements whose sum overflows.
     pub fn is_finite(&self) -> bool {
         self.sum().is_finite()
     }
@@ -62,26 +62,26 @@ impl<const N: usize> Vector<N> {
     #[inline]
     pub fn sum(&self) -> f64 {
         let (pairs, single) = self.as_chunks::<2>();
-        // The neutral element of addition is −0, which the compiler removes.
+        // The neutral element of addition is −0; the compiler removes it.
         let [left, right] = pairs.iter().fold([-0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
         single.iter().fold(left + right, |sum, x| sum + x)
     }
 
-    /// The pair of elements with index `place` among pairs; the last element of an odd number is paired with 0.
+    /// The pair of elements with pair index `place`; the last element of an odd length is paired with 0.
     #[inline(always)]
     pub fn pair(&self, place: usize) -> f64x2 {
         let (pairs, single) = self.as_chunks::<2>();
         if let Some(pair) = pairs.get(place) { f64x2::new(*pair) } else { f64x2::new([single[0], 0.0]) }
     }
 
-    /// Sets the pair of elements with index `place` among pairs.
+    /// Sets the pair of elements with pair index `place`.
     #[inline(always)]
     pub fn set_pair(&mut self, place: usize, value: f64x2) {
         let (pairs, single) = self.as_chunks_mut::<2>();
         if let Some(pair) = pairs.get_mut(place) { *pair = value.to_array() } else { single[0] = value.to_array()[0] }
     }
 
-    /// A function of two vectors element by element, evaluated pair by pair.
+    /// Applies a function to two vectors, pair by pair.
     #[inline]
     pub fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
         let mut result = Self::ZERO;
@@ -97,7 +97,7 @@ impl<const N: usize> Vector<N> {
     }
 }
 
-/// The stored form of a vector is that of an array.
+/// A vector is stored like an array.
 impl<const N: usize> BorshSerialize for Vector<N> {
     fn serialize<W: Write>(&self, writer: &mut W) -> io::Result<()> {
         write(&self.0, writer)
@@ -217,7 +217,7 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
     }
 }
 
-/// Multiplies every first element of a pair by the first lane and every second element by the second lane.
+/// Multiplies the first element of each pair by the first lane and the second element by the second lane.
 impl<const N: usize> Mul<Vector<N>> for f64x2 {
     type Output = Vector<N>;
 

@@ -1,8 +1,8 @@
 //! The linear solve for scenes whose effects couple links through K and C: friction at elbows and tip, contact.
 //!
-//! Such effects couple the four link angles and the position of link 2: six inner coordinates with a full block A_I of A₀, which need not
-//! be symmetric. The six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
-//! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
+//! Such effects couple the four link angles and the position of link 2. These six inner coordinates have a full block A_I of A₀, which need
+//! not be symmetric; the six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10: outer
+//! coordinates add 1/m between neighbouring joints, inner coordinates add Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use crate::dynamics::{INNER, INNER_COUNT};
 use crate::integrator::Kkt;
@@ -14,7 +14,7 @@ use crate::vector::Vector;
 /// Outer coordinates: their rows of A₀ contain only a mass.
 const OUTER: [usize; COORDINATES - INNER_COUNT] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
 
-/// The two constraint equations of each outer coordinate and its signs there: x of links 1, 3, 4, then y.
+/// The two constraint equations that contain each outer coordinate, with its signs in them: x of links 1, 3, 4, then y.
 const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNER_COUNT] = [
     [(2 * G_X, 1.0), (2 * E_X, -1.0)],
     [(2 * E_X + 1, 1.0), (TIP_X, -1.0)],
@@ -35,11 +35,11 @@ pub struct Coupled {
     dual: Lu<MULTIPLIERS>,
 }
 
-/// The product Φ_I X of the columns of Φ_q of the inner coordinates and a matrix X, by rows.
+/// The product Φ_I X, by rows: Φ_I holds the columns of Φ_q for the inner coordinates.
 fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNER_COUNT]) -> [Vector<K>; MULTIPLIERS] {
-    /// Indices of the angles of the proximal links, left and right, among the inner coordinates; the first two are x and y of link 2.
+    /// Indices of the proximal angles, left and right, among the inner coordinates; the first two are x and y of link 2.
     const INNER_PROXIMAL: [usize; 2] = [2, 5];
-    /// Indices of the angles of the distal links, left and right, among the inner coordinates.
+    /// Indices of the distal angles, left and right, among the inner coordinates.
     const INNER_DISTAL: [usize; 2] = [3, 4];
     let [a_p, b_p, a_d, sigma_b_d] =
         [pose.a_p, pose.b_p, pose.a_d, pose.sigma_b_d].map(|arm| arm.turned()).map(|arm| [arm.x.to_array(), arm.y.to_array()]);
@@ -63,11 +63,12 @@ fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<
 }
 
 impl Coupled {
-    /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by columns, whose symmetric part is
-    /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
+    /// Factorises for the masses of the outer coordinates and the inner block of A₀, given by columns. Its symmetric part must be positive;
+    /// the symmetric part of the dual matrix is then positive too. If values are not finite, the caller's check of the results ends the
+    /// step.
     pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
         let compliance = Inverse::new(inner, f64::MIN_POSITIVE);
-        // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ, whose rows are the columns of A_I⁻¹.
+        // Φ_I A_I⁻¹ Φ_Iᵀ is computed from Φ_I A_I⁻ᵀ: the rows of A_I⁻ᵀ are the columns of A_I⁻¹.
         let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, compliance.columns())));
         let mobility = OUTER.map(|i| 1.0 / masses[i]);
         for (mobility, neighbours) in mobility.into_iter().zip(NEIGHBOURS) {

@@ -1,16 +1,16 @@
 //! The energy-conserving step with its loop cut at the tip: its equations in the rotations of the links.
 //!
-//! Two open legs, each ground – elbow – tip, satisfy the joints of the ground and the elbows for any increments Δθ of the link angles and
-//! any rates, and the position rows of (37) in `docs/conserving.md` give the forces of these joints. There remain Λ and ν of the tip among
-//! ten multipliers, and of (37) the angle rows and the tip's closure. With ℓ = a + b of the proximal and L of the distal link, the moments
-//! of inertia
+//! Each of the two open legs runs from ground to elbow to tip. They satisfy the constraints at the ground and at the elbows for any
+//! increments Δθ and rates of the link angles, and the position rows of (37) in `docs/conserving.md` give the forces of these joints. Of
+//! the ten multipliers only Λ and ν of the tip remain; of (37) the angle rows and the tip's closure remain. Let ℓ = a + b be the length of
+//! the proximal and L of the distal link, with the moments of inertia
 //!
 //! ```text
 //! A = m_P a² + m_D ℓ²,   B = m_D ℓ a_D,   D = m_D a_D²        moment(p, d) = (A p + B d, B p + D d)
 //! ```
 //!
-//! ω̂ = ½h ω₁ of the rates at the step's end and first moments of displacements (m_P a times that of a proximal plus m_D ℓ times that of a
-//! distal centre of mass, and m_D a_D times the latter), these equations are
+//! Let ω̂ = ½h ω₁ with the rates ω₁ at the step's end. The first moment of displacements u_P, u_D of the centres of mass is the pair (m_P a
+//! u_P + m_D ℓ u_D, m_D a_D u_D). With these, the equations are
 //!
 //! ```text
 //! k = moment(s Δθ n̂_m) − k₀,     k₀ of ½h q̇₀          first moment of d − ½h q̇₀
@@ -22,8 +22,8 @@
 //! f:  I (ω̂ − ½h ω₀) − s n̂_m·g + ½ s (ω̂ + ½h ω₀) û_m·y − ½h² Q̄_θ = 0
 //! ```
 //!
-//! The equations (ν) are linear in ω̂ and ν. Newton's method for Δθ and Λ in (f) has a matrix of the same form, with s for c and the
-//! geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`BorderedMatrix`]).
+//! The equations (ν) are linear in ω̂ and ν. Newton's method for Δθ and Λ in (f) uses a matrix of the same form, with s instead of c and
+//! with the geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`BorderedMatrix`]).
 
 mod bordered;
 mod open_legs;
@@ -44,37 +44,37 @@ pub use open_legs::OpenLegs;
 
 /// Number of unknowns of the cut loop.
 pub const CUT_UNKNOWNS: usize = 8;
-/// Unknowns of the cut loop: Δθ of the proximal and of the distal links, rad, Λ and ν of the tip.
+/// Unknowns of the cut loop: Δθ of the proximal and of the distal links, rad, then Λ and ν of the tip.
 pub type CutUnknowns = Vector<CUT_UNKNOWNS>;
-/// Index of Δθ of the proximal links among the pairs of [`CutUnknowns`].
+/// Pair index in [`CutUnknowns`]: Δθ of the proximal links.
 const PROXIMAL: usize = 0;
-/// Index of Δθ of the distal links among the pairs of [`CutUnknowns`].
+/// Pair index in [`CutUnknowns`]: Δθ of the distal links.
 const DISTAL: usize = 1;
-/// Index of Λ of the tip among the pairs of [`CutUnknowns`].
+/// Pair index in [`CutUnknowns`]: Λ of the tip.
 const LAMBDA: usize = 2;
-/// Index of ν of the tip among the pairs of [`CutUnknowns`].
+/// Pair index in [`CutUnknowns`]: ν of the tip.
 const NU: usize = 3;
 
-/// Difference of two moments, link by link.
+/// Difference of first moments, link by link.
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p - other_p, d - other_d]
 }
 
-/// A vector of the tip copied to both legs.
+/// Copies a vector of the tip to both legs.
 fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
 }
 
-/// Increment of a step, as forces take it.
+/// Increment of a step in the form that forces are evaluated on.
 pub type Increment<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 /// A system whose mean forces have slopes.
 pub trait MeanSlopes: Discrete<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS, Secant = Secant> {
-    /// Slopes of the mean wrench over a step, with the arms of the tip.
+    /// Slopes of the mean wrench over a step, and the arms of the tip.
     fn slopes_over(&self, step: &Increment<'_>) -> (Slopes, TipArm);
 }
 
-/// A step of a system with its loop cut: its initial state and length.
+/// A step of a system with its loop cut at the tip: initial state and length.
 pub struct OpenStep<'a, S> {
     system: &'a S,
     legs: &'a OpenLegs,
@@ -91,14 +91,14 @@ pub struct OpenStep<'a, S> {
     initial_rotations: [Legs; 2],
 }
 
-/// Motion of the open legs over a step for given unknowns: all joints but the tip satisfy their constraints.
+/// Motion of the open legs over a step for given unknowns. All joints except the tip satisfy their constraints.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenMotion {
-    /// Poses in the middle and at the end of the step, with its factors.
+    /// Poses half-way and at the end of the step, and the step's factors.
     pub secant: Secant,
     /// The unknowns; ν belongs to the rates of this motion.
     pub x: CutUnknowns,
-    /// Final half-step rotations ω̂ = ½h ω₁, rad.
+    /// Half-step rotations at the end, ω̂ = ½h ω₁, rad.
     half: [Legs; 2],
     /// Velocity defect y, kg·m².
     velocity_defect: Moments,
@@ -112,16 +112,16 @@ pub struct OpenMotion {
     pub rate: [f64; 2],
 }
 
-/// Residual of the equations (f) under given forces.
+/// Residual of the equations (f) for given forces.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenResidual {
-    /// Joint load g by links.
+    /// Joint load g of each link.
     joint_load: Moments,
     /// Residual f of the angle rows, kg·m².
     pub left: [Legs; 2],
 }
 
-/// Normals n̂ of directions û.
+/// Normals n̂ to directions û.
 fn normals([p, d]: [Legs2; 2]) -> [Legs2; 2] {
     [p.turned(), d.turned()]
 }
@@ -132,7 +132,7 @@ fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
 }
 
 impl<'a, S: MeanSlopes> OpenStep<'a, S> {
-    /// A step of h seconds from q₀ with its pose and q̇₀.
+    /// A step of h seconds from q₀, its pose and q̇₀.
     pub fn new(
         system: &'a S,
         legs: &'a OpenLegs,
@@ -144,7 +144,7 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
         Self { system, legs, pose, q, h, softening, initial_moment, initial_rotations: angles_by_leg(v).map(|rate| half * rate) }
     }
 
-    /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
+    /// Bordered matrix for ω̂ or Δθ, with inertias of the angle rows; joint forces act along `factors` · n̂_m.
     #[inline(always)]
     fn bordered(
         &self,
@@ -157,7 +157,7 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
         let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
         let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle.along(), turned.end.along());
         let matrix = [
-            // The product n̂_m·n̂₁ of one link is its c.
+            // For a single link, n̂_m·n̂₁ is its factor c.
             [inertias[0][0] + by_p * cos_p * own, inertias[0][1] + by_p * shared * middle_p.dot(end_d)],
             [inertias[1][0] + by_d * shared * middle_d.dot(end_p), inertias[1][1] + by_d * cos_d * last],
         ];
@@ -165,8 +165,8 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
         BorderedMatrix::new(matrix, scaled(normals(turned.middle.along()), [by_p * length_p, by_d * length_d]), ends, e)
     }
 
-    /// The motion with ω̂, the change of ν and the residual of the rate equation by `solve`, from the matrix of ω̂ and ν, the right-hand side
-    /// of ω̂ and the columns of the tip's closure.
+    /// Computes the motion. `solve` gets the matrix for ω̂ and ν, the right-hand side for ω̂ and the columns of the tip's closure; it
+    /// returns ω̂, the change of ν and the residual of the rate equation.
     #[inline(always)]
     fn moving(
         &self,
@@ -202,8 +202,8 @@ impl<'a, S: MeanSlopes> OpenStep<'a, S> {
         OpenMotion { secant, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
-    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum
-    /// and columns of Δθ, where ω̂ changes as they do.
+    /// Slopes k K + c C of the mean forces for weights [k, c], as moments of inertia of each leg, kg·m². Rows (proximal, distal) are
+    /// momenta; columns are Δθ, with ω̂ changing by the same amount.
     #[inline(always)]
     fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         if !slopes.couple_links() {
@@ -245,7 +245,7 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         CutUnknowns::from_fn(|i| if i < 2 * LAMBDA { factor * x[i] } else { factor * factor * x[i] })
     }
 
-    /// The motion does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e times the correction of ν.
+    /// The motion does not depend on Λ. The ν of `x` is an initial guess: the rate equation holds up to e times the correction of ν.
     fn motion(&self, x: &CutUnknowns, e: f64) -> OpenMotion {
         self.moving(*x, e, |bordered, right, ends| {
             let (half, change) = bordered.solve(right, ends, [0.0; 2]);
@@ -253,7 +253,7 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         })
     }
 
-    /// No closure is solved, which loses rank in a vertex.
+    /// The closure, which loses rank at a vertex, is not solved.
     fn free_motion(&self, x: &CutUnknowns) -> OpenMotion {
         self.moving(*x, 1.0, |bordered, right, ends| {
             let half = bordered.free(right);
@@ -294,14 +294,14 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         [offset, Legs::new(*gap), Legs::new(*rate)].map(largest)
     }
 
-    /// Δθ and ω̂ change together, ν does not change.
+    /// Δθ and ω̂ change together; ν does not change.
     fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, e: f64) -> BorderedMatrix {
         let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
         let (OpenMotion { secant, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (secant.middle.along(), secant.sinc);
         let [[pp, pd], [dp, dd]] = self.inertias_of(motion, &slopes, &arm, [0.5 * self.h * self.h, self.h]);
-        // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
+        // s n̂_m turns by half of Δθ, and s decreases: its derivative is −Δθ/12 to second order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
         };
@@ -312,7 +312,7 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         self.bordered((secant, ends), inertias, secant.sinc, e)
     }
 
-    /// Λ is solved with the gap left out, since closing the gap changes no rates.
+    /// Λ is solved without the gap, because closing the gap changes no rates.
     fn newton_update(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> CutUnknowns {
         let (OpenMotion { gap, ends, .. }, [left_p, left_d]) = (motion, balance.left);
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], ends, *gap);
@@ -328,7 +328,7 @@ impl<S: MeanSlopes> CutStep<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for OpenStep
         self.by_whole_tangent(motion, balance, (&slopes, &arm), e)
     }
 
-    /// The last linear correction.
+    /// Applies the last linear correction to the rates.
     fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
         let [left_p, left_d] = balance.left;
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);

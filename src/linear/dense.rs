@@ -1,4 +1,4 @@
-//! The general linear solve, by LU with row exchanges: for links with so little inertia that the structured eliminations lose digits.
+//! The general linear solve, LU with row exchanges, for links with so little inertia that the structured eliminations lose digits.
 
 use nalgebra::{Const, LU, SMatrix, SVector};
 
@@ -14,7 +14,7 @@ pub struct Dense {
 }
 
 impl Dense {
-    /// Factorises for any A₀ whose symmetric part is positive definite: with e > 0 the matrix is then regular.
+    /// Factorises for any A₀ with a positive definite symmetric part: with e > 0 the matrix is then regular.
     #[inline(never)]
     pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, regularization: f64) -> Self {
         let phi_q = pose.phi_q();
@@ -34,7 +34,7 @@ impl Kkt<COORDINATES, MULTIPLIERS> for Dense {
         let mut xy = SVector::<f64, SIZE>::zeros();
         xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(&b[..]);
         xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(&c[..]);
-        // If extreme values have made the matrix singular, the caller's check for finite results ends the step.
+        // If extreme values made the matrix singular, the caller's check for finite results ends the step.
         if !self.lu.solve_mut(&mut xy) {
             xy.fill(f64::NAN);
         }

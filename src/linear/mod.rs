@@ -1,11 +1,11 @@
-//! The saddle-point systems of the five-bar, [A Φ_qᵀ; Φ_q −e] with A = M or the tangent A₀, and the choice of their linear solve.
+//! The saddle-point systems of the five-bar, [A Φ_qᵀ; Φ_q −e] with A = M or the tangent A₀, and the choice of the linear solve.
 //!
 //! | file | solves |
 //! | --- | --- |
 //! | `two_leg.rs` | joint by joint along both legs at once: A is diagonal |
 //! | `coupled.rs` | slopes couple links: A is full in six inner coordinates |
 //! | `dense.rs` | anything: inertias are far apart |
-//! | `cut_loop.rs` | the conserving step's equations and systems in the turns of the links, the loop cut at the tip |
+//! | `cut_loop.rs` | the equations and systems of the conserving step in the turns of the links, with the loop cut at the tip |
 
 pub mod coupled;
 pub mod cut_loop;
@@ -25,27 +25,27 @@ use cut_loop::OpenLegs;
 use dense::Dense;
 use two_leg::{Elimination, TwoLeg};
 
-/// The linear solves of the saddle-point system.
+/// Linear solves of the saddle-point system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearSolve {
-    /// Leg by leg where no slope of the forces couples links, see [`two_leg`], else by [`coupled`].
+    /// Leg by leg ([`two_leg`]) if no slope of the forces couples links, otherwise by [`coupled`].
     Structured,
-    /// General LU, for inertias of very different size. See [`dense`].
+    /// General LU, for inertias of very different size; see [`dense`].
     Dense,
 }
 
 impl LinearSolve {
-    /// The fastest linear solve that the inertias of a machine allow.
+    /// Returns the fastest linear solve that the inertias of a machine allow.
     pub fn choose(geometry: &Geometry) -> Self {
         if compliance_spread(geometry) > LARGEST_SPREAD { Self::Dense } else { Self::Structured }
     }
 }
 
-/// Largest ratio of compliances for the structured eliminations, whose relative error is the square of the ratio times ε: 1e-8 here. The
-/// paper's links have 3.
+/// Largest ratio of compliances for the structured eliminations. Their relative error is ε times the square of the ratio: 1e-8 here. The
+/// paper's links have a ratio of 3.
 const LARGEST_SPREAD: f64 = 1e4;
 
-/// Ratio of the largest to the smallest compliance of the links' ends, 1/m and arm²/I, 1/kg.
+/// Ratio of the largest to the smallest compliance at the ends of the links: 1/m or arm²/I, 1/kg.
 fn compliance_spread(geometry: &Geometry) -> f64 {
     let compliances = geometry.links.iter().flat_map(|link| {
         let arm = link.com.abs().max((link.length - link.com).abs());
@@ -55,28 +55,28 @@ fn compliance_spread(geometry: &Geometry) -> f64 {
     most / least
 }
 
-/// Least tangent A₀ as a part of the mass matrix M where it is only checked: below, the step is too long for Newton's method.
+/// Smallest tangent A₀ as a fraction of the mass matrix M if it is only checked: below, the step is too long for Newton's method.
 const LEAST_INERTIA: f64 = 0.1;
 
-/// Least tangent A₀ as a part of the mass matrix M where it is modified: keeps Newton's increment a descent direction.
+/// Smallest tangent A₀ as a fraction of the mass matrix M if it is modified: keeps Newton's increment a descent direction.
 const DESCENT_INERTIA: f64 = 0.3;
 
 /// Treatment of a tangent A₀ that is not sufficiently positive definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Definiteness {
-    /// Refused with an error: the step is too long.
+    /// The solve fails: the step is too long.
     Required,
-    /// Raised by multiples of M until it is, which gives a descent direction.
+    /// A₀ is raised until it is sufficiently positive definite, which gives a descent direction.
     Enforced,
 }
 
-/// Of which step the tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
+/// Inputs of the tangent system with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
 pub struct TangentSystem<'a> {
     /// Slopes of the forces at the step's end.
     pub slopes: Slopes,
     /// Arms of the tip at the step's end.
     pub arm: TipArm,
-    /// The pose there.
+    /// Pose at the step's end.
     pub pose: &'a Pose,
     /// Multipliers, N for constraints in m.
     pub lambda: &'a Multipliers,
@@ -88,7 +88,7 @@ pub struct TangentSystem<'a> {
     pub definite: Definiteness,
 }
 
-/// A mechanism with its linear solve.
+/// A mechanism and its linear solve.
 #[derive(Clone, Debug)]
 pub struct LinearSolver {
     solve: LinearSolve,
@@ -96,8 +96,8 @@ pub struct LinearSolver {
     legs: OpenLegs,
 }
 
-/// The factorised saddle-point matrix with the diagonal M as its upper left block. By [`LinearSolve::Dense`] each solve factorises the
-/// whole matrix instead: such mechanisms are rare.
+/// The factorised saddle-point matrix with the diagonal M as its upper left block. With [`LinearSolve::Dense`] each solve factorises the
+/// whole matrix instead, because such mechanisms are rare.
 #[derive(Clone, Debug)]
 pub struct MassFactor<'a, const BARE: bool> {
     solver: &'a LinearSolver,
@@ -128,12 +128,12 @@ type InnerMatrix = SMatrix<f64, INNER_COUNT, INNER_COUNT>;
 type Solution = (Coordinates, Multipliers);
 
 impl LinearSolver {
-    /// Solver for a mechanism; systems with the given e, 1/kg, need no recomputation of constants.
+    /// Creates the solver of a mechanism. Systems with the regularisation e given here, 1/kg, need no new constants.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
         Self { solve, elimination: Elimination::new(mechanism, regularization), legs: OpenLegs::new(mechanism) }
     }
 
-    /// Constants of the mechanism for the cut loop of the energy-conserving step.
+    /// Constants of the mechanism for the energy-conserving step, whose loop is cut at the tip.
     pub fn legs(&self) -> &OpenLegs {
         &self.legs
     }
@@ -143,7 +143,7 @@ impl LinearSolver {
         self.solve
     }
 
-    /// Factorises the saddle-point matrix with M. `BARE`: the solve is known at compile time to be leg by leg.
+    /// Factorises the saddle-point matrix with M. `BARE` means that the solve is known at compile time to be leg by leg.
     pub fn factor_mass<const BARE: bool>(&self, pose: &Pose, regularization: f64) -> MassFactor<'_, BARE> {
         MassFactor { solver: self, two_leg: TwoLeg::factor_mass(&self.elimination, pose, regularization), regularization }
     }
@@ -153,7 +153,7 @@ impl LinearSolver {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
     }
 
-    /// Solves the saddle-point system with A₀.
+    /// Solves the saddle-point system with A₀. Fails if A₀ is not sufficiently positive definite but has to be, or cannot be raised.
     #[inline(always)]
     pub fn solve_tangent(&self, of: &TangentSystem<'_>, right: (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
         match self.solve {
@@ -162,7 +162,7 @@ impl LinearSolver {
         }
     }
 
-    /// Solves the saddle-point system with an A₀ that couples no links, leg by leg.
+    /// Solves the saddle-point system leg by leg, for an A₀ that couples no links.
     #[inline(always)]
     pub fn solve_tangent_by_legs(
         &self,
@@ -172,7 +172,7 @@ impl LinearSolver {
         Ok(self.factor_two_leg(of)?.solve(b, c))
     }
 
-    /// (M + h/2 C + h²/4 K) x.
+    /// Returns (M + h/2 C + h²/4 K) x.
     pub fn effective_mass_times(&self, slopes: &Slopes, arm: &TipArm, h: f64, x: &Coordinates) -> Coordinates {
         let mut product = self.elimination.mechanism.mass_times(x);
         for (row, values) in INNER.into_iter().zip(slopes.inner(arm, weights(h))) {
@@ -206,7 +206,7 @@ impl LinearSolver {
         Ok(TwoLeg::factor(&self.elimination, pose, [inertia_p, inertia_d], regularization))
     }
 
-    /// Solves the system with a full block of A₀ in the inner coordinates.
+    /// Solves the system with an A₀ that has a full block in the inner coordinates.
     #[inline(never)]
     fn solve_full(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
         let inner = self.inner_tangent(of)?;
@@ -223,7 +223,8 @@ impl LinearSolver {
         Ok(Coupled::factor(of.pose, &self.masses(), columns, of.regularization).solve(b, c))
     }
 
-    /// Block of A₀ in the inner coordinates, checked or raised to be sufficiently positive definite; the outer ones keep their masses.
+    /// Block of A₀ in the inner coordinates, checked or raised to be sufficiently positive definite. The outer coordinates keep their
+    /// masses.
     fn inner_tangent(&self, of: &TangentSystem<'_>) -> Result<InnerMatrix, StepError> {
         let &TangentSystem { ref slopes, ref arm, pose, lambda, h, definite, .. } = of;
         let masses = self.masses();
@@ -238,7 +239,7 @@ impl LinearSolver {
         match definite {
             Definiteness::Required if !is_definite(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
             Definiteness::Required => {}
-            // Doubling ends: some multiple of M outweighs any tangent that is finite.
+            // The doubling ends: some multiple of M outweighs any finite tangent.
             Definiteness::Enforced => {
                 let mut more = DESCENT_INERTIA;
                 while !is_definite(&a0, DESCENT_INERTIA) {

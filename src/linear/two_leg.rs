@@ -1,8 +1,8 @@
-//! The fast linear solve: two legs side by side, joint by joint.
+//! The fast linear solve: both legs side by side, joint by joint.
 //!
-//! For scenes whose tangents are diagonal in the link angles. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e consists of 2×2 blocks
-//! along each leg, ground – elbow – tip; eliminating them in that order needs, with μ = 1/m, I′ the inertias of A₀ and the arms
-//! a, b of each link (`docs/method.md`, "The two-leg elimination"):
+//! It serves scenes whose tangents are diagonal in the link angles. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e consists of 2×2 blocks
+//! along each leg: ground, elbow, tip. With μ = 1/m, the inertias I′ of A₀ and the arms a, b of each link, eliminating them in this order
+//! needs (`docs/method.md`, "The two-leg elimination"):
 //!
 //! ```text
 //! ground   S_GG⁻¹ S_GE = c_r r̂r̂ᵀ + c_n n̂n̂ᵀ          c_r = −μ/(μ+e),  c_n = (ab − μI′) z,  z = 1/((μ+e) I′ + a²)
@@ -11,14 +11,14 @@
 //! tip      T = σ(μ_D 1 − a_D b_D/I_D′ n̂_D n̂_Dᵀ),  Q = Σ (μ_D 1 + b_D²/I_D′ n̂_D n̂_Dᵀ − Tᵀ E⁻¹ T) + e 1
 //! ```
 //!
-//! Both legs go through the same instructions in the two lanes of a register.
+//! Both legs execute the same instructions, in the two lanes of a register.
 
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
 
-/// Symmetric 2×2 matrices, one of each leg.
+/// Symmetric 2×2 matrices, one per leg.
 #[derive(Clone, Copy, Debug)]
 struct Symmetric {
     xx: Legs,
@@ -52,7 +52,7 @@ impl Symmetric {
     }
 }
 
-/// Constants of the elimination, which depend on the mechanism and e only; computed once, when the scene is made ready.
+/// Constants of the elimination. They depend only on the mechanism and e, and are computed once, when the scene is prepared.
 #[derive(Clone, Copy, Debug)]
 pub struct Elimination {
     pub(super) mechanism: Mechanism,
@@ -92,7 +92,7 @@ struct Compliance {
     proximal: Legs,
     /// Mobility 1/I′ of the distal links, 1/(kg·m²).
     distal: Legs,
-    /// Coefficient of S_GG⁻¹ across the proximal link minus that along it, kg.
+    /// Coefficient of S_GG⁻¹ across the proximal link minus the coefficient along it, kg.
     excess: Legs,
     /// Difference c_n − c_r.
     couple_excess: Legs,
@@ -101,7 +101,7 @@ struct Compliance {
 }
 
 impl Elimination {
-    /// Constants of a mechanism for e, 1/kg.
+    /// Computes the constants of a mechanism for e, 1/kg.
     pub fn new(mechanism: &Mechanism, regularization: f64) -> Self {
         let (e, mu, a, b) = (both(regularization), both(1.0) / mechanism.mass_p, mechanism.a_p, mechanism.b_p);
         let along = both(1.0) / (mu + e);
@@ -120,7 +120,8 @@ impl Elimination {
         Self { mechanism: *mechanism, regularization, ground, mass }
     }
 
-    /// These constants, or, for another e, new ones in `other`: the printed method has one of its own, and so have steps close to a vertex.
+    /// Returns these constants, or new ones in `other` for a different e: the printed method uses its own e, and so do steps close to a
+    /// vertex.
     #[inline(always)]
     fn with<'a>(&'a self, regularization: f64, other: &'a mut Option<Self>) -> &'a Self {
         if regularization == self.regularization { self } else { other.insert(Self::new(&self.mechanism, regularization)) }
@@ -149,7 +150,7 @@ pub struct TwoLeg {
     mobility: [Legs; 6],
     /// Coefficient of S_GG⁻¹ along the proximal link, kg.
     ground_along: Legs,
-    /// Coefficient of S_GG⁻¹ across the proximal link minus that along it, kg.
+    /// Coefficient of S_GG⁻¹ across the proximal link minus the coefficient along it, kg.
     ground_excess: Legs,
     /// Coefficient c_r.
     couple_along: Legs,
@@ -157,14 +158,14 @@ pub struct TwoLeg {
     couple_excess: Legs,
     /// Inverse E⁻¹ of the elbow's block.
     elbow_inverse: Symmetric,
-    /// Product E⁻¹ T by columns: transfer of a force at the tip to the elbow.
+    /// Product E⁻¹ T by columns: how a force at the tip acts on the elbow.
     gain: [Legs2; 2],
     /// Inverse Q⁻¹ of the tip's block: xx, xy, yy.
     tip_inverse: [f64; 3],
 }
 
 impl TwoLeg {
-    /// Factorises for the inertias I′ of A₀ (proximal, distal), kg·m².
+    /// Factorises for inertias I′ of A₀ (proximal, distal), kg·m².
     #[inline(always)]
     pub fn factor(elimination: &Elimination, pose: &Pose, inertias: [Legs; 2], regularization: f64) -> Self {
         let mut other = None;
@@ -185,17 +186,17 @@ impl TwoLeg {
         let Elimination { regularization, ground: Ground { mu, along, couple_along, elbow_along, .. }, .. } = *elimination;
         let mu_d = both(1.0) / elimination.mechanism.mass_d;
 
-        // Elbow.
+        // Eliminates the elbow.
         let (n_p, n_a, n_b) = (pose.u_p.turned(), pose.a_d.turned(), pose.sigma_b_d.turned());
         let elbow_inverse = Symmetric::new(mu_d + both(regularization) + elbow_along, compliance.elbow_excess, n_p)
             .plus(compliance.distal, n_a)
             .inverse();
-        // The vectors n_a and n_b are parallel, so that their product is symmetric.
+        // The vectors n_a and n_b are parallel, so their product is symmetric.
         let w = n_a.scaled(-compliance.distal);
         let signed = SIGMA * mu_d;
         let elbow_tip = Symmetric { xx: signed + w.x * n_b.x, xy: w.x * n_b.y, yy: signed + w.y * n_b.y };
 
-        // Tip: Tᵀ E⁻¹ T column by column.
+        // Eliminates the tip: Tᵀ E⁻¹ T, column by column.
         let gain @ [first, second] = [Legs2 { x: elbow_tip.xx, y: elbow_tip.xy }, Legs2 { x: elbow_tip.xy, y: elbow_tip.yy }]
             .map(|t| elbow_inverse.times(t));
         let own = Symmetric::new(mu_d, compliance.distal, n_b);
@@ -217,7 +218,7 @@ impl TwoLeg {
         }
     }
 
-    /// The pose of the factorisation.
+    /// Pose at which the matrix was factorised.
     pub fn pose(&self) -> &Pose {
         &self.pose
     }
@@ -236,7 +237,7 @@ impl TwoLeg {
     #[inline(always)]
     fn dual(&self, r: &Multipliers) -> Multipliers {
         let across = self.pose.u_p.turned();
-        // The product (along·1 + excess·n̂n̂ᵀ) v with a matrix that is diagonal in the proximal link's frame.
+        // Product (along·1 + excess·n̂n̂ᵀ) v: the matrix is diagonal in the frame of the proximal link.
         let framed = |along: Legs, excess: Legs, v: Legs2| {
             let normal = excess * across.dot(v);
             v.scaled(along) + across.scaled(normal)
@@ -280,5 +281,5 @@ impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
     }
 }
 
-// The elimination relies on the order of the coordinates.
+// The elimination relies on this order of the coordinates.
 const _: () = assert!(P_X == 0 && P_Y == 1 && P_THETA == 2 && D_X == 3 && D_Y == 4 && D_THETA == 5);

@@ -1,6 +1,6 @@
-//! The variables, generated from `modelDescription/modelDescription.xml`: data only.
+//! The variables, generated from `modelDescription/modelDescription.xml`: only data.
 //!
-//! `build.rs` writes the constants, the enums and the table [`VARIABLES`]; this file has their types.
+//! `build.rs` writes the constants, the enumerations and the table [`VARIABLES`]; this file defines their types.
 
 use std::fmt;
 
@@ -8,40 +8,40 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 include!(concat!(env!("OUT_DIR"), "/variables.rs"));
 
-/// One variable as calls see it.
+/// One variable as FMI calls see it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Variable {
     /// Name.
     pub name: &'static str,
     /// Value reference.
     pub reference: u32,
-    /// Role and family, matched by the bindings.
+    /// Role and group of the variable; the bindings match on it.
     pub id: VariableId,
     /// The pair of functions that reads and writes the variable.
     fmi_type: FmiType,
     /// Index of its unit.
     unit: Option<u8>,
-    /// Start value, in its unit; computed variables have none.
+    /// Start value, in the variable's unit; computed variables have none.
     pub start: Option<Value>,
-    /// Smallest value allowed, in its unit.
+    /// Smallest allowed value, in the variable's unit.
     pub min: Option<f64>,
-    /// Largest value allowed, in its unit.
+    /// Largest allowed value, in the variable's unit.
     pub max: Option<f64>,
     /// Index of its enumeration.
     enumeration: Option<u8>,
-    /// For parameters: whether the value may be changed during a run.
+    /// For parameters: whether the value may change during a run.
     pub tunable: bool,
-    /// Whether the causality is output, not local.
+    /// Whether the causality is output rather than local.
     pub output: bool,
 }
 
 impl Variable {
-    /// Unit of the value and its bounds, for Reals.
+    /// Unit of the value and its bounds, for Real variables.
     pub fn unit(&self) -> Option<&'static str> {
         self.unit.map(|place| UNITS[usize::from(place)])
     }
 
-    /// Items of an enumeration.
+    /// Items of the variable's enumeration; empty for other types.
     pub fn items(&self) -> &'static [Item] {
         self.enumeration.map_or(&[], |place| ENUMERATIONS[usize::from(place)])
     }
@@ -52,7 +52,7 @@ impl Variable {
 pub struct Item {
     /// Name.
     pub name: &'static str,
-    /// Number of the item in calls.
+    /// Number that stands for the item in calls.
     pub value: i32,
 }
 
@@ -77,7 +77,7 @@ impl Value {
         }
     }
 
-    /// Whether both are equal to the bit.
+    /// Whether both values have the same type and bits.
     pub fn same(self, other: Self) -> bool {
         match (self, other) {
             (Self::Real(one), Self::Real(other)) => one.to_bits() == other.to_bits(),
@@ -114,13 +114,13 @@ impl fmt::Display for FmiType {
 }
 
 impl Variable {
-    /// The variable with that value reference.
+    /// Finds the variable with a value reference.
     pub fn find(reference: u32) -> Option<&'static Self> {
         let position = VARIABLES.binary_search_by_key(&reference, |variable| variable.reference).ok()?;
         Some(&VARIABLES[position])
     }
 
-    /// The variable with that name.
+    /// Finds the variable with a name.
     pub fn named(name: &str) -> Option<&'static Self> {
         VARIABLES.iter().find(|variable| variable.name == name)
     }
@@ -130,13 +130,13 @@ impl Variable {
         self.fmi_type
     }
 
-    /// Index among the continuous states.
+    /// Index among the continuous states, if the variable is one.
     pub fn state(&self) -> Option<usize> {
         CONTINUOUS_STATES.iter().position(|(_, state)| VariableId::RealComputed(*state) == self.id)
     }
 
-    /// Refuses a value that the variable's type or bounds do not allow, in one sentence. Only a refusal makes text: a value that is allowed
-    /// allocates nothing.
+    /// Refuses a value that the variable's type or bounds do not allow, with one sentence. An allowed value allocates nothing: only a
+    /// refusal creates text.
     #[inline(always)]
     pub fn check(&self, value: Value) -> Result<(), String> {
         let number = match value {
@@ -149,7 +149,7 @@ impl Variable {
         if number.is_finite() && is_within && is_item { Ok(()) } else { Err(self.refusal(value, number)) }
     }
 
-    /// The sentence about a value that is not allowed.
+    /// Sentence about a refused value.
     #[cold]
     fn refusal(&self, value: Value, number: f64) -> String {
         let unit = self.unit().filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
@@ -169,7 +169,7 @@ impl Variable {
     }
 }
 
-/// A bound in its shortest form: 0, 100, 1e-9.
+/// Writes a bound in its shortest form: 0, 100, 1e-9.
 fn shortest(bound: f64) -> String {
     let (plain, scientific) = (format!("{bound}"), format!("{bound:e}"));
     if scientific.len() < plain.len() { scientific } else { plain }

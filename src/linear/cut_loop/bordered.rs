@@ -1,21 +1,22 @@
-//! Bordered matrix of the cut loop: 2×2 in the rotations of each leg's links, bordered by the closure of the tip.
+//! Bordered matrix of the cut loop: a 2×2 block for the rotations of each leg's links, bordered by the closure of the tip.
 
 use super::at_tip;
 use crate::mechanism::legs::{Legs, Legs2, both, sum};
 
-/// The factorised bordered matrix [A b; c −e]: A by legs over two links, columns b of the tip's forces, rows c of the tip's closure.
+/// The factorised bordered matrix [A b; c −e]: A acts on the two links of each leg, the columns b are the tip's forces, the rows c the
+/// tip's closure.
 #[derive(Clone, Copy, Debug)]
 pub struct BorderedMatrix {
     /// Inverse A⁻¹ by rows.
     inverse: [[Legs; 2]; 2],
-    /// Product A⁻¹ b by links.
+    /// Product A⁻¹ b, by links.
     columns: [Legs2; 2],
     /// Inverse Schur complement (c A⁻¹ b + e)⁻¹ by rows.
     tip_inverse: [f64; 4],
 }
 
 impl BorderedMatrix {
-    /// Factorises A by rows, the rows [p, d] of b by links, and the columns `ends` of c.
+    /// Factorises A, given by rows. [p, d] are the rows of b by links, and `ends` are the columns of c.
     #[inline(always)]
     pub(super) fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
         let reciprocal = both(1.0) / (pp * dd - pd * dp);
@@ -40,7 +41,7 @@ impl BorderedMatrix {
         [pp * p + pd * d, dp * p + dd * d]
     }
 
-    /// Solves A x + b y = r twice: returns x with c x − e y = −gap, and y with c x − e y = 0.
+    /// Solves A x + b y = r with two closures: returns x for c x − e y = −gap, and y for c x − e y = 0.
     #[inline(always)]
     pub(super) fn solve(&self, right: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
         let free = self.free(right);
@@ -50,7 +51,7 @@ impl BorderedMatrix {
     }
 }
 
-/// Separation of the legs' tips by given rotations of their links, c x, m.
+/// Separation c x of the legs' tips for rotations of their links, m.
 pub(super) fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
     [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
 }

@@ -1,15 +1,15 @@
-//! Constants of the two legs, open at the tip: moments and mobilities of the cut loop's equations.
+//! Constants of the two legs, open at the tip: moments and mobilities in the equations of the cut loop.
 
 use crate::mechanism::Mechanism;
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both};
 
-/// Constants of a mechanism whose legs are open at the tip.
+/// Constants of a mechanism with its legs open at the tip.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenLegs {
     pub(super) mechanism: Mechanism,
-    /// Lengths ℓ and L with the leg's sign in the tip's closure, m.
+    /// Lengths ℓ and L, times the leg's sign in the tip's closure, m.
     pub(super) sigma_length: [Legs; 2],
-    /// First moments m_P a, m_D ℓ and m_D a_D, kg·m.
+    /// Coefficients of first moments: m_P a, m_D ℓ and m_D a_D, kg·m.
     mass_moment: [Legs; 3],
     /// Moments of inertia A, B and D, kg·m².
     pub(super) moment: [Legs; 3],
@@ -17,11 +17,11 @@ pub struct OpenLegs {
     pub(super) turn_mobility: [Legs; 2],
 }
 
-/// First moments of a displacement of the proximal and the distal links, kg·m².
+/// First moments of displacements of the proximal and the distal links, kg·m².
 pub(super) type Moments = [Legs2; 2];
 
 impl OpenLegs {
-    /// The constants of a mechanism.
+    /// Computes the constants of a mechanism.
     pub fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { a_p, b_p, a_d, sigma_b_d, mass_p, mass_d, inertia_p, inertia_d, .. } = mechanism;
         let length = a_p + b_p;
@@ -36,7 +36,7 @@ impl OpenLegs {
         }
     }
 
-    /// First moments of rotations of the links, with p and d the displacements per length, kg·m².
+    /// First moments of rotations of the links, kg·m²; p and d are displacements divided by lengths.
     pub(super) fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [own, shared, distal] = self.moment;
         [p.scaled(own) + d.scaled(shared), p.scaled(shared) + d.scaled(distal)]
@@ -54,7 +54,7 @@ impl OpenLegs {
         [p.scaled(a_p) + d.scaled(a_p + b_p), d.scaled(a_d)]
     }
 
-    /// Products of σ(ℓ, L) and a vector of the tip.
+    /// Products of σ(ℓ, L) with a vector of the tip.
     pub(super) fn levers(&self, tip: Legs2) -> Moments {
         self.sigma_length.map(|length| tip.scaled(length))
     }

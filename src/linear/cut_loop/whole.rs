@@ -1,8 +1,7 @@
-//! The whole tangent of the cut loop, all unknowns at once: where the iteration leg by leg contracts slowly, because slopes couple the legs
-//! or inertias are far apart, and in the fallback stages.
+//! The tangent of the cut loop in all unknowns at once. It is used if the iteration leg by leg contracts slowly, because slopes couple the
+//! legs or inertias are far apart, and in the fallback stages.
 //!
-//! With the derivatives û' = n̂/2 in the middle and û' = n̂ at the end, s' and c' of the factors, Δ the change of w, y and g,
-//!
+//! With û' = n̂/2 half-way, û' = n̂ at the end, the derivatives s' and c' of the factors, and Δ for the change of w, y and g:
 //! ```text
 //! Δw = moment(n̂₁ Δω̂ − ω̂ û₁ ΔΔθ),     Δy = moment(n̂₁ ΔΔθ) − Δw − σ(ℓ, L) Δν,     Δg = −Δw − σ(ℓ, L) ΔΛ + slopes of the forces
 //! ```
@@ -15,13 +14,13 @@ use crate::mechanism::coordinates::legs_of;
 use crate::mechanism::legs::{Legs, Legs2, both};
 use crate::vector::Vector;
 
-/// Number of equations and of unknowns: those of the cut loop and ω̂, in pairs of the legs.
+/// Number of equations and of unknowns: the unknowns of the cut loop and ω̂, in pairs of the legs.
 const SIZE: usize = CUT_UNKNOWNS + 4;
-/// Index of ω̂ among the pairs of unknowns, after Δθ, Λ and ν.
+/// Pair index of ω̂ among the unknowns, after Δθ, Λ and ν.
 const HALF: usize = 4;
-/// Index of the equations (ν) among the pairs; (f) are first, then the tip's gap and its rate.
+/// Pair index of the equations (ν). The equations (f) come first, then the tip's gap and its rate.
 const MEAN: usize = 4;
-/// Indices of the tip's gap and rate among the pairs of equations, and of Λ and ν among those of unknowns.
+/// Pair indices of the tip's gap and rate among the equations, and of Λ and ν among the unknowns.
 const TIP: [usize; 2] = [LAMBDA, NU];
 
 /// Matrix by columns.
@@ -35,7 +34,7 @@ impl Matrix {
         }
     }
 
-    /// Adds to the entries of a pair of equations, of both legs, and both components of a force at the tip.
+    /// Adds to the entries of a pair of equations, one per leg, and both components of a force at the tip.
     fn add_tip_column(&mut self, equation: usize, unknown: usize, value: Legs2) {
         for (axis, value) in [value.x, value.y].into_iter().enumerate() {
             for (leg, value) in value.to_array().into_iter().enumerate() {
@@ -44,7 +43,7 @@ impl Matrix {
         }
     }
 
-    /// Adds to the entries of both components of an equation at the tip and a pair of unknowns of both legs.
+    /// Adds to the entries of both components of an equation at the tip and a pair of unknowns, one per leg.
     fn add_tip_row(&mut self, equation: usize, unknown: usize, value: Legs2) {
         for (axis, value) in [value.x, value.y].into_iter().enumerate() {
             for (leg, value) in value.to_array().into_iter().enumerate() {
@@ -55,8 +54,8 @@ impl Matrix {
 }
 
 impl<S: MeanSlopes> OpenStep<'_, S> {
-    /// Newton's increments of all unknowns with these slopes of the mean forces and e, 1/kg, of the tip's closure, which moves no root; not
-    /// finite where the matrix is singular.
+    /// Newton's increments of all unknowns, for slopes of the mean forces and e of the tip's closure, 1/kg, which does not move the root.
+    /// Not finite if the matrix is singular.
     #[inline(never)]
     pub(super) fn by_whole_tangent(
         &self,
@@ -107,12 +106,12 @@ impl<S: MeanSlopes> OpenStep<'_, S> {
         for (place, left) in [balance.left[0], balance.left[1], Legs::new(*gap), Legs::new(*rate)].into_iter().enumerate() {
             right.set_pair(place, -left);
         }
-        // A pivot of 0 gives increments that are not finite.
+        // A zero pivot gives increments that are not finite.
         let solution = Inverse::new(matrix.0, 0.0).times(&right);
         CutUnknowns::from_fn(|i| solution[i])
     }
 
-    /// Adds the slopes of the mean forces by Δθ and by ω̂, also those by which the joint at the tip couples the legs.
+    /// Adds the slopes of the mean forces with respect to Δθ and ω̂, including the slopes by which the joint at the tip couples the legs.
     fn add_slopes(&self, matrix: &mut Matrix, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm) {
         let squared = 0.5 * self.h * self.h;
         for (unknown, weights) in [(0, [squared, 0.0]), (HALF, [0.0, self.h])] {
@@ -131,7 +130,7 @@ impl<S: MeanSlopes> OpenStep<'_, S> {
 
 /// Derivatives of s = sin(d/2)/(d/2) and of c = cos(d/2) with respect to d.
 fn slopes_of_factors(d: Legs, s: Legs, c: Legs) -> [Legs; 2] {
-    // For small d the difference c − s cancels, and the series is used.
+    // For small d the difference c − s cancels, so the series is used.
     let series = d * (d * d * both(1.0 / 480.0) - both(1.0 / 12.0));
     let small = d.abs().simd_lt(both(1e-2));
     [small.select(series, (c - s) / d), both(-0.25) * d * s]
