@@ -1,7 +1,7 @@
-//! The machine in its four absolute link angles with the two closure equations of the tip: mass matrix, closure, equations of motion.
+//! Equations of motion in the four absolute link angles, with the two closure equations of the tip.
 //!
-//! Per leg (σ = +1 left, −1 right), with l_P the arm from motor axis to elbow, a the arms to the centres of mass, b_D that from the
-//! distal centre of mass to the tip, n̂ the direction turned by +90°:
+//! Per leg (σ = +1 left, −1 right), l_P is the arm from motor axis to elbow, a_P and a_D are the arms to the centres of mass, b_D is the
+//! arm from the distal centre of mass to the tip, and n̂(·) rotates by +90°:
 //!
 //! ```text
 //! M = [ I_P + m_P a_P² + m_D l_P²   m_D l_P·a_D     ]      Φ   = Σ σ (ground + l_P + a_D + b_D)
@@ -10,7 +10,7 @@
 //! M α + Φ_qᵀλ = Q + m_D l_P × a_D [ω_D²; −ω_P²],      Φ_q α − e λ = −Φ̇_q ω
 //! ```
 //!
-//! M is 2 × 2 in each leg, so that the saddle-point system is a Schur complement of two rows.
+//! M is 2 × 2 in each leg, so the saddle-point system reduces to a Schur complement with two rows.
 
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{angles_by_leg, centres, legs_of, set_legs};
@@ -23,36 +23,36 @@ use crate::vector::Vector;
 pub const ANGLES: usize = 4;
 /// Number of closure equations.
 pub const CLOSURES: usize = 2;
-/// Link angles, or quantities per link, in the order proximal left and right, distal left and right.
+/// Link angles, or other quantities per link, in the order proximal left, proximal right, distal left, distal right.
 pub type Angles = Vector<ANGLES>;
-/// Quantities of the tip: closure, or its force.
+/// Quantities at the tip: closure equations or the force.
 pub type AtTip = Vector<CLOSURES>;
 
-/// Index of the pair of proximal links in [`Angles`].
+/// Pair index of the proximal links in [`Angles`].
 pub const PROXIMAL: usize = 0;
-/// Index of the pair of distal links in [`Angles`].
+/// Pair index of the distal links in [`Angles`].
 pub const DISTAL: usize = 1;
 
 /// Indices in [`Angles`] of links 1 to 4 (left proximal, left distal, right distal, right proximal).
 pub const LINK_INDICES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
 
-/// Link angles out of the twelve coordinates.
+/// Link angles from the twelve coordinates.
 pub fn angles_of(x: &Coordinates) -> Angles {
     angles(angles_by_leg(x))
 }
 
-/// Pairs of the proximal and of the distal links.
+/// Splits into pairs: proximal links, distal links.
 #[inline(always)]
 pub fn legs(x: &Angles) -> [Legs; 2] {
     [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
 }
 
-/// Values of links 1 to 4.
+/// Reorders to links 1 to 4.
 pub fn in_link_order(x: &Angles) -> [f64; 4] {
     by_links(legs(x))
 }
 
-/// Angles or what belongs to them from those of the proximal and of the distal links.
+/// Joins the pairs of the proximal and the distal links.
 #[inline(always)]
 pub fn angles([p, d]: [Legs; 2]) -> Angles {
     let mut angles = Angles::ZERO;
@@ -61,21 +61,21 @@ pub fn angles([p, d]: [Legs; 2]) -> Angles {
     angles
 }
 
-/// Sums over both legs of two quantities per leg.
+/// Sums of two quantities over both legs.
 #[inline(always)]
 fn sums([x, y]: [Legs; 2]) -> Legs {
     let ([x_left, x_right], [y_left, y_right]) = (x.to_array(), y.to_array());
     Legs::new([x_left, y_left]) + Legs::new([x_right, y_right])
 }
 
-/// Pair with its two entries exchanged.
+/// Exchanges the two entries of a pair.
 #[inline(always)]
 fn exchanged(x: Legs) -> Legs {
     let [one, other] = x.to_array();
     Legs::new([other, one])
 }
 
-/// Product of a 2 × 4 matrix, stored by links, with the link quantities `x`: Φ_q v.
+/// The product Φ_q v: a 2 × 4 matrix, stored by links, times link quantities.
 #[inline(always)]
 fn at_tip([p, d]: &[Legs2; 2], [on_p, on_d]: [Legs; 2]) -> Legs {
     sums([p.x * on_p + d.x * on_d, p.y * on_p + d.y * on_d])
@@ -88,17 +88,19 @@ pub struct Inertia {
     proximal: Legs,
     /// D = I_D + m_D a_D², kg·m².
     distal: Legs,
-    /// m_D l_P a_D, kg·m²: the coupling is its product with the cosine of the angle between the links.
+    /// m_D l_P a_D, kg·m². Its product with the cosine of the angle between the links is the coupling.
     carried: Legs,
-    /// 1/P, 1/(kg·m²), and `carried`/P.
+    /// 1/P, 1/(kg·m²).
     mobility: Legs,
+    /// Ratio `carried`/P.
     carried_per_p: Legs,
-    /// δ = D − C²/P of a stretched leg with the coupling C, kg·m², a sum of positive terms; (m_D l_P × a_D)²/P adds to it.
+    /// δ = D − C²/P of a stretched leg, with the coupling C, kg·m², as a sum of positive terms; in other postures (m_D l_P × a_D)²/P adds
+    /// to it.
     stretched: Legs,
 }
 
 impl Inertia {
-    /// Constant part for a mechanism.
+    /// Computes the constant part for a mechanism.
     pub fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
@@ -114,7 +116,7 @@ impl Inertia {
         self.carried * pose.u_p.dot(pose.u_d)
     }
 
-    /// m_D l_P × a_D, kg·m²: torque on the other link per square of a rate.
+    /// m_D l_P × a_D, kg·m²: torque on the other link of the leg per squared rate.
     #[inline(always)]
     fn centripetal(&self, pose: &Pose) -> Legs {
         self.carried * pose.u_p.cross(pose.u_d)
@@ -127,14 +129,14 @@ impl Inertia {
         angles([self.proximal * p + coupling * d, coupling * p + self.distal * d])
     }
 
-    /// Kinetic energy by legs at link rates, rad/s, J.
+    /// Kinetic energy by legs, J, at link rates, rad/s.
     #[inline(always)]
     pub fn kinetic_energy(&self, pose: &Pose, rates: &Angles) -> Legs {
         let ([p, d], coupling) = (legs(rates), self.coupling(pose));
         both(0.5) * (self.proximal * (p * p) + self.distal * (d * d)) + coupling * (p * d)
     }
 
-    /// Torques on the links, N·m, with those of the distal centre of mass, which is carried around at link rates, rad/s.
+    /// Torques on the links, N·m, plus the centripetal torques of the distal centre of mass at link rates, rad/s.
     #[inline(always)]
     pub fn with_centripetal(&self, [on_p, on_d]: [Legs; 2], pose: &Pose, rates: &Angles) -> Angles {
         let ([w_p, w_d], centripetal) = (legs(rates), self.centripetal(pose));
@@ -142,12 +144,12 @@ impl Inertia {
     }
 }
 
-/// A constant force in the link angles: torques on links of length 1 along x and y, by links, N·m.
+/// A constant force in the link angles, by links, N·m: the cross product of a link's direction with it is the torque on the link.
 #[derive(Clone, Copy, Debug)]
 pub struct Weight([Legs2; 2]);
 
 impl Weight {
-    /// Constant force on the centres of mass, N; the proximal link carries at its elbow that on the distal one.
+    /// From a constant force on the centres of mass, N. The proximal link carries the force on the distal link at its elbow.
     pub fn new(mechanism: &Mechanism, force: &Coordinates) -> Self {
         let &Mechanism { a_p, b_p, a_d, .. } = mechanism;
         let [on_p, on_d] = centres(force);
@@ -161,32 +163,33 @@ impl Weight {
         [pose.u_p.cross(self.0[0]), pose.u_d.cross(self.0[1])]
     }
 
-    /// Work of the force from the motor axes by legs, J.
+    /// Work of the force from the motor axes, by legs, J.
     #[inline(always)]
     pub fn work(&self, pose: &Pose) -> Legs {
         pose.u_p.dot(self.0[0]) + pose.u_d.dot(self.0[1])
     }
 
-    /// Stiffness of the links, N·m/rad: their arms turn.
+    /// Stiffness of the links, N·m/rad, because their arms turn.
     pub fn stiffness(&self, pose: &Pose) -> ByLink {
         [pose.u_p.dot(self.0[0]), pose.u_d.dot(self.0[1])]
     }
 }
 
-/// The two equations that hold the motion: the closure of the tip, or the branch of the closure on which the motion stays. What follows
-/// from them is compiled twice: for branches of mirrored pairs, `MIRRORED`, whose rows depend on the direction of the axis, and for all others.
+/// The two equations that constrain the motion: the closure of the tip, or the branch of the closure on which the motion stays. Functions
+/// that depend on them are compiled twice: with `MIRRORED` for branches with mirrored pairs, whose rows depend on the direction of the
+/// axis, and without it for all others.
 #[derive(Clone, Copy, Debug)]
 pub struct Closure {
-    /// Signed link lengths in Φ_q, m; 0 on a closure branch of opposite pairs.
+    /// Signed link lengths in Φ_q, m; 0 on a closure branch with opposite pairs.
     sigma_length: [Legs; 2],
     /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
     constant: &'static [Legs2; 2],
-    /// On a closure branch, weights of both mirrored pairs.
+    /// Weights of both mirrored pairs, on a closure branch with mirrored pairs.
     mirrored: Option<&'static [[Legs; 2]; 2]>,
 }
 
 impl Closure {
-    /// Closure of the tip, or of a branch.
+    /// The closure of the tip, or of a branch.
     #[inline(always)]
     pub fn new(mechanism: &Mechanism, branch: Option<ClosureBranch>) -> Self {
         let ClosureTerms { open, constant, mirrored } = branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
@@ -195,25 +198,25 @@ impl Closure {
         Self { sigma_length, constant, mirrored: mirrored.as_ref() }
     }
 
-    /// Whether the rows are those of a closure branch of mirrored pairs.
+    /// Whether the equations belong to a closure branch with mirrored pairs.
     #[inline(always)]
     pub fn is_mirrored(&self) -> bool {
         self.mirrored.is_some()
     }
 
-    /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch of opposite pairs.
+    /// Vectors along the links, with the signs of the legs in the closure, m; 0 on a closure branch with opposite pairs.
     #[inline(always)]
     fn links(&self, pose: &Pose) -> [Legs2; 2] {
         let [p, d] = self.sigma_length;
         [pose.u_p.scaled(p), pose.u_d.scaled(d)]
     }
 
-    /// Rows of the equations out of components x and y at the tip, by links: with mirrored pairs the component along their axis, as the
-    /// second row.
+    /// Rows of the equations, by links, from the components x and y at the tip. With mirrored pairs the second row is the component along
+    /// their axis.
     #[inline(always)]
     fn rows<const MIRRORED: bool>(&self, pose: &Pose, at_tip: [Legs2; 2]) -> [Legs2; 2] {
         let Some(&[one, other]) = self.mirrored.filter(|_| MIRRORED) else { return at_tip };
-        // The longer links are never parallel to the axis.
+        // The longer pair gives the normal of the axis: its links are never parallel to the axis, so the sum does not vanish.
         let length = |[p, d]: [Legs; 2]| largest((p * self.sigma_length[0]).abs().max((d * self.sigma_length[1]).abs()));
         let [on_p, on_d] = if length(one) > length(other) { one } else { other };
         let normal = pose.u_p.scaled(on_p) + pose.u_d.scaled(on_d);
@@ -223,7 +226,7 @@ impl Closure {
         at_tip.map(|vector| Legs2 { x: Legs::ZERO, y: vector.x * x + vector.y * y })
     }
 
-    /// Gap Φ of the tip, m; on a closure branch of mirrored pairs only its component along the axis, as the second one.
+    /// Gap Φ of the tip, m. On a closure branch with mirrored pairs only its component along the axis is nonzero, in the second entry.
     #[inline(always)]
     pub fn gap<const MIRRORED: bool>(&self, mechanism: &Mechanism, pose: &Pose) -> AtTip {
         let [p, d] = self.rows::<MIRRORED>(pose, self.links(pose));
@@ -243,7 +246,8 @@ impl Closure {
         at_tip(&self.phi_q::<MIRRORED>(pose), legs(v)).to_array().into()
     }
 
-    /// Φ̇_q ω: the derivative of n̂ is a centripetal acceleration −l ω². The turning of a mirror axis adds nothing where the loop is closed.
+    /// Φ̇_q ω: the derivative of n̂ gives a centripetal acceleration −l ω². The turning of a mirror axis adds nothing if the loop is
+    /// closed.
     #[inline(always)]
     pub fn phi_q_dot_times<const MIRRORED: bool>(&self, pose: &Pose, v: &Angles) -> AtTip {
         let squares = legs(v).map(|w| w * w);
@@ -251,8 +255,8 @@ impl Closure {
     }
 }
 
-/// Factorised saddle-point matrix. The proximal angle is eliminated first, then the distal one, which leaves with the columns p and d of Φ_q,
-/// χ = C/P and r = d − χ p the Schur complement S = Σ (p pᵀ/P + r rᵀ/δ) + e.
+/// Factors of the saddle-point matrix. The proximal angle is eliminated first, then the distal angle. With the columns p and d of Φ_q, χ =
+/// C/P and r = d − χ p, the Schur complement is S = Σ (p pᵀ/P + r rᵀ/δ) + e.
 #[derive(Clone, Copy, Debug)]
 pub struct Factor {
     /// 1/P and 1/δ, 1/(kg·m²).
@@ -261,12 +265,12 @@ pub struct Factor {
     chi: Legs,
     /// p/P and r/δ: accelerations per unit force at the tip.
     by_tip: [Legs2; 2],
-    /// Diagonal of the adjugate of S, what is beside it, and 1 over the determinant, for both components.
+    /// Parts of S⁻¹ for both components: diagonal of the adjugate, off-diagonal entry, and 1 over the determinant.
     dual: [Legs; 3],
 }
 
 impl Factor {
-    /// Factorises for a pose with e, 1/kg.
+    /// Factorises at a pose, for e, 1/kg.
     #[inline(always)]
     pub fn new<const MIRRORED: bool>(inertia: &Inertia, closure: &Closure, pose: &Pose, regularization: f64) -> Self {
         let ([p, d], across) = (closure.phi_q::<MIRRORED>(pose), inertia.centripetal(pose));
@@ -288,7 +292,7 @@ impl Factor {
         (diagonal * x - beside * exchanged(x)) * reciprocal
     }
 
-    /// Accelerations from those of the free links, by elimination, and the force at the tip.
+    /// Accelerations with the force at the tip, from the accelerations of the free links (intermediate values of the elimination).
     #[inline(always)]
     fn held(&self, [free_p, free_r]: [Legs; 2], tip: Legs) -> Angles {
         let [x, y] = tip.to_array().map(both);
@@ -313,7 +317,7 @@ impl Kkt<ANGLES, CLOSURES> for Factor {
     }
 }
 
-/// The equations of motion at link angles and rates, factorised: their right-hand sides are what acts.
+/// Equations of motion at link angles and rates, factorised, so that several torques can be solved for:
 ///
 /// ```text
 /// let pose = mechanism.pose_at(legs(&angles));
@@ -332,25 +336,26 @@ pub struct Equations<'a, const MIRRORED: bool = false> {
 }
 
 impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
-    /// Equations at a pose and link rates, rad/s, with e of the saddle-point system, 1/kg.
+    /// Equations at a pose and at link rates, rad/s, with e of the saddle-point system, 1/kg.
     pub fn new((inertia, closure): (&'a Inertia, &'a Closure), pose: &'a Pose, rates: &'a Angles, regularization: f64) -> Self {
         Self { inertia, closure, pose, rates, factor: Factor::new::<MIRRORED>(inertia, closure, pose, regularization) }
     }
 
-    /// Accelerations, rad/s², and force of the tip's closure, N, or the multipliers of a closure branch, under torques on the links by legs, N·m.
+    /// Accelerations, rad/s², and the force of the tip's closure, N, or the multipliers of a closure branch, for torques on the links by
+    /// legs, N·m.
     pub fn solve(&self, torques: [Legs; 2]) -> (Angles, AtTip) {
         let &Self { inertia, closure, pose, rates, factor } = self;
         factor.solve(&inertia.with_centripetal(torques, pose, rates), &-closure.phi_q_dot_times::<MIRRORED>(pose, rates))
     }
 
-    /// Change of the accelerations, rad/s², by torques on the links, N·m, in addition.
+    /// Change of the accelerations, rad/s², for additional torques on the links, N·m.
     pub fn by_torques(&self, torques: &Angles) -> Angles {
         self.factor.solve(torques, &AtTip::ZERO).0
     }
 
-    /// First-order change of the solution `(α, λ)` of these equations, with stiffness K, N·m/rad, and damping C, N·m·s/rad, of the torques
-    /// Q on links 1 to 4, K = −∂Q/∂θ and C = −∂Q/∂ω, weight included. On a branch of mirrored pairs the turn of the axis is left out: it
-    /// changes λ₁ alone, for its term is parallel to the first row.
+    /// Linearises the solution `(α, λ)` of these equations. Stiffness K = −∂Q/∂θ, N·m/rad, and damping C = −∂Q/∂ω, N·m·s/rad, are those of
+    /// the torques Q on links 1 to 4, including weight. On a branch with mirrored pairs the turn of the axis is left out: its term is
+    /// parallel to the first row and changes only λ₁.
     pub fn linearised(&self, (a, lambda): (&Angles, &AtTip), [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {
         let &Self { inertia, closure, pose, rates, factor } = self;
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
@@ -360,7 +365,7 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
                 by_v[column][row] = -damping[i][j];
             }
         }
-        // Derivatives of mass matrix, centripetal torques and the closure's arms, leg by leg.
+        // Derivatives of mass matrix, centripetal torques and the arms of the closure, leg by leg.
         let ([w_p, w_d], [a_p, a_d]) = (legs(rates), legs(a));
         let (coupling, slope) = (inertia.coupling(pose), inertia.centripetal(pose));
         let on_p = (coupling * w_d * w_d + slope * a_d).to_array();
@@ -399,12 +404,12 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
 /// M δα + Φ_qᵀ δλ = −K δθ − C δω + δQ + δc − δM α − δΦ_qᵀ λ,      Φ_q δα − e δλ = Σ (r α + n̂(r) ω²) δθ + 2 r ω δω
 /// ```
 ///
-/// with r the arm of each link along the closure, its sign included, and c the centripetal torques: for implicit steps in the link angles,
-/// for the propagation of errors, and for directional derivatives. Reactions of sticking contacts are not included.
+/// Here r is the arm of each link in the closure, including its sign, and c are the centripetal torques. It is used for implicit steps in
+/// the link angles, for the propagation of errors and for directional derivatives. Reactions of sticking contacts are not included.
 #[derive(Clone, Copy, Debug)]
 pub struct Linearised {
     factor: Factor,
-    /// Derivatives of the right-hand sides by angles and by rates, by columns.
+    /// Derivatives of the right-hand sides with respect to angles and to rates, by columns.
     by_q: [Angles; ANGLES],
     by_v: [Angles; ANGLES],
     closure_by_q: [AtTip; ANGLES],
@@ -412,8 +417,8 @@ pub struct Linearised {
 }
 
 impl Linearised {
-    /// Changes δα of the accelerations, rad/s², and δλ of the tip's force, N, for changes δθ, rad, and δω, rad/s, which keep the loop closed,
-    /// and δQ of the torques, N·m, beside those by the slopes.
+    /// Changes δα of the accelerations, rad/s², and δλ of the tip's force, N, for changes δθ, rad, and δω, rad/s, that keep the loop
+    /// closed, and additional torques δQ, N·m, beyond the slopes.
     pub fn change(&self, [q, v]: [&Angles; 2], torques: &Angles) -> (Angles, AtTip) {
         use crate::matrix::combination;
         let right = *torques + combination(&self.by_q, q) + combination(&self.by_v, v);

@@ -1,4 +1,4 @@
-//! The mechanism under wrenches: motions that force laws see, and wrenches with slopes in the coordinates of each formulation.
+//! The mechanism under wrenches: motions as force laws see them, and wrenches and slopes in the coordinates of each formulation.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -6,7 +6,7 @@
 //! | `motion.rs` | motion of joints and tip from the 12 coordinates, from the link angles, or over a finite step |
 //! | `wrench.rs` | wrenches and slopes in the 12 coordinates, in the 4 link angles and in the legs of a finite step |
 //!
-//! ARCHITECTURE.md, "Formulations of the dynamics", lists the formulations with the methods that use them.
+//! `ARCHITECTURE.md`, "Formulations of the dynamics", lists the formulations and the methods that use them.
 
 pub mod angles;
 mod motion;

@@ -1,4 +1,4 @@
-//! Motion of joints and tip, as force laws see it, from the 12 coordinates, from the link angles, or over a finite step.
+//! Motion of joints and tip as force laws see it: from the 12 coordinates, from the link angles, or over a finite step.
 
 use std::f64::consts::TAU;
 
@@ -9,24 +9,24 @@ use crate::mechanism::placement::{ByLink, by_links, tip_levers};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Mechanism, Pose};
 
-/// Conditions under which force laws act, the same for all states of a step.
+/// Conditions under which force laws act; they are constant during a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Conditions<'a> {
     /// Inputs set by the master.
     pub inputs: &'a Inputs,
-    /// Whole turns of links 1 to 4 that are not counted in the angles.
+    /// Whole turns of links 1 to 4 that the angles do not include.
     pub turns: &'a [i64; 4],
     /// Mode: the smooth branch on which each force law is evaluated.
     pub mode: Mode,
 }
 
-/// Rates of the joints, or increments of their angles, from those of the links among the coordinates.
+/// Rates of the joints, or increments of their angles, from the link entries of the coordinates.
 fn of_joints(x: &Coordinates) -> [f64; JOINTS] {
     across_joints(link_angles(x))
 }
 
 impl<'a> Conditions<'a> {
-    /// Absolute angles of the motor axes, rad, from the angles of links 1 and 4 without their whole turns.
+    /// Absolute angles of the motor axes, rad, from the angles of links 1 and 4 without whole turns.
     fn motor_angles(&self, angles: [f64; 2]) -> [f64; 2] {
         [angles[0] + self.turns[0] as f64 * TAU, angles[1] + self.turns[3] as f64 * TAU]
     }
@@ -43,7 +43,7 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Motion at coordinates and velocities with the pose of the coordinates.
+    /// Motion at coordinates q and velocities v; `pose` belongs to q.
     pub fn motion(&self, [q, v]: [&Coordinates; 2], pose: &Pose) -> Motion<'a> {
         let TipArm { column: [rx, ry], .. } = TipArm::of_pose(pose, v);
         let (x, y, rate) = (X[1], Y[1], v[THETA[1]]);
@@ -54,7 +54,7 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Motion at link angles, rad, and rates, rad/s, with the pose of the angles.
+    /// Motion at link angles, rad, and rates, rad/s; `pose` belongs to the angles.
     pub fn motion_of_links(&self, mechanism: &Mechanism, [angles, rates]: [ByLink; 2], pose: &Pose) -> Motion<'a> {
         let ([left, right], links) = (angles[0].to_array(), by_links(rates));
         let [p, d] = tip_levers(pose);
@@ -65,7 +65,7 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Motion over a step from coordinates q by increments d to velocities v.
+    /// Motion over a step of length h, s, that starts at coordinates q, adds increments d and ends with velocities v.
     pub fn finite_motion(
         &self,
         [q, d, v]: [&Coordinates; 3],
@@ -91,7 +91,7 @@ impl<'a> Conditions<'a> {
     }
 }
 
-/// Change of the motion for changes δq and δv of coordinates and velocities at velocities v.
+/// Change of the motion for changes δq and δv, at velocities v.
 pub fn change_of_motion(pose: &Pose, v: &Coordinates, [q_change, v_change]: [&Coordinates; 2]) -> MotionChange {
     let TipArm { column: [rx, ry], turning, .. } = TipArm::of_pose(pose, v);
     let (x, y, theta) = (X[1], Y[1], THETA[1]);

@@ -1,7 +1,7 @@
-//! Wrenches and slopes in coordinates: the one map from force laws to the formulations of the mechanism.
+//! Wrenches and slopes in coordinates: the single map from force laws to the formulations of the mechanism.
 //!
-//! With T_j the joint torques, F the force on the tip and r the arm from the centre of mass of link 2 to the tip, l₁ and l₂ the arms of links
-//! 1 and 2 from end to end, and n(·) a turn by +90°:
+//! T_j are the joint torques and F is the force on the tip. r is the arm from the centre of mass of link 2 to the tip, l₁ and l₂ are the
+//! arms of links 1 and 2 from end to end, and n(·) rotates by +90°:
 //!
 //! ```text
 //! links            (T₁ − T₂, T₂ + T₃, T₄ − T₃, T₅ − T₄)
@@ -11,7 +11,7 @@
 //! K = Σ_j k_j + Jᵀ (K_tip J + D_tip J') + arms turning under F,    C = Σ_j d_j + Jᵀ D_tip J
 //! ```
 //!
-//! with ṗ = J q̇, ∂ṗ/∂q = J', the slopes k_j and d_j of the joints tridiagonal over the links.
+//! Here ṗ = J q̇ and ∂ṗ/∂q = J'. The joint slopes k_j and d_j are tridiagonal over the links.
 
 use crate::effects::{JOINT_LINKS, Matrix, Planar, Slopes, Wrench, dot, times};
 use crate::mechanism::coordinates::{THETA, X, Y};
@@ -23,31 +23,31 @@ use crate::mechanism::{Coordinates, Pose};
 /// Number of coordinates that slopes may couple.
 pub const INNER_COUNT: usize = 6;
 
-/// The coordinates that slopes may couple: the position of link 2, which carries the forces on the tip, and all link angles.
+/// Coordinates that slopes may couple: the position of link 2, which carries the forces on the tip, and all link angles.
 pub const INNER: [usize; INNER_COUNT] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
 
-/// Place of the angle of link 2 in [`INNER`].
+/// Index of the angle of link 2 in [`INNER`].
 const TIP_ANGLE: usize = 3;
 
-/// Arms by which the tip moves with the angle of link 2 and by which forces on the tip act on that angle.
+/// Arms that relate the tip to the angle of link 2: for its motion and for forces on it.
 #[derive(Clone, Copy, Debug)]
 pub struct TipArm {
     /// Arm of forces on the tip, m: r at an instant, s r_m over a step.
     pub row: Planar,
     /// Arm of the motion of the tip, m: r at an instant, r₁ over a step.
     pub column: Planar,
-    /// Derivative of `row` by the angle of link 2, m/rad.
+    /// Derivative of `row` with respect to the angle of link 2, m/rad.
     slope: Planar,
-    /// Derivative of the tip's velocity by the angle of link 2, m/s.
+    /// Derivative of the tip's velocity with respect to the angle of link 2, m/s.
     pub turning: Planar,
 }
 
-/// A vector in the plane turned by +90°.
+/// Rotates a vector in the plane by +90°.
 fn turned([x, y]: Planar) -> Planar {
     [-y, x]
 }
 
-/// Third component of the vector product.
+/// Cross product (its z component).
 fn cross(a: Planar, b: Planar) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
@@ -58,34 +58,34 @@ fn arm_of(pose: &Pose) -> Planar {
 }
 
 impl TipArm {
-    /// Arms at an instant, with the velocities.
+    /// Arms at an instant, for velocities v.
     pub fn of_pose(pose: &Pose, v: &Coordinates) -> Self {
         let arm = arm_of(pose);
         let rate = v[THETA[1]];
         Self { row: arm, column: arm, slope: turned(arm), turning: arm.map(|r| -rate * r) }
     }
 
-    /// Arms over a step of increments d to velocities v.
+    /// Arms over a step with increments d that ends with velocities v.
     pub fn of_step(secant: &Secant, d: &Coordinates, v: &Coordinates) -> Self {
         let (middle, end) = (arm_of(&secant.middle), arm_of(&secant.end));
         let (sinc, turn, rate) = (secant.sinc[1].to_array()[0], d[THETA[1]], v[THETA[1]]);
         Self {
             row: middle.map(|r| sinc * r),
             column: end,
-            // The direction in the middle rotates by half of dθ, and s = sinc(θ/2) has the slope −θ/12.
+            // The direction half-way rotates by half of dθ; s = sin(θ/2)/(θ/2) has the slope −θ/12.
             slope: [-0.5 * sinc * middle[1] - turn / 12.0 * middle[0], 0.5 * sinc * middle[0] - turn / 12.0 * middle[1]],
             turning: end.map(|r| -rate * r),
         }
     }
 
-    /// Stiffness of the angle of link 2, N·m/rad, by a force on the tip, N, whose arm rotates.
+    /// Stiffness of the angle of link 2, N·m/rad, due to a force on the tip, N, whose arm rotates.
     fn geometric(&self, force: Planar) -> f64 {
         -cross(self.slope, force)
     }
 }
 
 impl Wrench {
-    /// Adds the generalised force in the 12 coordinates, N and N·m, with the arm of forces on the tip, m.
+    /// Adds the generalised force in the 12 coordinates, N and N·m. `arm` is the arm of forces on the tip, m.
     pub fn add_to(&self, arm: Planar, forces: &mut Coordinates) {
         for (i, torque) in THETA.into_iter().zip(self.on_links()) {
             forces[i] += torque;
@@ -102,7 +102,7 @@ impl Wrench {
         forces
     }
 
-    /// Torques on the links in the 4 link angles, N·m.
+    /// Torques on the links, N·m: the wrench in the 4 link angles.
     pub fn torques_in_angles(&self, pose: &Pose) -> ByLink {
         let ([p, d], [left, tip, ..]) = (tip_levers(pose), self.on_links());
         let [.., right, base] = self.on_links();
@@ -111,28 +111,28 @@ impl Wrench {
 }
 
 impl Wrench {
-    /// Part of the wrench's power that changes by the rates alone, per second: F·Ṫω of the tip, at velocities of the 12 coordinates, whose
-    /// angle of link 2 carries the tip around the centre of mass.
+    /// Derivative of the wrench's power at constant link rates, W/s: F·Ṫω of the tip, at velocities of the 12 coordinates. The angle of
+    /// link 2 carries the tip around the centre of mass.
     pub fn drift_in_coordinates(&self, pose: &Pose, v: &Coordinates) -> f64 {
         let rate = v[THETA[1]];
         -rate * rate * dot(self.force, arm_of(pose))
     }
 
-    /// Part of the wrench's power that changes by the rates alone, per second, at rates of the link angles, rad/s.
+    /// Derivative of the wrench's power at constant link rates, rad/s, in W/s.
     pub fn drift_in_angles(&self, pose: &Pose, rates: ByLink) -> f64 {
         let ([p, d], [one, two, ..]) = (tip_levers(pose), by_links(rates));
         -one * one * dot(self.force, p) - two * two * dot(self.force, d)
     }
 }
 
-/// Arms of the left leg's links in the cut loop of a finite step, proximal first, m.
+/// Arms of the left leg's links in the cut loop of a finite step, m; proximal link first.
 #[derive(Clone, Copy, Debug)]
 pub struct StepLevers {
-    /// Derivatives of the tip's position by the links' angles, as forces act on them.
+    /// Derivatives of the tip's position with respect to the link angles, for the action of forces.
     pub rows: [Planar; 2],
-    /// Derivatives of the tip's position at the step's end by the links' angles.
+    /// Derivatives of the tip's position at the step's end with respect to the link angles.
     pub columns: [Planar; 2],
-    /// Derivatives of the tip's velocity at the step's end by the links' angles, m/s.
+    /// Derivatives of the tip's velocity at the step's end with respect to the link angles, m/s.
     pub turning: [Planar; 2],
 }
 
@@ -158,7 +158,8 @@ impl Slopes {
         [0, 1].map(|i| [0, 1].map(|j| k * stiffness[i][j] + c * damping[i][j]))
     }
 
-    /// Weighted loss of the force on the tip, W a + k D b, for an angle that moves the tip by a, m/rad, and changes its velocity by b, m/s.
+    /// Weighted decrease W a + k D b of the force on the tip, for an angle that moves the tip by a, m/rad, and changes its velocity by b,
+    /// m/s.
     fn by_angle(&self, weights: [f64; 2], moving: Planar, turning: Planar) -> Planar {
         let (along, dragged) = (times(self.of_tip(weights), moving), times(self.tip[1], turning));
         [0, 1].map(|i| along[i] + weights[0] * dragged[i])
@@ -183,7 +184,7 @@ impl Slopes {
         matrix
     }
 
-    /// Weighted slopes k K + c C of the link angles, where no slope couples links ([`Slopes::couple_links`]).
+    /// Weighted slopes k K + c C of the link angles, if no slope couples links ([`Slopes::couple_links`]).
     pub fn diagonal(&self, arm: &TipArm, [k, c]: [f64; 2]) -> ByLink {
         let weighted = |joint: usize| k * self.joints[joint][0] + c * self.joints[joint][1];
         [Legs::new([weighted(0), weighted(4)]), Legs::new([k * arm.geometric(self.force), 0.0])]
@@ -205,13 +206,13 @@ impl Slopes {
         })
     }
 
-    /// Weighted slope k K + c C by which the joint at the tip couples the distal links.
+    /// Weighted slope k K + c C with which the joint at the tip couples the distal links.
     pub fn between_legs(&self, weights: [f64; 2]) -> f64 {
         self.over_links(weights)[1][2]
     }
 
-    /// Weighted slopes k K + c C of each leg over its links, proximal first, in the cut loop of a finite step. Slopes that couple the legs are
-    /// left out, see [`Slopes::between_legs`], and so are rows that turn with the forces on the positions.
+    /// Weighted slopes k K + c C of each leg over its links, proximal link first, in the cut loop of a finite step. Left out are slopes
+    /// that couple the legs (see [`Slopes::between_legs`]) and the turning of the rows with the forces on the positions.
     pub fn on_legs(&self, arm: &TipArm, levers: &StepLevers, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         let links = self.over_links(weights);
         let mut matrix =
@@ -239,7 +240,7 @@ mod tests {
 
     const INPUTS: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2], servo_theta: [0.0; 2], servo_omega: [0.0; 2] };
 
-    /// Numbers between −1 and 1 without order.
+    /// A number between −1 and 1, without order.
     fn number(seed: usize) -> f64 {
         (12.9898 * seed as f64 + 0.7).sin()
     }
@@ -252,7 +253,7 @@ mod tests {
         std::array::from_fn(|i| number(seed + i))
     }
 
-    /// A machine in which nothing is equal.
+    /// A machine with no two equal parameters.
     fn mechanism() -> Mechanism {
         let mut geometry = default_parameters().geometry;
         for (i, link) in geometry.links.iter_mut().enumerate() {
@@ -265,7 +266,7 @@ mod tests {
         Conditions { inputs: &INPUTS, turns: &[1, 0, 0, -2], mode: Mode::OF_STATE }
     }
 
-    /// A law linear in joint angles and rates and in the tip's position and velocity, in no symmetry.
+    /// A law that is linear in joint angles and rates and in the tip's position and velocity, without symmetry.
     struct Linear {
         wrench: Wrench,
         slopes: Slopes,
@@ -312,7 +313,7 @@ mod tests {
         })
     }
 
-    /// Truncation: third derivatives of some 10 times 1e-10/6; round-off: numbers of some 10 times 1e-16/1e-5.
+    /// Truncation: third derivatives of about 10, times 1e-10/6. Round-off: numbers of about 10, times 1e-16/1e-5.
     const BOUND: f64 = 2e-9;
 
     #[test]
@@ -334,7 +335,7 @@ mod tests {
             let by_angles: f64 = torques.iter().zip(links(seed + 50)).map(|(torque, rate)| torque * rate).sum();
             assert!((by_angles - power).abs() < 1e-14, "{power} W in angles, {by_angles}");
 
-            // The 12 coordinates that belong to the angles see the same motion and have the same torques.
+            // The 12 coordinates at these angles give the same motion and the same torques.
             let (q, v) = (mechanism.coordinates(&pose, angles), pose.velocities(rates));
             let same = conditions().motion([&q, &v], &pose);
             let apart = |a: Planar, b: Planar| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
@@ -373,7 +374,7 @@ mod tests {
         conditions().finite_motion([q, d, v], &mechanism.secant(&mechanism.pose(q), legs(&angles_of(d))), (1e-3, 1.0), inertia)
     }
 
-    /// An entry of slopes in the coordinates: 0 but for those in [`INNER`].
+    /// Entry of the slopes in all coordinates: 0 outside [`INNER`].
     fn entry(inner: &[[f64; INNER_COUNT]; INNER_COUNT], row: usize, column: usize) -> f64 {
         let place = |i: usize| INNER.iter().position(|inner| *inner == i);
         place(row).zip(place(column)).map_or(0.0, |(row, column)| inner[row][column])
@@ -414,7 +415,7 @@ mod tests {
         let mechanism = mechanism();
         for seed in 0..20 {
             let (law, q, v) = (Linear::new(seed), coordinates(seed), coordinates(seed + 50));
-            // Turns of up to 0.01 rad: the slope of sinc is taken to the first order.
+            // Turns of up to 0.01 rad: the slope of sinc is a first-order approximation.
             let d = 1e-2 * coordinates(seed + 30);
             let begin = mechanism.pose(&q);
             let wrench = |d: &Coordinates, v: &Coordinates| {
@@ -462,7 +463,7 @@ mod tests {
         }
     }
 
-    /// The legs of the cut loop carry the coordinates of link 2 along: rows and columns of the same slopes, leg by leg.
+    /// The legs of the cut loop carry the coordinates of link 2: rows and columns of the same slopes, leg by leg.
     #[test]
     fn slopes_on_legs_are_those_in_the_coordinates_carried_along() {
         let mechanism = mechanism();
@@ -470,7 +471,7 @@ mod tests {
             let (law, [q, d, v]) = (Linear::new(seed), [0, 30, 60].map(|more| coordinates(seed + more)));
             let arm = TipArm::of_step(&mechanism.secant(&mechanism.pose(&q), legs(&angles_of(&d))), &d, &v);
             let (slopes, weights) = (law.slopes(law.wrench), [number(seed), number(seed + 1)]);
-            // Motions of the position of link 2 by the turns of its leg's links.
+            // Motion of the position of link 2 with the turns of its leg's links.
             let carried = |seed: usize| [[number(seed), number(seed + 1)], [number(seed + 2), number(seed + 3)]];
             let (rows, columns) = (carried(seed), carried(seed + 9));
             let with_arm = |[p, d]: [Planar; 2], arm: Planar| [p, [0, 1].map(|i| d[i] + turned(arm)[i])];
