@@ -1,13 +1,12 @@
 //! Dry friction as a set-valued law: stick and slip as a complementarity problem.
 //!
 //! A friction place is a direction in which bodies slide on each other: the rotation of a joint, or the tip along the plane. A slipping
-//! place has a friction force against its sliding rate w; a sticking place has the force that keeps w = 0, up to the bound b. A method
+//! place has a friction force against its sliding rate w. A sticking place has the force that keeps w = 0, up to the bound b. A method
 //! stores the states ([`StickSlips`]).
 //!
-//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise
-//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
-//! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so that at most two independent places stick,
-//! and then nothing moves.
+//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b
+//! |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001). The minimiser
+//! is unique. The mechanism has two degrees of freedom, so at most two independent places stick, and then nothing moves.
 
 use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector};
@@ -21,47 +20,47 @@ use crate::vector::Vector;
 /// Law of dry friction: the `….law` variables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Law {
-    /// Regularised: a smooth function of the sliding rate, which creeps under load.
+    /// Regularised: a smooth function of the sliding rate, with creep under load.
     #[default]
     Smooth,
     /// Set-valued: sticks up to its bound.
     Stick,
 }
 
-/// Active friction place at a state.
+/// An active friction place at a state.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionPlace {
     /// Index of the place in [`StickSlips`].
     pub place: usize,
     /// Sliding rate, rad/s or m/s.
     pub rate: f64,
-    /// Largest friction torque or force while sticking, N·m or N.
+    /// Largest friction torque or force, N·m or N.
     pub bound: f64,
-    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
+    /// Largest |∂w/∂θ̇| of the sliding rate with respect to the rate of each link, 1 or m/rad.
     pub arms: [f64; LINKS],
 }
 
-/// Friction place as a constraint on the sliding rate w = row·q̇ that friction may hold at 0.
+/// Friction place as a constraint: friction may keep its sliding rate w = row·q̇ at 0.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionConstraint<const N: usize> {
     /// The place with its sliding rate.
     pub at: FrictionPlace,
-    /// Generalised force of a friction torque of 1 N·m, or of a friction force of 1 N, which is the row of the constraint.
+    /// Generalised force of a friction torque of 1 N·m or a friction force of 1 N. It is also the row of the constraint.
     pub row: Vector<N>,
-    /// Part of ẇ that depends on the rates alone: ẇ = row·q̈ + drift.
+    /// Part of ẇ that depends only on the rates: ẇ = row·q̈ + drift.
     pub drift: f64,
 }
 
-/// Constraints of all friction places that are active at a state.
+/// Constraints of all active friction places at a state.
 pub type FrictionConstraints<const N: usize> = ArrayVec<FrictionConstraint<N>, FRICTION_PLACES>;
 
-/// A mechanical system with dry friction that may stick.
+/// A mechanical system with dry friction that can stick.
 pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
-    /// Stick-slip states in force.
+    /// Current stick-slip states.
     fn stick_slip(&self) -> &StickSlips;
-    /// The system with other stick-slip states.
+    /// Returns the system with other stick-slip states.
     fn with_stick_slip(&self, stick_slip: StickSlips) -> Self;
-    /// Friction constraints at q with its pose and q̇, of places in the states that `wanted` takes.
+    /// Friction constraints at q, its pose and q̇, for the places in states that `wanted` accepts.
     fn friction_constraints(
         &self,
         at: (&Vector<N>, &Self::Pose, &Vector<N>),
@@ -89,7 +88,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         stick_slip
     }
 
-    /// Constraint or reaction by which friction holds the system.
+    /// The constraint or the reaction of friction that sticks.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
         if self.stick_slip().at_rest() {
             let (constraints, holding) = (self.friction_constraints((q, pose, v), all), self.holding((q, pose, v)));
@@ -124,7 +123,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         holding
     }
 
-    /// Friction guards at a state with its active places, for event location.
+    /// Friction guards of the active places at a state, for event location.
     fn friction_guards(
         &self,
         places: impl Iterator<Item = FrictionPlace>,
@@ -141,8 +140,8 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         places.map(guard).collect()
     }
 
-    /// Directional derivative of q̈ and λ with sticking joints, from those without friction: accelerations of sticking places stay 0.
-    /// Refused where friction holds the whole mechanism or the tip.
+    /// Directional derivative of q̈ and λ with sticking joints, from the derivative without friction: accelerations of sticking places stay
+    /// 0. Refused if friction keeps the whole mechanism at rest or the tip sticks.
     fn varied(&self, [q, v]: [&Vector<N>; 2], (a, lambda): (Vector<N>, Vector<M>)) -> Result<(Vector<N>, Vector<M>), SceneError> {
         let stick_slip = self.stick_slip();
         if !stick_slip.any_sticks() {
@@ -161,9 +160,9 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         Ok((a + da, lambda + dlambda))
     }
 
-    /// Whether a run can have reached a state with its stick-slip states; `just_stopped` allows the residual rates of a stop.
+    /// Whether a run can have reached a state with its stick-slip states. `just_stopped` allows the residual rates of a stop.
     fn are_possible(&self, q: &Vector<N>, v: &Vector<N>, just_stopped: bool) -> bool {
-        /// Largest rate by which a stick-slip state may contradict the motion, in stick velocities: a hundredfold of the event tolerance.
+        /// Largest rate that may contradict a stick-slip state, in stick velocities.
         const LARGEST_CONTRADICTION: f64 = 2.0 * CARRIED_RATE;
         let stick_slip = self.stick_slip();
         if stick_slip.at_rest() {
@@ -186,23 +185,23 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     }
 }
 
-/// Largest rate of a mechanism that friction can bring to rest, in stick velocities: residual motion below that is within tolerances.
+/// Largest rate from which friction can bring the mechanism to rest, in stick velocities: residual motion below it is within tolerances.
 const REST_RATE: f64 = 1e3;
 
-/// Largest rate at which a place may start to stick, in stick velocities. A place that is faster slips as it does until its guard: told to slip
-/// the other way, it would be past its new guard at once, without end.
+/// Largest rate at which a place can start to stick, in stick velocities. A faster place keeps its direction until it reaches its guard. If
+/// it were set to slip the other way, it would be past its new guard immediately, without end.
 const STICKING_RATE: f64 = CROSSING_RESIDUAL;
 
-/// Rate at which a place that sticks by the constraint of another begins to slip, in stick velocities: a lower one may be an error of the
-/// steps.
+/// Rate at which a place that sticks only through the constraint of another place begins to slip, in stick velocities: smaller rates may be
+/// errors of the steps.
 const CARRIED_RATE: f64 = 50.0;
 
-/// Takes places in every state.
+/// Accepts every state.
 fn all(_: StickSlip) -> bool {
     true
 }
 
-/// The states in which all places slip but those that the closure branch keeps still.
+/// States in which all places slip, except those that the closure branch keeps still.
 fn slipping<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickSlips {
     let mut slipping = stick_slip.opened();
     for FrictionConstraint { at, .. } in constraints.iter().filter(|constraint| !stick_slip.is_still(constraint.at.place)) {
@@ -216,17 +215,20 @@ fn is_able<const N: usize>(stick_slip: &StickSlips, constraint: &FrictionConstra
     constraint.at.bound > 0.0 && !stick_slip.is_still(constraint.at.place)
 }
 
-/// Accelerations r per unit of friction at a place with a row, and M r, the part of the row on the motions that the closure admits; `None`
-/// where the closure keeps the place from moving, as an elbow at its turning point.
+/// Accelerations r per unit of friction at a place with the given row, and M r, the part of the row that acts on motions allowed by the
+/// closure. `None` if the closure keeps the place from moving, for example an elbow at its turning point.
 ///
-/// By the regularisation e of the saddle-point system r has a part of order e across the closure. The row responds to that part, as if the
+/// Because of the regularisation e of the saddle-point system, r has a part of order e that violates the closure. The row responds to this
+/// part as if the place could move; the response of M r is only of order e². A place is mobile if nearly all of its mobility remains with M
+/// r.
 /// place could move; M r responds to it in the order of e². A mobility is one of the mechanism if nearly all of it remains.
 fn admissible_direction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (pose, mass): (&S::Pose, &S::Mass),
     row: &Vector<N>,
 ) -> Option<[Vector<N>; 2]> {
-    /// Least part of a mobility that the closure has to admit: directions of rows are then right to a tenth of √e, relative to 1 over masses.
+    /// Smallest part of a mobility that the closure must allow. Directions of rows are then accurate to a tenth of √e, relative to 1 over
+    /// masses.
     const LEAST_PART: f64 = 0.99;
     let (response, _) = mass.solve(row, &Vector::ZERO);
     let admissible_row = system.mass_times(pose, &response);
@@ -234,15 +236,15 @@ fn admissible_direction<const N: usize, const M: usize, S: System<N, M>>(
     is_mobile.then_some([response, admissible_row])
 }
 
-/// Constraint on the motion by places that all hold one direction of it.
+/// The constraint on the motion if all sticking places constrain the same direction.
 fn held_direction<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickingConstraint<N> {
     let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
     let force = shares(stick_slip, constraints).fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
     StickingConstraint::Direction { row: first.row, drift: first.drift, force }
 }
 
-/// The places of these constraints, which all hold one motion, with their torque per unit of the first: all use an equal fraction of their
-/// bounds.
+/// The places of these constraints, which all constrain the same motion, with their torque per unit of the first place's torque: all use an
+/// equal fraction of their bounds.
 fn shares<'a, const N: usize>(
     stick_slip: &'a StickSlips,
     constraints: &'a FrictionConstraints<N>,
@@ -256,7 +258,7 @@ fn shares<'a, const N: usize>(
     })
 }
 
-/// A friction place at a state, with its distance from the next transition between stick and slip.
+/// A friction place at a state, and its distance from the next transition between stick and slip.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionGuard {
     /// The place with its sliding rate.
@@ -265,21 +267,22 @@ pub struct FrictionGuard {
     pub state: StickSlip,
     /// Friction torque or force while sticking, N·m or N; 0 while slipping.
     pub reaction: f64,
-    /// Whether the place sticks by the constraint of another, which holds one motion with it until a singularity is left behind.
+    /// Whether the place sticks only through the constraint of another place. Both then constrain the same motion, until the mechanism
+    /// leaves a singularity.
     pub carried: bool,
 }
 
-/// Guards of all friction places that are active at a state.
+/// Guards of all active friction places at a state.
 pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
 
-/// Sliding rate below which a friction place counts as at rest, rad/s or m/s, at an angular tolerance, rad.
+/// Sliding rate below which a friction place counts as at rest, rad/s or m/s, for an angular tolerance, rad.
 pub fn stick_velocity(tolerance: f64) -> f64 {
     (ERROR_RATE * tolerance).clamp(1e-11, 1e-6)
 }
 
 impl FrictionGuard {
-    /// Guard value in units of the event tolerance, positive past the guard: reversed rate while slipping, load above its bound while
-    /// sticking.
+    /// Guard value in units of the event tolerance, positive past the guard. It is the reversed rate while slipping, and the load above the
+    /// bound while sticking.
     pub fn guard_residual(&self, tolerance: f64) -> f64 {
         let FrictionPlace { rate, bound, .. } = self.at;
         match self.state {
@@ -289,13 +292,14 @@ impl FrictionGuard {
         }
     }
 
-    /// Rate at which the place is carried along though it sticks, above the largest that errors explain, in units of the event tolerance.
+    /// Sliding rate of a place that sticks through another's constraint, less the largest rate that errors explain, in units of the event
+    /// tolerance.
     pub fn carried_residual(&self, tolerance: f64) -> f64 {
         if self.carried { self.at.rate.abs() / stick_velocity(tolerance) - CARRIED_RATE } else { f64::NEG_INFINITY }
     }
 
-    /// Bounds on the first two derivatives of the sliding rate. That of a joint is a difference of link rates; the arms of the tip turn with
-    /// the links.
+    /// Bounds on the first two derivatives of the sliding rate. The rate of a joint is a difference of link rates; the arms of the tip turn
+    /// with the links.
     fn rate_bounds(&self, extremes: &Extremes) -> [f64; 2] {
         let FrictionPlace { place, arms, .. } = self.at;
         [(2, &extremes.accelerations), (3, &extremes.jerks)].map(|(order, fixed)| match place {
@@ -304,15 +308,15 @@ impl FrictionGuard {
         })
     }
 
-    /// Whether the sliding rate provably keeps its sign for `duration` seconds from this state on, whatever the end.
+    /// Whether the sliding rate provably keeps its sign for `duration` seconds from this state, whatever the end state is.
     pub fn is_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let StickSlip::Slips(direction) = self.state else { return true };
         let [steepest, _] = self.rate_bounds(extremes);
         direction.sign() * self.at.rate - steepest * duration >= stick_velocity(tolerance)
     }
 
-    /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
-    /// derivative of the rate, or on the distance of the rate from its chord.
+    /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later. The proof uses a
+    /// bound on the rate's derivative, or on its distance from the chord.
     pub fn stays(&self, to: &Self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let StickSlip::Slips(direction) = self.state else { return true };
         let [from, to] = [self.at.rate, to.at.rate].map(|rate| direction.sign() * rate);
@@ -324,7 +328,7 @@ impl FrictionGuard {
     }
 }
 
-/// Complementarity problem of the friction places whose sliding rate is 0: ẇ = G T + c with |T| ≤ b, T = −b sign ẇ where ẇ ≠ 0.
+/// Complementarity problem of the friction places with sliding rate 0: ẇ = G T + c with |T| ≤ b, and T = −b sign ẇ if ẇ ≠ 0.
 #[derive(Clone, Debug, Default)]
 pub struct FrictionProblem {
     /// Indices of the places in [`StickSlips`].
@@ -337,20 +341,20 @@ pub struct FrictionProblem {
     pub bounds: [f64; FRICTION_PLACES],
 }
 
-/// Relative tolerance of the inequalities, as a part of the bounds: far above round-off, far below any physical load.
+/// Tolerance of the inequalities relative to the bounds: far above round-off, far below any physical load.
 const TOLERANCE: f64 = 1e-9;
 
-/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace: makes torques unique that equilibrium leaves open.
+/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace. It makes torques unique that equilibrium leaves undetermined.
 const RIDGE: f64 = 1e-12;
 
 /// A candidate solution of a [`FrictionProblem`]: the stick-slip state of each of its places.
 type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
-    /// Problem of a system at q and q̇ of the places that may stick, can move and satisfy `rests`, while the others slip.
+    /// Problem of a system at q and q̇ for the places that may stick, can move and satisfy `rests`; the others slip.
     ///
-    /// Rows are those on the motions that the closure admits: with coaxial motors the inner joints share one motion, and the
-    /// regularisation would leave a small difference between their rows, by which they could hold the rigid rotation.
+    /// The rows act only on motions that the closure allows. With coaxial motors the inner joints share one motion; the regularisation
+    /// would leave a small difference between their rows, and with it they could prevent the rigid rotation.
     fn new<const N: usize, const M: usize>(
         system: &impl Frictional<N, M>,
         q: &Vector<N>,
@@ -370,7 +374,7 @@ impl FrictionProblem {
         }
         let forces = system.with_stick_slip(stick_slip).forces(q, &pose, v).0;
         let (by_forces, _) = mass.solve(&forces, &Vector::ZERO);
-        // The regularisation leaves a part of order e of the closure's accelerations; corrected twice, one of order e².
+        // The regularisation leaves an error of order e in the accelerations from the closure. With a second correction it is of order e².
         let by_closure = -system.phi_q_dot_times(&pose, v);
         let once = mass.correction(&by_closure);
         let by_rates = once + mass.correction(&(by_closure - system.phi_q_times(&pose, &once)));
@@ -395,7 +399,7 @@ impl FrictionProblem {
         self.mobility[i][i] * self.bounds[i]
     }
 
-    /// Whether friction can keep all places at rest, and that stops the whole mechanism.
+    /// Whether friction can keep all places at rest and thereby stop the whole mechanism.
     pub fn can_rest(&self) -> bool {
         let n = self.len();
         let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
@@ -409,16 +413,16 @@ impl FrictionProblem {
         g[i][j] * g[i][j] >= (1.0 - TOLERANCE) * g[i][i] * g[j][j]
     }
 
-    /// Torques or forces, N·m or N, by which all places stick: those of least sum of squares relative to the bounds, or, where these
-    /// exceed the bounds, those with all but two places at their bounds.
+    /// Torques or forces with which all places stick, N·m or N: the least sum of squares relative to the bounds. If these exceed the
+    /// bounds, all places but two are at their bounds.
     pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
         self.least_squares_torques().unwrap_or_else(|| {
             self.least_violating(2..=2).map_or([0.0; FRICTION_PLACES], |(_, candidate)| self.torques(&candidate))
         })
     }
 
-    /// Torques of least squares: (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method; `None` where a bound is exceeded
-    /// or an acceleration remains.
+    /// Least-squares torques T = D x with the bounds D, from (D G D + ε tr) x = −D c by Cholesky's method. `None` if a bound is exceeded or
+    /// an acceleration remains.
     fn least_squares_torques(&self) -> Option<[f64; FRICTION_PLACES]> {
         let n = self.len();
         let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
@@ -432,7 +436,7 @@ impl FrictionProblem {
         });
         let x = matrix.cholesky()?.solve(&-bounds.component_mul(&SVector::from(self.change)));
         let torques = bounds.component_mul(&x).into();
-        // If no torques keep all places at rest, those of least squares leave accelerations.
+        // If no torques keep all places at rest, the least-squares torques leave accelerations.
         let left = self.accelerations(&torques);
         let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
         holds.then_some(torques)
@@ -443,7 +447,7 @@ impl FrictionProblem {
         std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
     }
 
-    /// Torques or forces of a candidate, N·m or N: the bounds at slipping places, the solution of ẇ = 0 at up to two sticking places.
+    /// Torques or forces of a candidate, N·m or N: the bound at a slipping place, the solution of ẇ = 0 at up to two sticking places.
     fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
         let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match candidate[i] {
             StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
@@ -464,7 +468,8 @@ impl FrictionProblem {
         torques
     }
 
-    /// The candidate of least violation, as a part of the bounds, among those whose number of sticking places is in a range.
+    /// The candidate with the smallest violation, relative to the bounds, among candidates with a number of sticking places in the range
+    /// `holds`.
     fn least_violating(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Candidate)> {
         let n = self.len();
         let mut least_violating: Option<(f64, Candidate)> = None;
@@ -491,7 +496,7 @@ impl FrictionProblem {
                     StickSlip::Slips(slip_direction) if sticking.len() < 2 => {
                         quotient(-slip_direction.sign() * left[i], self.scale(i))
                     }
-                    // Two places that stick hold the machine: accelerations left at others are round-off.
+                    // Two sticking places stop the mechanism: accelerations of other places are round-off.
                     StickSlip::Slips(_) | StickSlip::Inactive | StickSlip::Still => 0.0,
                 })
             });
@@ -502,16 +507,17 @@ impl FrictionProblem {
         least_violating
     }
 
-    /// Sets the states where the mechanism moves or begins to: at most one place sticks, and with it those that constrain the same motion.
+    /// Sets the states for a mechanism that moves or begins to move: at most one place sticks, together with places that constrain the same
+    /// motion.
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
         let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
         let left = self.accelerations(&self.torques(&candidate));
         if let Some(sticking_place) = candidate.iter().position(|state| state.sticks()) {
-            // The round-off of strong places accelerates a weak one.
+            // Round-off from strong places accelerates a weak place.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
             let with =
                 |i: usize| i == sticking_place || self.are_parallel(sticking_place, i) && left[i].abs() <= TOLERANCE * greatest(i);
-            // Directions are relative to the first of these places, which need not be `sticking_place`.
+            // Directions are relative to the first of these places, which may differ from `sticking_place`.
             let first = (0..sticking_place).find(|i| with(*i)).unwrap_or(sticking_place);
             for i in (first..self.len()).filter(|i| with(*i)) {
                 candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
@@ -523,9 +529,9 @@ impl FrictionProblem {
     }
 }
 
-/// The quotient x/y; where y is (nearly) 0, a value so large that it violates any bound.
+/// The quotient x/y. If y is (nearly) 0, it is so large that it violates any bound.
 fn quotient(x: f64, y: f64) -> f64 {
-    /// Largest magnitude of the quotient: above any bound, and its square is still finite.
+    /// Largest magnitude of the quotient: above any bound, while its square is still finite.
     const LARGEST_QUOTIENT: f64 = 1e100;
     if x == 0.0 {
         0.0

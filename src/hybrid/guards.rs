@@ -1,5 +1,5 @@
-//! Guards: functions of the state whose zeros separate two smooth branches of a force law. They belong to the unilateral springs of stops
-//! and contact (penetration, ramp, push) and to set-valued dry friction. Smooth friction and servos have none.
+//! Guards: functions of the state with zeros where a force law changes its smooth branch. They belong to the unilateral springs of stops
+//! and contact (penetration, ramp, push) and to set-valued dry friction. Smooth friction and servos have no guards.
 
 use arrayvec::ArrayVec;
 
@@ -12,7 +12,7 @@ use crate::integrator::{Guards, Residuals};
 /// Unilateral springs at a state.
 pub type UnilateralGuards<'a> = ArrayVec<UnilateralGuard<'a>, SPRINGS>;
 
-/// Guard values of a scene at a state, in a mode.
+/// Guard values at a state, in a mode.
 pub struct GuardValues<'a> {
     mode: Mode,
     springs: UnilateralGuards<'a>,
@@ -25,7 +25,7 @@ impl<'a> GuardValues<'a> {
         Self { mode, springs, friction_guards }
     }
 
-    /// A mode with the springs in the phases of the present state.
+    /// The mode with all springs in the phases of this state.
     pub fn with_present_phases(&self, mut mode: Mode) -> Mode {
         for guard in &self.springs {
             mode.springs[guard.place] = Some(guard.spring.phase(guard.depth, guard.rate));
@@ -33,7 +33,7 @@ impl<'a> GuardValues<'a> {
         mode
     }
 
-    /// Event indicators, m or rad, which change sign at a discontinuity of a force law; 1 for absent springs.
+    /// Event indicators, m or rad. Each changes sign at a discontinuity of a force law; 1 for absent springs.
     pub fn indicators(&self) -> [f64; INDICATORS] {
         let mut indicators = [1.0; INDICATORS];
         for guard in &self.springs {
@@ -42,7 +42,7 @@ impl<'a> GuardValues<'a> {
         indicators
     }
 
-    /// The mode after the transitions of all springs whose guards the state has passed, or, where none is passed, of the nearest one.
+    /// The mode after the transitions of all springs with a passed guard or, if no guard is passed, of the spring nearest to its guard.
     pub fn next_mode(&self, tolerance: f64) -> Mode {
         let nearest = self.residuals(tolerance).largest.min(0.0);
         let mut next_mode = self.mode;
@@ -59,7 +59,7 @@ impl<'a> GuardValues<'a> {
 impl Guards for GuardValues<'_> {
     type PathBounds = Extremes;
 
-    /// Nothing breaks away where everything sticks. The tolerance is an angle, rad.
+    /// The tolerance is an angle, rad. If the whole mechanism is at rest, no place breaks away by itself.
     fn residuals(&self, tolerance: f64) -> Residuals {
         let largest = self.springs.iter().fold(f64::NEG_INFINITY, |most, guard| most.max(guard.deciding(&self.mode, tolerance).1));
         self.friction_guards.iter().fold(Residuals { largest, breakaway: f64::NEG_INFINITY }, |most, guard| {
@@ -77,19 +77,19 @@ impl Guards for GuardValues<'_> {
         free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
     }
 
-    /// Time that springs on their ramps remain there.
+    /// Time for which springs on their ramps stay there.
     fn dwell_time(&self) -> f64 {
         let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(&self.mode), guard.depth, guard.rate));
         lasting.fold(f64::INFINITY, f64::min)
     }
 
-    /// Springs stay in their phases, and slip keeps its direction.
+    /// True if springs stay in their phases and slip keeps its direction.
     fn are_out_of_reach(&self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         self.friction_guards.iter().all(|guard| guard.is_out_of_reach(duration, extremes, tolerance))
             && self.springs.iter().all(|guard| guard.is_out_of_reach(&self.mode, duration, extremes, tolerance))
     }
 
-    /// Springs stay in their phases, and slip keeps its direction.
+    /// True if springs stay in their phases and slip keeps its direction.
     fn stay_until(&self, to: &Self, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let mut slips = self.friction_guards.iter().zip(&to.friction_guards);
         let mut phases = self.springs.iter().zip(&to.springs);

@@ -1,7 +1,7 @@
-//! Hybrid room: what forces with discontinuities have beside formulas. One discrete state, the mode; unilateral springs and their phases;
-//! friction that sticks and slips; and the guards where the mode ends, which `integrator/locator.rs` finds.
+//! Discontinuous forces: one discrete state, the mode; unilateral springs and their phases; friction that sticks and slips; and the guards
+//! at which the mode ends, which `integrator/locator.rs` finds.
 //!
-//! Invariant: knows the methods by their interface [`crate::integrator::System`] only, and no effect.
+//! Invariant: uses the methods only through their interface [`crate::integrator::System`], and knows no effect.
 
 pub mod friction;
 mod guards;
@@ -21,9 +21,10 @@ use crate::mechanism::LINKS;
 /// Bounds on the derivatives of the link angles over a step.
 pub type Extremes = integrator::Extremes<LINKS>;
 
-/// Bound on a derivative of order 1 to 4 of a length whose lever arms, its largest derivatives by the link angles, turn with the links.
+/// Bound on a derivative of order 1 to 4 of a length. `arms` are its largest derivatives with respect to the link angles; these lever arms
+/// turn with the links.
 fn derivative_bound(arms: &[f64; LINKS], order: usize, Extremes { rates, accelerations, jerks, snaps }: &Extremes) -> f64 {
-    // Derivatives of û(θ), a unit vector at the angle of a link.
+    // Derivatives of û(θ), the unit vector along a link.
     let of_direction = |link: usize| {
         let (w, a) = (rates[link], accelerations[link]);
         match order {

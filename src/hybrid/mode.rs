@@ -1,13 +1,13 @@
-//! Discrete state of a hybrid system, the [`Mode`]: phases of unilateral springs, stick-slip states of friction places, branch of the
-//! closure. An error-controlled method ends its step where the trajectory crosses a guard and begins the next step in the next mode:
-//! within a step every force is one smooth formula, so the method keeps its order. By [`Mode::OF_STATE`], as for all other methods, every
-//! formula is the one of the present state.
+//! Discrete state of the hybrid system, the [`Mode`]: phases of unilateral springs, stick-slip states of friction places, branch of the
+//! closure. An error-controlled method ends its step where the trajectory crosses a guard and begins the next step in the next mode. Within
+//! a step every force is then one smooth formula, so the method keeps its order. All other methods use [`Mode::OF_STATE`]: the current
+//! state decides on every formula.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::mechanism::ClosureBranch;
 
-/// Number of unilateral springs: one of the contact, two stops on each motor axis.
+/// Number of unilateral springs: one for the contact, two stops on each motor axis.
 pub const SPRINGS: usize = 5;
 
 /// Number of event indicators: three for each unilateral spring.
@@ -25,7 +25,7 @@ pub const FRICTION_PLACES: usize = 6;
 /// Index of the tip among the friction places.
 pub const TIP_FRICTION: usize = FRICTION_PLACES - 1;
 
-/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly past the guards of the phase.
+/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly beyond the guards of the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Phase {
     /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
@@ -36,19 +36,19 @@ pub enum Phase {
     Full,
 }
 
-/// Mode of the hybrid system: phases of the springs, stick-slip states of friction, branch of the closure.
+/// Mode of the hybrid system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Mode {
-    /// Phase of every unilateral spring; `None`: of the present state.
+    /// Phase of every unilateral spring; `None` means the phase of the current state.
     pub springs: [Option<Phase>; SPRINGS],
     /// Stick-slip state of every friction place.
     pub stick_slip: StickSlips,
-    /// Branch of the closure; `None` away from the branches of a reducible closure (`closure_branch.rs`).
+    /// Branch of the closure; `None` if the motion is on no branch of a reducible closure (`closure_branch.rs`).
     pub closure_branch: Option<ClosureBranch>,
 }
 
 impl Mode {
-    /// No stored mode: every force law takes the branch of the present state.
+    /// No stored mode: the current state decides on the branch of every force law.
     pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
 
     /// Whether any spring pushes.
@@ -66,7 +66,7 @@ impl Mode {
         Self { closure_branch, ..self }
     }
 
-    /// The mode with these stick-slip states, and springs in the phase of the present state.
+    /// A mode with these stick-slip states and springs in the phase of the current state.
     pub fn of_stick_slip(stick_slip: StickSlips) -> Self {
         Self::OF_STATE.with_stick_slip(stick_slip)
     }
@@ -82,7 +82,7 @@ pub enum SlipDirection {
 }
 
 impl SlipDirection {
-    /// Direction of a sliding rate by its sign; forward at 0.
+    /// Direction of a sliding rate; forward at 0.
     pub fn of(x: f64) -> Self {
         if x < 0.0 { Self::Backward } else { Self::Forward }
     }
@@ -103,9 +103,9 @@ pub enum StickSlip {
     Inactive,
     /// Slips in a direction.
     Slips(SlipDirection),
-    /// Sticks. Where several places hold the same motion, the direction is that of this place's share relative to the first.
+    /// Sticks. If several places constrain the same motion, the direction is the sign of this place's share relative to the first place.
     Sticks(SlipDirection),
-    /// Still: the closure branch keeps the joint from turning, so that friction there has no effect.
+    /// Still: the closure branch keeps the joint from turning, so friction there has no effect.
     Still,
 }
 
@@ -143,7 +143,7 @@ impl StickSlips {
         self.at_rest
     }
 
-    /// The states with the joints still that a closure branch keeps from turning.
+    /// The states on a closure branch, with the joints still that it keeps from turning.
     pub fn on_branch(mut self, closure_branch: ClosureBranch) -> Self {
         closure_branch.still_joints().iter().for_each(|place| self.set(*place, StickSlip::Still));
         self
@@ -154,14 +154,14 @@ impl StickSlips {
         self.places[place] == StickSlip::Still
     }
 
-    /// The states with every place inactive but the still ones.
+    /// The states with all places inactive, except the still ones.
     pub fn opened(&self) -> Self {
         let mut stick_slip = Self::OPEN;
         (0..FRICTION_PLACES).filter(|place| self.is_still(*place)).for_each(|place| stick_slip.set(place, StickSlip::Still));
         stick_slip
     }
 
-    /// The mechanism at rest with these places sticking.
+    /// The states of a mechanism at rest, with these places sticking.
     pub fn resting(self, places: impl Iterator<Item = usize>) -> Self {
         let mut stick_slip = Self { at_rest: true, ..self.opened() };
         places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
@@ -173,8 +173,8 @@ impl StickSlips {
         self.places.iter().any(|state| state.sticks())
     }
 
-    /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored
-    /// state that of the rate.
+    /// Sign of the sliding direction of a place with a rate, rad/s or m/s. A stored slip state gives its direction, a sticking place 0;
+    /// without a stored state the rate gives the sign.
     pub fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
             StickSlip::Slips(slip_direction) => slip_direction.sign(),

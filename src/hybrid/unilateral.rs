@@ -5,11 +5,11 @@
 //! ```
 //!
 //! The reaction never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N
-//! twice differentiable at d = 0; where max(0, ·) becomes 0, on fast separation, N has a kink. The potential is that of the spring
-//! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
-//! Phases are free, ramp and full; their guards are d = 0, d = width and k d + c ḋ = 0.
+//! twice differentiable at d = 0. On fast separation, when max(0, ·) becomes 0, N has a kink. The spring part has the potential U = ∫ s k d
+//! dd; the remaining power, (N − s k d) ḋ ≥ 0, is dissipated. The phases are free, ramp and full; their guards are d = 0, d = width and k d
+//! + c ḋ = 0.
 //!
-//! Between two states the guard values have upper bounds, so that no crossing is missed: given values and slopes at both ends and bounds on
+//! Upper bounds on the guard values between two states ensure that no crossing is missed. With values and slopes at both ends and bounds on
 //! higher derivatives, a function lies below two straight lines, below the parabola over its chord, and within a remainder of the cubic
 //! Hermite polynomial.
 
@@ -29,20 +29,20 @@ pub struct UnilateralSpring {
     pub width: f64,
 }
 
-/// A guard of a phase: a function of penetration and its rate, m or rad, positive past the guard and negative where the phase holds.
+/// A guard of a phase: a function of penetration and its rate, m or rad. It is negative in the phase and positive past the guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PhaseGuard {
-    /// Penetration: the spring is touched.
+    /// Penetration: positive when the spring is touched.
     Touch,
-    /// Negative penetration: the ramp is left outwards.
+    /// Negative penetration: positive when the ramp is left outwards.
     Release,
-    /// Penetration beyond the ramp.
+    /// Penetration minus the ramp's width: positive beyond the ramp.
     FullDepth,
-    /// Missing penetration: the ramp is entered again.
+    /// Width minus penetration: positive when the motion returns to the ramp.
     BackOnRamp,
-    /// Unramped push as a distance.
+    /// Push without ramp, as a distance.
     Push,
-    /// Negative unramped push as a distance: the spring separates.
+    /// Negative push without ramp, as a distance: positive when the spring separates.
     Pull,
 }
 
@@ -52,8 +52,8 @@ impl Phase {
         matches!(self, Self::Ramp | Self::Full)
     }
 
-    /// Guards of a phase, the first and the others: the phase ends where any of them is passed, or, for a free spring, where all of them
-    /// are. Without damping the push as a distance is the penetration.
+    /// The first guard of a phase and its other guards. The phase ends when any of them is passed; a free spring's phase ends when all are
+    /// passed. Without damping the push as a distance is the penetration.
     fn guards(self) -> (PhaseGuard, &'static [PhaseGuard]) {
         match self {
             Self::Free => (PhaseGuard::Touch, &[PhaseGuard::Push]),
@@ -62,7 +62,7 @@ impl Phase {
         }
     }
 
-    /// Whether a phase holds, given which of its guards are provably not passed.
+    /// Whether a phase persists, given which of its guards are provably not passed.
     fn holds(self, is_kept: impl Fn(PhaseGuard) -> bool) -> bool {
         let (first, others) = self.guards();
         let mut others = others.iter().copied();
@@ -71,7 +71,7 @@ impl Phase {
 }
 
 impl UnilateralSpring {
-    /// The phase of a state: penetration, m or rad, and its rate, m/s or rad/s.
+    /// Phase at a state: penetration, m or rad, and its rate, m/s or rad/s.
     pub fn phase(&self, depth: f64, rate: f64) -> Phase {
         match (depth > 0.0 && self.push(depth, rate) > 0.0, depth < self.width) {
             (false, _) => Phase::Free,
@@ -92,7 +92,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// Derivatives of a guard value by penetration, 1, and by its rate, s.
+    /// Derivatives of a guard value with respect to penetration, 1, and to its rate, s.
     fn guard_slopes(&self, guard: PhaseGuard) -> [f64; 2] {
         match guard {
             PhaseGuard::Touch | PhaseGuard::FullDepth => [1.0, 0.0],
@@ -102,7 +102,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// The phase past a guard, at a penetration.
+    /// The phase beyond a guard, at a penetration.
     pub(super) fn phase_past(&self, guard: PhaseGuard, depth: f64) -> Phase {
         match guard {
             PhaseGuard::Touch | PhaseGuard::Push if depth < self.width => Phase::Ramp,
@@ -112,7 +112,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// The guard that decides on the end of a phase, with its value: the largest value, or the smallest for a free spring.
+    /// The guard that decides when a phase ends, and its value: the largest value, or the smallest for a free spring.
     fn deciding(phase: Phase, value: impl Fn(PhaseGuard) -> f64) -> (PhaseGuard, f64) {
         let all = phase == Phase::Free;
         let (first, others) = phase.guards();
@@ -122,10 +122,10 @@ impl UnilateralSpring {
         })
     }
 
-    /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
-    /// the ramp far past its ends.
+    /// Time to the end of the ramp at the current rate, s; infinite off the ramp. A step of at most this length does not evaluate the
+    /// ramp's polynomial far beyond its ends.
     pub(super) fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
-        /// Least remaining part of the ramp, relative to its width: keeps the time from vanishing at the end of the ramp.
+        /// Smallest remaining part of the ramp, relative to its width: keeps the time positive at the end of the ramp.
         const LEAST: f64 = 0.1;
         let ahead = match phase {
             Phase::Ramp if rate > 0.0 => self.width - depth,
@@ -135,22 +135,22 @@ impl UnilateralSpring {
         if rate == 0.0 { f64::INFINITY } else { ahead.max(LEAST * self.width) / rate.abs() }
     }
 
-    /// Event indicators of a spring, m or rad: penetration, penetration less the ramp's width, and the scaled push.
+    /// Event indicators of a spring, m or rad: penetration, penetration minus the ramp's width, and the push as a distance.
     pub fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
         [depth, depth - self.width, self.push_as_distance(depth, rate)]
     }
 
-    /// Unramped push k d + c ḋ as a distance, m or rad.
+    /// Push without ramp, k d + c ḋ, as a distance, m or rad.
     fn push_as_distance(&self, depth: f64, rate: f64) -> f64 {
         self.push(depth, rate) / self.push_scale()
     }
 
-    /// Divisor that turns the unramped push into a distance, N/m or N·m/rad.
+    /// Divisor that converts the push without ramp to a distance, N/m or N·m/rad.
     fn push_scale(&self) -> f64 {
         (self.stiffness + self.damping * ERROR_RATE).max(f64::MIN_POSITIVE)
     }
 
-    /// Unramped push k d + c ḋ, N or N·m.
+    /// Push without ramp, k d + c ḋ, N or N·m.
     fn push(&self, depth: f64, rate: f64) -> f64 {
         self.stiffness * depth + self.damping * rate
     }
@@ -167,7 +167,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// Phase whose formula gives the elastic energy: it follows from the penetration alone, since a spring that has separated at a positive
+    /// Phase whose formula gives the elastic energy. It follows only from the penetration, because a spring that separated at a positive
     /// penetration still stores energy.
     fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
         match phase {
@@ -206,7 +206,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// Dissipated power, W; of a separated spring the loss of its elastic energy.
+    /// Dissipated power, W. A separated spring dissipates its elastic energy.
     pub fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
@@ -214,17 +214,17 @@ impl UnilateralSpring {
 
 /// Mean reaction of a unilateral spring and damper over a step.
 pub struct MeanReaction {
-    /// Mean of N, N or N·m: times the increment of the penetration, it equals the gain of potential plus the dissipation, J.
+    /// Mean of N, N or N·m. Its product with the increment of penetration is the gain of potential plus the dissipation, J.
     pub force: f64,
-    /// Derivative of the mean by the penetration at the step's end, N/m or N·m/rad.
+    /// Derivative of the mean with respect to the penetration at the step's end, N/m or N·m/rad.
     pub slope: f64,
     /// Energy dissipated, J.
     pub dissipated: f64,
 }
 
 impl UnilateralSpring {
-    /// Mean reaction over a step of h seconds from a penetration `depth` with the increment `change`, m or rad. The damper takes the mean
-    /// rate and the mean of the ramp.
+    /// Mean reaction over a step of h seconds that starts at penetration `depth` and adds `change`, m or rad. The damper uses the mean rate
+    /// and the mean ramp.
     pub fn mean_reaction(&self, depth: f64, change: f64, h: f64) -> MeanReaction {
         let end = depth + change;
         if depth <= 0.0 && end <= 0.0 {
@@ -242,8 +242,8 @@ impl UnilateralSpring {
         MeanReaction { force: elastic + drag, slope, dissipated: drag * change }
     }
 
-    /// Mean of s k d over a step, (U(d₁) − U(d₀))/(d₁ − d₀) without cancellation, N or N·m, and its derivative by d₁, N/m or N·m/rad.
-    /// Between the ends of the ramp both are polynomials that Gauss's rule with four points integrates exactly.
+    /// Mean of s k d over a step, N or N·m: (U(d₁) − U(d₀))/(d₁ − d₀) without cancellation. Also its derivative with respect to d₁, N/m or
+    /// N·m/rad. Between the ends of the ramp both are polynomials, which Gauss's rule with four points integrates exactly.
     fn mean_elastic(&self, depth: f64, change: f64) -> [f64; 2] {
         /// Abscissas and weights of Gauss's rule with four points on the interval from −1 to 1.
         const GAUSS: [[f64; 2]; 4] = [
@@ -271,7 +271,7 @@ impl UnilateralSpring {
     }
 }
 
-/// A unilateral spring at a state, with the quantities of its guards.
+/// A unilateral spring at a state, with the quantities that its guards need.
 #[derive(Clone, Copy)]
 pub struct UnilateralGuard<'a> {
     /// Index in [`Mode`].
@@ -282,7 +282,7 @@ pub struct UnilateralGuard<'a> {
     pub depth: f64,
     /// Rate of penetration, m/s or rad/s.
     pub rate: f64,
-    /// Lever arms: largest |∂d/∂θ| of the penetration by the angle of each link, m/rad or 1.
+    /// Largest |∂d/∂θ| of the penetration with respect to the angle of each link, m/rad or 1.
     pub arms: &'a [f64; LINKS],
 }
 
@@ -307,35 +307,35 @@ impl UnilateralGuard<'_> {
         self.spring.potential(self.phase(mode), self.depth)
     }
 
-    /// Dissipated power, W; without the loss of a spring whose stored phase is separated, the
+    /// Dissipated power, W. Not included: the elastic energy that a spring loses at once when it separates,
     /// [`separation_energy`](crate::integrator::Guards::separation_energy).
     pub fn dissipation(&self, mode: &Mode) -> f64 {
         self.spring.dissipation(self.phase(mode), self.depth, self.rate)
     }
 
-    /// The phase by the mode, or else of the present state.
+    /// Phase stored in the mode, otherwise the phase of the current state.
     pub fn phase(&self, mode: &Mode) -> Phase {
         mode.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
     }
 
-    /// Penetration per angle of a motion of all links, m/rad or 1, at most.
+    /// Largest change of penetration if all links turn by one radian, m/rad or 1.
     fn scale(&self) -> f64 {
         self.arms.iter().sum()
     }
 
-    /// Event tolerance in penetration, m or rad, at an angular tolerance, rad: the error of the trajectory or a part of the ramp's width,
-    /// the smaller, but no less than round-off.
+    /// Event tolerance of the penetration, m or rad, for an angular tolerance, rad. It is the smaller of the trajectory's error and a
+    /// fraction of the ramp's width, but no less than round-off.
     fn event_tolerance(&self, tolerance: f64) -> f64 {
-        /// Largest event tolerance as a part of the ramp's width: 1 % of a ramp is below any effect on the force.
+        /// Largest event tolerance as a fraction of the ramp's width: 1 % of a ramp does not affect the force visibly.
         const RAMP_PART: f64 = 0.01;
-        /// Round-off of an angle, rad: some hundred units in the last place of 1 rad.
+        /// Round-off of an angle, rad: a few hundred units in the last place of 1 rad.
         const ANGLE_ROUND_OFF: f64 = 1e-13;
         let scale = self.scale();
         (tolerance * scale).min(RAMP_PART * self.spring.width).max(ANGLE_ROUND_OFF * scale)
     }
 
-    /// Whether the phase provably holds for `duration` seconds from this state on, whatever the end: each guard is farther away than the
-    /// penetration can change in that time, by more than the error of the motion at an angular tolerance, rad.
+    /// Whether the phase provably persists for `duration` seconds from this state, whatever the end state is. Each guard must be farther
+    /// away than the penetration can change in that time, with the error of the motion, for an angular tolerance in rad, as margin.
     pub(super) fn is_out_of_reach(&self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let bound = |order: usize| derivative_bound(self.arms, order, extremes);
         self.phase(mode).holds(|guard| {
@@ -344,19 +344,19 @@ impl UnilateralGuard<'_> {
         })
     }
 
-    /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
+    /// Whether the phase provably persists between this state and another state `duration` seconds later, within the event tolerance.
     pub(super) fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let event_tolerance = self.event_tolerance(tolerance);
         let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
         let bound = |order: usize| derivative_bound(self.arms, order, extremes);
-        // The cheaper bound decides most cases, in which the spring is far from its guards.
+        // The cheaper bound decides in most cases, because the spring is usually far from its guards.
         self.phase(mode).holds(|guard| {
             self.spring.bound_by_slope(guard, ends, duration, bound) <= event_tolerance
                 || self.spring.bound_by_cubic(guard, ends, duration, bound) <= event_tolerance
         })
     }
 
-    /// The guard that decides on the end of the current phase, with its value in units of the event tolerance.
+    /// The guard that decides when the current phase ends, and its value in units of the event tolerance.
     pub(super) fn deciding(&self, mode: &Mode, tolerance: f64) -> (PhaseGuard, f64) {
         let guard_residual = |guard| self.spring.guard_residual(guard, [self.depth, self.rate]);
         let (guard, guard_residual) = UnilateralSpring::deciding(self.phase(mode), guard_residual);
@@ -365,22 +365,22 @@ impl UnilateralGuard<'_> {
 }
 
 impl UnilateralSpring {
-    /// Bound on the derivative of a guard value, m/s or rad/s, from bounds on the derivatives of the penetration, of order 1 and 2.
+    /// Bound on the derivative of a guard value, m/s or rad/s, from bounds on the first two derivatives of the penetration.
     fn steepest(&self, guard: PhaseGuard, bound: impl Fn(usize) -> f64) -> f64 {
         let [by_depth, by_rate] = self.guard_slopes(guard);
         by_depth.abs() * bound(1) + if by_rate == 0.0 { 0.0 } else { by_rate.abs() * bound(2) }
     }
 
-    /// Upper bound on a guard value, m or rad, between two states `duration` seconds apart, each given by penetration and rate: the value
-    /// lies below both straight lines of the steepest slope.
+    /// Upper bound on a guard value, m or rad, between two states `duration` seconds apart, each given by penetration and rate. The value
+    /// lies below two straight lines with the steepest slope, one through each end.
     fn bound_by_slope(&self, guard: PhaseGuard, ends: [[f64; 2]; 2], duration: f64, bound: impl Fn(usize) -> f64) -> f64 {
         let [from, to] = ends.map(|end| self.guard_residual(guard, end));
         from.max(to).max(0.5 * (from + to + self.steepest(guard, bound) * duration))
     }
 
-    /// Upper bound on a guard value, m or rad, from bounds on the derivatives of order 2, 3 and 4 of the penetration:
-    /// the smaller of the bounds by the parabola over the chord and by the cubic Hermite polynomial. The remainders of the cubic are
-    /// 1/384 (penetration) and √3/216 (rate) of the fourth derivative times the fourth and the third power of the duration.
+    /// Upper bound on a guard value, m or rad, from bounds on the second, third and fourth derivative of the penetration: the smaller of
+    /// the bounds from the parabola over the chord and from the cubic Hermite polynomial. The remainder of the cubic is 1/384 (penetration)
+    /// and √3/216 (rate) of the fourth derivative, times the fourth and the third power of the duration.
     fn bound_by_cubic(&self, guard: PhaseGuard, ends: [[f64; 2]; 2], duration: f64, bound: impl Fn(usize) -> f64) -> f64 {
         /// Remainder constants of cubic Hermite interpolation, for the value and for the slope: 1/384 and √3/216.
         const OFF: [f64; 2] = [1.0 / 384.0, 0.008_018_753_738_744_79];
@@ -397,8 +397,8 @@ impl UnilateralSpring {
     }
 }
 
-/// Upper bound on a function between the end values x and y, where `curvature_term` bounds its second derivative times the square of the interval:
-/// the largest value of the parabola over the chord.
+/// Upper bound on a function between its end values x and y: the largest value of the parabola over the chord. `curvature_term` bounds the
+/// second derivative times the square of the interval.
 fn chord_bound([x, y]: [f64; 2], curvature_term: f64) -> f64 {
     let rise = y - x;
     if curvature_term <= 2.0 * rise.abs() {
@@ -408,7 +408,7 @@ fn chord_bound([x, y]: [f64; 2], curvature_term: f64) -> f64 {
     x + part * (rise + 0.5 * curvature_term * (1.0 - part))
 }
 
-/// Minimum of the cubic Hermite polynomial on the interval from 0 to 1 with these values and slopes at the ends.
+/// Minimum on the interval from 0 to 1 of the cubic Hermite polynomial with these end values and end slopes.
 fn cubic_minimum([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
     let rise = y - x;
     // The cubic is x + τ (u + τ (b + c τ)); its extrema satisfy 3c τ² + 2b τ + u = 0.
@@ -453,7 +453,7 @@ mod tests {
         }
     }
 
-    /// The mean force times the displacement is the change of the potential, to its round-off; its slope is a derivative.
+    /// The mean force times the displacement is the change of the potential, within its round-off; its slope is a derivative.
     #[test]
     fn the_mean_force_is_that_of_the_potential() {
         let spring = UnilateralSpring { damping: 0.0, ..SPRING };
@@ -471,7 +471,7 @@ mod tests {
                 let step = 1e-7;
                 let [more, less] = [step, -step].map(|x| SPRING.mean_reaction(depth, end - depth + x, 1e-3).force);
                 let slope = SPRING.mean_reaction(depth, end - depth, 1e-3).slope;
-                // Second differences of a ramp of 1 mrad: (step/width)² of the largest slope, some 100 N·m/rad.
+                // Second differences on a ramp of 1 mrad: (step/width)² of the largest slope, about 100 N·m/rad.
                 assert!(((more - less) / (2.0 * step) - slope).abs() <= 1e-4 * (1.0 + slope.abs()), "{depth} {end}: {slope}");
             }
         }
@@ -491,12 +491,12 @@ mod tests {
         }
         assert_eq!(SPRING.phase(0.1, -1e4), Phase::Free);
         assert_eq!(SPRING.force(Phase::Free, 0.1, -1e4), 0.0);
-        // The strain energy of a separated spring is dissipated while the penetration decreases.
+        // A separated spring dissipates its strain energy while the penetration decreases.
         assert_eq!(SPRING.dissipation(Phase::Free, 0.1, -2.0), 2.0 * SPRING.stiffness * 0.1);
     }
 
-    /// A dense sampling of motions with known derivatives exceeds no bound, and most bounds by the cubic are tight: sums of oscillations of
-    /// random frequencies, many of which pass a guard and return between two ends that do not show the crossing.
+    /// Dense samples of motions with known derivatives stay below all bounds, and most cubic bounds are tight. The motions are sums of
+    /// oscillations with random frequencies; many pass a guard and return between two ends that do not show the crossing.
     #[test]
     fn no_border_is_passed_beyond_the_bounds() {
         let mut random = ChaCha8Rng::seed_from_u64(14);
@@ -524,7 +524,7 @@ mod tests {
                 let by_slope = deciding(&|guard| spring.bound_by_slope(guard, ends, duration, bound));
                 let by_cubic = deciding(&|guard| spring.bound_by_cubic(guard, ends, duration, bound));
                 let by_start = deciding(&|guard| spring.guard_residual(guard, ends[0]) + spring.steepest(guard, bound) * duration);
-                // Round-off of sums of some millimetres.
+                // Round-off of sums of a few millimetres.
                 assert!(
                     [by_slope, by_cubic, by_start].iter().all(|bound| sampled <= bound + 1e-15),
                     "{case} {phase:?}: {sampled:e} {by_slope:e} {by_cubic:e} {by_start:e}"

@@ -1,7 +1,7 @@
-//! Outputs that are not state, as pure functions of model and state. Steps never call them.
+//! Outputs that are not states, as pure functions of model and state. Steps never call them.
 //!
-//! [`Observed`] has one formula for the value of an output and for its directional derivative; [`Observation`] caches expensive
-//! results for a state until the instance changes.
+//! [`Observed`] has one formula for the value of an output and its directional derivative. [`Observation`] caches expensive results for a
+//! state until the instance changes.
 
 mod observed;
 
@@ -15,7 +15,7 @@ use crate::simulation::{Following, Model, State};
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
 pub use observed::{INDICATORS, Observed, Point};
 
-/// A state with accelerations for the present inputs, and a cache of expensive results.
+/// A state with its accelerations for the current inputs, and a cache of expensive results.
 #[derive(Debug)]
 pub struct Observation {
     state: State,
@@ -24,11 +24,11 @@ pub struct Observation {
     energies: OnceCell<[f64; 2]>,
     /// Smallest singular value of Φ_q, the most expensive output.
     sigma_phi: OnceCell<f64>,
-    /// Probability of a direct singularity within the horizon, whose forecast takes some thousand steps.
+    /// Probability of a direct singularity within the horizon; its forecast takes about a thousand steps.
     singularity_probability: OnceCell<f64>,
 }
 
-/// Access to the estimates of a machine that is followed.
+/// Access to the estimates about a measured machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimated<'a> {
     /// The simulation with its estimator.
@@ -37,7 +37,7 @@ pub struct Estimated<'a> {
 }
 
 impl Estimated<'_> {
-    /// Probability of a direct singularity within the horizon, with the present inputs held.
+    /// Probability of a direct singularity within the horizon if the current inputs stay constant.
     pub fn singularity_probability(&self) -> f64 {
         *self
             .observation
@@ -47,7 +47,7 @@ impl Estimated<'_> {
 }
 
 impl Observation {
-    /// Observation of a state with an empty cache.
+    /// Creates the observation of a state, with an empty cache.
     pub fn new(model: &Model, state: State) -> Self {
         let pose = model.mechanism.pose(&state.core.q);
         Self { state, pose, energies: OnceCell::new(), sigma_phi: OnceCell::new(), singularity_probability: OnceCell::new() }
@@ -99,7 +99,7 @@ pub struct Energies {
     pub input: f64,
     /// Energy dissipated since the start, J.
     pub dissipated: f64,
-    /// Balance residual, J: kinetic + potential + dissipated − input, minus its value at the start.
+    /// Residual of the balance, J: kinetic + potential + dissipated − input, minus its value at the start.
     pub error: f64,
 }
 

@@ -13,7 +13,7 @@ use crate::mechanism::{SceneError, SingularValue, closure};
 use crate::scalar::Scalar;
 use crate::simulation::{Following, Model, Variation, wrench_change};
 
-/// An observation in numbers, or in dual numbers with the derivatives along a direction.
+/// An observation in plain numbers, or in dual numbers with derivatives along a direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Observed<'a, T> {
     model: &'a Model,
@@ -26,7 +26,7 @@ pub struct Observed<'a, T> {
 /// Number of [`Observed::indicators`].
 pub const INDICATORS: usize = 6 + hybrid::INDICATORS;
 
-/// A point of the mechanism with outputs of its own.
+/// A point of the mechanism that has its own outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
     /// Joint of the distal links.
@@ -41,25 +41,25 @@ impl<'a> Observed<'a, f64> {
         Self { model, observation, along: None, following: None, scalar: PhantomData }
     }
 
-    /// Adds the estimates of a machine that is followed.
+    /// Adds the estimates about a measured machine.
     pub fn with_estimates(self, following: Option<&'a Following>) -> Self {
         Self { following, ..self }
     }
 }
 
 impl Observed<'_, f64> {
-    /// Refuses a direct singularity, where the proximal angles and rates are no coordinates of the state.
+    /// Refuses a direct singularity: there the proximal angles and rates are no coordinates of the state.
     pub fn check_direct_singularity(&self) -> Result<(), SceneError> {
         let [tip, ..] = self.observation.pose.configuration_indicators();
         closure::check_direct_singularity(tip)
     }
 
-    /// Event indicators: they change sign where a configuration sign, the kind of singularity or the mode of a force law changes.
-    /// Six of the mechanism (signs; nearness of direct, inverse and constraint singularities), the rest of the effects.
+    /// Event indicators. They change sign when a configuration sign, the kind of singularity or the mode of a force law changes. Six belong
+    /// to the mechanism (signs; nearness of direct, inverse and constraint singularities), the others to the effects.
     pub fn indicators(&self) -> [f64; INDICATORS] {
         let of_configuration = self.observation.pose.configuration_indicators();
         let [.., direct, inverse] = of_configuration;
-        // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
+        // σ_Φ is the most expensive output. The constraints lose rank only if a direct and an inverse singularity are both near.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let at = self.motion();
         let springs = self.model.unilateral_guards(&at);
@@ -89,7 +89,7 @@ impl<T: Scalar> Observed<'_, T> {
         self.observation
     }
 
-    /// Estimates, where a machine is followed.
+    /// The estimates, if a machine is followed.
     pub fn estimated(&self) -> Option<Estimated<'_>> {
         self.following.map(|following| Estimated { following, observation: self.observation })
     }
@@ -104,7 +104,7 @@ impl<T: Scalar> Observed<'_, T> {
         T::with(value, || 0.0)
     }
 
-    /// Coordinate or its derivative of an order up to 2 with respect to time.
+    /// A coordinate or its first or second time derivative.
     fn coordinate(&self, place: usize, order: usize) -> T {
         let core = &self.observation.state.core;
         match order {
@@ -114,7 +114,7 @@ impl<T: Scalar> Observed<'_, T> {
         }
     }
 
-    /// Absolute angle of a link from 0 to 3, rad, not wrapped, or its derivative of an order up to 2.
+    /// Absolute angle of a link from 0 to 3, rad, not wrapped, or its first or second time derivative.
     pub fn angle(&self, link: usize, order: usize) -> T {
         match order {
             0 => self.varying(self.observation.state.angles()[link], |along| along.q[THETA[link]]),
@@ -129,7 +129,7 @@ impl<T: Scalar> Observed<'_, T> {
         [self.varying(x, |along| -y * turned(along)), self.varying(y, |along| x * turned(along))]
     }
 
-    /// Position of a point, m, or its derivative of an order up to 2.
+    /// Position of a point, m, or its first or second time derivative.
     pub fn point(&self, point: Point, order: usize) -> [T; 2] {
         let link = match point {
             Point::Tip => 1,
@@ -153,7 +153,7 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Force of a joint from 0 to 4 (left base, left elbow, tip, right elbow, right base) on its first-named link (1, 2, 2, 3, 4), N.
     ///
-    /// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
+    /// M q̈ = Q − Φ_qᵀλ: each constraint acts with −λ on the link that enters it with a plus sign.
     pub fn reaction(&self, joint: usize) -> [T; 2] {
         let places = match joint {
             0 => [2 * G_X, 2 * G_Y],
@@ -178,7 +178,7 @@ impl<T: Scalar> Observed<'_, T> {
         self.varying(potential, |along| self.model.potential_change(&along.q, &self.motion(), &along.motion))
     }
 
-    /// Balance residual of the energy, J.
+    /// Residual of the energy balance, J.
     pub fn energy_error(&self) -> T {
         let (state, work) = (&self.observation.state, self.observation.state.core.work);
         self.kinetic_energy() + self.potential_energy() + self.constant(work.dissipated)
@@ -208,7 +208,8 @@ impl<T: Scalar> Observed<'_, T> {
         self.answer_of(contact, |wrench| wrench.force)
     }
 
-    /// Answer of the one effect that has one, with the same part of the change of its wrench; 0 where none answers.
+    /// Force or torques of the first effect for which `answer` returns them; the derivative is the same `part` of the change of its wrench.
+    /// 0 if no effect returns any.
     fn answer_of(&self, answer: impl Fn(&Effect, &Motion) -> Option<[f64; 2]>, part: impl Fn(Wrench) -> [f64; 2]) -> [T; 2] {
         let at = self.motion();
         let found = self.model.effects.iter().find_map(|effect| Some((effect, answer(effect, &at)?)));
@@ -226,8 +227,7 @@ impl<T: Scalar> Observed<'_, T> {
         self.model.mechanism.geometry.jacobians([0, 1, 2, 3].map(|link| self.direction(link)))
     }
 
-    /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its derivative is uᵀ δΦ_q v with its singular vectors u,
-    /// v.
+    /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its derivative is uᵀ δΦ_q v with the singular vectors u and v.
     pub fn sigma_phi(&self) -> T {
         self.varying(self.observation.sigma_phi(), |along| {
             let pose = &self.observation.pose;
