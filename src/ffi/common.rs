@@ -15,19 +15,20 @@ use super::types::{
 use crate::fmi::{CallError, Kind, Unit};
 use crate::variables::{FmiType, Value};
 
-/// The platform of the types: `default` (section 2.1.2).
+/// Returns the platform of the types: `default` (section 2.1.2).
 #[unsafe(no_mangle)]
 pub extern "C" fn fmi2GetTypesPlatform() -> fmi2String {
     c"default".as_ptr()
 }
 
-/// The version of the standard: `2.0` (section 2.1.4).
+/// Returns the version of the standard: `2.0` (section 2.1.4).
 #[unsafe(no_mangle)]
 pub extern "C" fn fmi2GetVersion() -> fmi2String {
     c"2.0".as_ptr()
 }
 
-/// A fresh instance, or null with a log line (section 2.1.5). Resources are read by a unit of one's own only, and nothing is shown.
+/// Creates an instance (section 2.1.5). Returns null with a log message for a missing name, an unknown type or a wrong GUID. Only an FMU
+/// with start values of its own reads its resources; nothing is shown.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -103,13 +104,13 @@ pub unsafe extern "C" fn fmi2FreeInstance(c: fmi2Component) {
 }
 
 functions! {
-    /// Selects the log categories that are passed on (section 2.1.5).
+    /// Selects the log categories that reach the master (section 2.1.5). Refuses unknown categories.
     fmi2SetDebugLogging(loggingOn: fmi2Boolean, nCategories: size_t, categories: [in fmi2String; nCategories]) |instance| {
         // SAFETY: the caller vouches for the strings.
         let names = categories.iter().map(|name| unsafe { string("a category", *name) }).collect::<Result<Vec<&str>, _>>()?;
         instance.log.choose(loggingOn != fmi2False, names.into_iter())?;
     };
-    /// Start and end of the experiment (section 2.1.6); the tolerance is not used.
+    /// Sets start and end of the experiment (section 2.1.6); the tolerance is not used.
     fmi2SetupExperiment(
         toleranceDefined: fmi2Boolean,
         tolerance: fmi2Real,
@@ -122,15 +123,15 @@ functions! {
     };
     /// Begins initialisation (section 2.1.6).
     fmi2EnterInitializationMode() |instance| instance.enter_initialization_mode()?;
-    /// Ends initialisation: the scene is validated and made ready (section 2.1.6).
+    /// Ends initialisation: validates and prepares the scene (section 2.1.6).
     fmi2ExitInitializationMode() |instance| instance.exit_initialization_mode()?;
     /// Ends the run (section 2.1.6).
     fmi2Terminate() |instance| instance.terminate();
-    /// Back to a fresh instance (section 2.1.6).
+    /// Returns the instance to its state after instantiation (section 2.1.6).
     fmi2Reset() |instance| instance.reset();
-    /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
+    /// Refuses all references, because there are no String variables; `nvr` = 0 is allowed (section 2.1.7).
     fmi2GetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *mut fmi2String]) |instance| instance.no_strings(vr)?;
-    /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
+    /// Refuses all references, because there are no String variables; `nvr` = 0 is allowed (section 2.1.7).
     fmi2SetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *const fmi2String]) |instance| instance.no_strings(vr)?;
 }
 
@@ -145,7 +146,7 @@ macro_rules! access {
                 }
             }
         };
-        /// Sets variables, all or none (section 2.1.7).
+        /// Sets all variables, or none if it refuses one (section 2.1.7).
         $set(vr: [in fmi2ValueReference; nvr], nvr: size_t, value: [in $c_type; nvr]) |instance|
             instance.set(vr.iter().copied().zip(value.iter().map(|value| Value::$type($from_c(*value)))))?;
     )+} };

@@ -10,16 +10,16 @@ functions! {
         communicationStepSize: fmi2Real,
         _noSetFMUStatePriorToCurrentPoint: fmi2Boolean
     ) |instance| instance.do_step(currentCommunicationPoint, communicationStepSize)?;
-    /// Refused: a step is never pending (section 4.2.2).
+    /// Always refused: a step is never pending (section 4.2.2).
     fmi2CancelStep() |instance| instance.cancel_step()?;
-    /// The communication point reached, for fmi2LastSuccessfulTime (section 4.2.3).
+    /// Returns the current communication point, for fmi2LastSuccessfulTime (section 4.2.3).
     fmi2GetRealStatus(s: fmi2StatusKind, value: [out fmi2Real]) |instance| value.write(instance.real_status(s)?);
-    /// False for fmi2Terminated (section 4.2.3).
+    /// Returns false, for fmi2Terminated (section 4.2.3).
     fmi2GetBooleanStatus(s: fmi2StatusKind, value: [out fmi2Boolean]) |instance| value.write(instance.boolean_status(s)?.into());
-    /// fmi2Discard: no status of this type is available (section 4.2.3).
+    /// Returns fmi2Discard: there is no status of this type (section 4.2.3).
     fmi2GetStatus(s: fmi2StatusKind, _value: [raw *mut fmi2Status]) |instance| instance.other_status(s)?;
-    /// fmi2Discard: no status of this type is available (section 4.2.3).
+    /// Returns fmi2Discard: there is no status of this type (section 4.2.3).
     fmi2GetIntegerStatus(s: fmi2StatusKind, _value: [raw *mut fmi2Integer]) |instance| instance.other_status(s)?;
-    /// fmi2Discard: no status of this type is available (section 4.2.3).
+    /// Returns fmi2Discard: there is no status of this type (section 4.2.3).
     fmi2GetStringStatus(s: fmi2StatusKind, _value: [raw *mut fmi2String]) |instance| instance.other_status(s)?;
 }

@@ -1,11 +1,11 @@
-//! Derivatives: of outputs with respect to inputs and continuous states (FMI 2.0.4, section 2.1.9), of inputs and outputs with respect
+//! Derivatives of outputs with respect to inputs and continuous states (FMI 2.0.4, section 2.1.9), and of inputs and outputs with respect
 //! to time (section 4.2.1).
 
 use super::function::functions;
 use super::types::{fmi2Integer, fmi2Real, fmi2ValueReference, size_t};
 
 functions! {
-    /// Changes of the unknowns for changes `dvKnown` of the knowns (section 2.1.9).
+    /// Computes changes of the unknowns for changes `dvKnown` of the knowns (section 2.1.9).
     fmi2GetDirectionalDerivative(
         vUnknown_ref: [in fmi2ValueReference; nUnknown],
         nUnknown: size_t,
@@ -17,7 +17,7 @@ functions! {
         let knowns = vKnown_ref.iter().copied().zip(dvKnown.iter().copied());
         dvUnknown.write_copy_of_slice(&instance.directional_derivative(vUnknown_ref, knowns)?);
     };
-    /// Sets derivatives of inputs, all or none (section 4.2.1).
+    /// Sets all derivatives of inputs, or none if it refuses one (section 4.2.1).
     fmi2SetRealInputDerivatives(
         vr: [in fmi2ValueReference; nvr],
         nvr: size_t,
@@ -27,7 +27,7 @@ functions! {
         let triples = vr.iter().zip(order).zip(value).map(|((reference, order), value)| (*reference, *order, *value));
         instance.set_input_derivatives(triples)?;
     };
-    /// Reads derivatives of outputs at the present communication point (section 4.2.1).
+    /// Reads derivatives of outputs at the current communication point (section 4.2.1).
     fmi2GetRealOutputDerivatives(
         vr: [in fmi2ValueReference; nvr],
         nvr: size_t,

@@ -1,13 +1,13 @@
-//! The form of a C function: its arguments are checked, then its body runs on the instance behind the [guard](super::guard).
+//! The common form of a C function: it checks its arguments, then runs its body on the instance behind the [guard](super::guard).
 //!
 //! | argument | C type | value in the body |
 //! | --- | --- | --- |
-//! | `T` | `T` | as it comes |
-//! | `[in T; n]` | `*const T` | `&[T]` of length `n`; null is allowed where `n` is 0 |
-//! | `[out T; n]` | `*mut T` | `&mut [MaybeUninit<T>]` of length `n`; null is allowed where `n` is 0 |
+//! | `T` | `T` | unchanged |
+//! | `[in T; n]` | `*const T` | `&[T]` of length `n`; null is allowed if `n` is 0 |
+//! | `[out T; n]` | `*mut T` | `&mut [MaybeUninit<T>]` of length `n`; null is allowed if `n` is 0 |
 //! | `[out T; n = N]` | `*mut T` | `&mut [MaybeUninit<T>]`; `n` must be `N` |
 //! | `[out T]` | `*mut T` | `&mut MaybeUninit<T>` |
-//! | `[raw *mut T]` | `*mut T` | as it comes, not checked |
+//! | `[raw *mut T]` | `*mut T` | unchanged and unchecked |
 
 use std::ffi::CStr;
 use std::mem::MaybeUninit;
@@ -15,7 +15,7 @@ use std::mem::MaybeUninit;
 use super::fmi2String;
 use crate::fmi::CallError;
 
-/// Defines C functions that take an instance, by the table on top of this file. A body acts on the instance, and refuses by `?`.
+/// Defines C functions that take an instance, with arguments as in the table above. A body acts on the instance; it refuses with `?`.
 macro_rules! functions {
     ($($(#[doc = $doc:literal])+ $name:ident($($argument:ident: $kind:tt),*) |$instance:ident| $body:expr;)+) => {$(
         $(#[doc = $doc])+
@@ -59,7 +59,7 @@ macro_rules! functions {
 
 pub(super) use functions;
 
-/// Slice of a C array; null is allowed where the length is 0.
+/// Slice of a C array; null is allowed if the length is 0.
 ///
 /// # Safety
 /// `pointer` is null or points to `length` initialised values that do not change while the slice is in use.
@@ -72,10 +72,10 @@ pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) 
     Ok(unsafe { std::slice::from_raw_parts(pointer, length) })
 }
 
-/// Places of a C array to write to; null is allowed where the length is 0.
+/// Writable places of a C array; null is allowed if the length is 0.
 ///
 /// # Safety
-/// `pointer` is null or points to `length` places that nobody else uses while the slice is in use.
+/// `pointer` is null or points to `length` places that are not used elsewhere while the slice is in use.
 pub(super) unsafe fn places<'a, T>(name: &str, pointer: *mut T, length: usize) -> Result<&'a mut [MaybeUninit<T>], CallError> {
     if length == 0 {
         return Ok(&mut []);
@@ -85,21 +85,21 @@ pub(super) unsafe fn places<'a, T>(name: &str, pointer: *mut T, length: usize) -
     Ok(unsafe { std::slice::from_raw_parts_mut(pointer.cast(), length) })
 }
 
-/// Place of one value to write to.
+/// Writable place of one value.
 ///
 /// # Safety
-/// `pointer` is null or points to a place that nobody else uses while the reference is in use.
+/// `pointer` is null or points to a place that is not used elsewhere while the reference is in use.
 pub(super) unsafe fn place<'a, T>(name: &str, pointer: *mut T) -> Result<&'a mut MaybeUninit<T>, CallError> {
     // SAFETY: the caller vouches for the pointer unless it is null.
     unsafe { pointer.cast::<MaybeUninit<T>>().as_mut() }.ok_or_else(|| null(name))
 }
 
-/// Refuses an array of another length than the one wanted.
+/// Refuses an array with a length other than `wanted`.
 pub(super) fn exactly(name: &str, length: usize, wanted: usize) -> Result<(), CallError> {
     if length == wanted { Ok(()) } else { Err(CallError::error(format!("{name} is {length}, must be {wanted}."))) }
 }
 
-/// Refuses a null pointer by its name.
+/// Refuses a null pointer; the error gives its name.
 pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), CallError> {
     if pointer.is_null() { Err(null(name)) } else { Ok(()) }
 }

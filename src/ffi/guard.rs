@@ -1,4 +1,4 @@
-//! Entry of every call with an instance: null component, order of calls, panics, log.
+//! Entry of every call on an instance: null component, order of calls, panics, log.
 
 use std::any::Any;
 use std::ffi::CString;
@@ -10,7 +10,7 @@ use crate::fmi::{Call, CallError, Instance, Kind, Message, Status};
 /// Target of an fmi2Component.
 pub(super) struct Component {
     pub(super) instance: Instance,
-    /// Name of the instance, handed back to the logger.
+    /// Name of the instance, passed back to the logger.
     name: CString,
     callbacks: fmi2CallbackFunctions,
     /// True after a panic: the instance may be half-changed and can only be freed.
@@ -22,18 +22,18 @@ impl Component {
         Self { instance: Instance::new(kind, logging_on), name, callbacks, poisoned: false }
     }
 
-    /// Hands a message to the master's logger, if it has one.
+    /// Sends a message to the master's logger, if it has one.
     fn send(name: &CString, callbacks: &fmi2CallbackFunctions, message: &Message) {
         let Some(logger) = callbacks.logger else {
             return;
         };
-        // The text is passed as a printf format, so % is doubled; a zero byte would end it.
+        // The logger treats the text as a printf format, so % is doubled. A zero byte would end the text.
         let text = message.text.replace('%', "%%").replace('\0', " ");
         let (Ok(text), Ok(category)) = (CString::new(text), CString::new(message.status.category().name())) else {
             return;
         };
-        // SAFETY: the caller of fmi2Instantiate vouches for the logger; all strings outlive the call, and no argument
-        // is missing since the text holds no format specification.
+        // SAFETY: the caller of fmi2Instantiate vouches for the logger. All strings outlive the call, and no argument is missing because
+        // the text contains no format specification.
         unsafe {
             logger(callbacks.componentEnvironment, name.as_ptr(), message.status as fmi2Status, category.as_ptr(), text.as_ptr());
         }
@@ -67,8 +67,8 @@ impl Component {
     }
 }
 
-/// Runs `body` on the instance behind `component`, if the call is allowed in its state, and answers with a status: a
-/// rejection is logged under the name of the call, a panic is caught and poisons the instance.
+/// Runs `body` on the instance behind `component` and returns a status. A call that is not allowed in the current state, or that fails, is
+/// logged under its name. A panic is caught and poisons the instance.
 ///
 /// # Safety
 /// The contract of [`crate::ffi`]: `component` is null or a live instance that no other thread is using.
@@ -85,7 +85,7 @@ pub(super) unsafe fn guard(
         return fmi2Fatal;
     }
     let instance = &mut component.instance;
-    // Unwind safe: after a panic only the log of the instance is used, which holds whole messages only.
+    // Unwind safe: after a panic only the instance's log is used, and it contains only whole messages.
     let status =
         match catch_unwind(AssertUnwindSafe(|| call.require(instance.kind(), instance.stage()).and_then(|()| body(instance)))) {
             Ok(Ok(())) => Status::Ok,
@@ -115,7 +115,7 @@ mod tests {
     use super::super::{fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String};
     use super::*;
 
-    /// A logger that gathers `category: message` in the Vec that its environment points to.
+    /// A logger that collects `category: message` in the Vec that its environment points to.
     unsafe extern "C" fn record(
         environment: fmi2ComponentEnvironment,
         _name: fmi2String,
@@ -134,7 +134,7 @@ mod tests {
     fn component(lines: &mut Vec<String>) -> fmi2Component {
         let record = record as *const c_void;
         let callbacks = fmi2CallbackFunctions {
-            // SAFETY: with the usual calling conventions a function that ignores further arguments can be called as a variadic one;
+            // SAFETY: in the usual calling conventions a function that ignores further arguments can be called as a variadic function;
             // masters written in C with five parameters do so.
             logger: Some(unsafe { std::mem::transmute::<*const c_void, super::super::fmi2CallbackLogger>(record) }),
             allocateMemory: None,

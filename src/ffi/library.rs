@@ -1,8 +1,8 @@
-//! Path of the file that this library was loaded from, which tells where its archive was unpacked.
+//! Path of the file that contains this library. It shows where the archive was unpacked.
 
 use std::path::PathBuf;
 
-/// The path, where the system knows it: by the address of a function in this library.
+/// Path of the library, found by the address of one of its functions; `None` if the system does not know it.
 #[cfg(unix)]
 pub(super) fn path() -> Option<PathBuf> {
     use std::ffi::{CStr, OsStr};
@@ -10,19 +10,19 @@ pub(super) fn path() -> Option<PathBuf> {
     use std::os::unix::ffi::OsStrExt;
 
     let mut found = MaybeUninit::<libc::Dl_info>::zeroed();
-    // SAFETY: the place is one for the answer; an address that belongs to no file is answered by 0.
+    // SAFETY: the pointer leads to a place for the answer; for an address that belongs to no file the answer is 0.
     let known = unsafe { libc::dladdr((path as fn() -> _ as *const ()).cast(), found.as_mut_ptr()) } != 0;
-    // SAFETY: all zeros are a value of the type, and dladdr writes nothing else than values.
+    // SAFETY: all zeros are a value of the type, and dladdr writes only valid values.
     let name = unsafe { found.assume_init() }.dli_fname;
     if !known || name.is_null() {
         return None;
     }
-    // SAFETY: the loader keeps the name as long as the library is loaded, which runs this code.
+    // SAFETY: the loader keeps the name while the library is loaded, and the library is running this code.
     let name = unsafe { CStr::from_ptr(name) };
     Some(OsStr::from_bytes(name.to_bytes()).into())
 }
 
-/// The path, where the system knows it: by the address of a function in this library.
+/// Path of the library, found by the address of one of its functions; `None` if the system does not know it.
 #[cfg(windows)]
 pub(super) fn path() -> Option<PathBuf> {
     use std::ffi::{OsString, c_void};
@@ -36,15 +36,15 @@ pub(super) fn path() -> Option<PathBuf> {
     }
     // GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS and _UNCHANGED_REFCOUNT.
     const BY_ADDRESS: u32 = 0x4 | 0x2;
-    // Longest path of Windows, in units of UTF-16.
+    // Longest path of Windows, in UTF-16 units.
     let mut name = vec![0; 32_768];
     let mut module = null_mut();
     let address = (path as fn() -> _ as *const ()).cast();
-    // SAFETY: the address lies in this library, and the place is one for a handle.
+    // SAFETY: the address lies in this library, and the pointer leads to a place for a handle.
     if unsafe { GetModuleHandleExW(BY_ADDRESS, address, &mut module) } == 0 {
         return None;
     }
-    // SAFETY: the handle is that of this library, which is loaded, and the buffer has the length that is passed along.
+    // SAFETY: the handle belongs to this library, which is loaded, and the buffer has the length that is passed.
     let length = unsafe { GetModuleFileNameW(module, name.as_mut_ptr(), name.len() as u32) } as usize;
     (1..name.len()).contains(&length).then(|| OsString::from_wide(&name[..length]).into())
 }

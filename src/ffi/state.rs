@@ -1,4 +1,4 @@
-//! Stored states (FMI 2.0.4, section 2.1.8): an fmi2FMUstate points to a [`Snapshot`], which belongs to no instance.
+//! Stored states (FMI 2.0.4, section 2.1.8): an fmi2FMUstate points to a [`Snapshot`], which is independent of the instances.
 
 use std::ptr::null_mut;
 
@@ -15,7 +15,7 @@ unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, CallError> {
     unsafe { state.cast::<Snapshot>().as_ref() }.ok_or_else(|| CallError::error("FMUstate is null."))
 }
 
-/// Copies a snapshot to `state`: into a new one where `state` is null, otherwise over the old one.
+/// Copies a snapshot to `state`: to a new state if `state` is null, otherwise over the old state.
 ///
 /// # Safety
 /// The contract of [`crate::ffi`]: `state` is null or comes from this library and has not been freed.
@@ -28,17 +28,18 @@ unsafe fn store(state: &mut fmi2FMUstate, snapshot: &Snapshot) {
 }
 
 functions! {
-    /// Stores the state of the instance without its log; where `*FMUstate` is null a new state is made, otherwise it is overwritten.
+    /// Stores the state of the instance without its log. If `*FMUstate` is null a new state is created, otherwise the old state is
+    /// overwritten.
     fmi2GetFMUstate(FMUstate: [out fmi2FMUstate]) |instance| {
         // SAFETY: the caller has initialised the place, and vouches for the state.
         unsafe { store(FMUstate.assume_init_mut(), instance.snapshot()) };
     };
-    /// Restores a stored state, made by any instance of this unit for the same kind, co-simulation or model exchange.
+    /// Restores a state that any instance of this FMU has stored for the same kind of simulation, co-simulation or model exchange.
     fmi2SetFMUstate(FMUstate: fmi2FMUstate) |instance| {
         // SAFETY: the caller vouches for the state.
         instance.restore(unsafe { stored(FMUstate) }?)?;
     };
-    /// Frees a stored state and sets the pointer to null; a null state or a null pointer to it is allowed.
+    /// Frees a stored state and sets the pointer to null. A null state or a null pointer to it is allowed.
     fmi2FreeFMUstate(FMUstate: [raw *mut fmi2FMUstate]) |_instance| {
         // SAFETY: the caller vouches for the place unless it is null.
         if let Some(state) = unsafe { FMUstate.as_mut() }
@@ -49,12 +50,12 @@ functions! {
             *state = null_mut();
         }
     };
-    /// Number of bytes that the state takes.
+    /// Returns the number of bytes that the serialised state takes.
     fmi2SerializedFMUstateSize(FMUstate: fmi2FMUstate, size: [out size_t]) |_instance| {
         // SAFETY: the caller vouches for the state.
         size.write(unsafe { stored(FMUstate) }?.to_bytes()?.len());
     };
-    /// Writes the state as bytes; `size` must be at least the number from fmi2SerializedFMUstateSize.
+    /// Writes the state as bytes. `size` must be at least the number from fmi2SerializedFMUstateSize.
     fmi2SerializeFMUstate(FMUstate: fmi2FMUstate, serializedState: [out fmi2Byte; size], size: size_t) |_instance| {
         // SAFETY: the caller vouches for the state.
         let bytes = unsafe { stored(FMUstate) }?.to_bytes()?;
@@ -63,7 +64,7 @@ functions! {
         };
         places.write_copy_of_slice(&bytes);
     };
-    /// Makes a state from bytes: where `*FMUstate` is null a new one, otherwise over the old one. Bytes that are not a state of this FMU
+    /// Creates a state from bytes: a new state if `*FMUstate` is null, otherwise over the old state. Bytes that are not a state of this FMU
     /// are refused and change nothing.
     fmi2DeSerializeFMUstate(serializedState: [in fmi2Byte; size], size: size_t, FMUstate: [out fmi2FMUstate]) |instance| {
         let snapshot = instance.deserialize(serializedState)?;

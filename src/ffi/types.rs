@@ -1,6 +1,6 @@
 //! fmi2TypesPlatform.h ("default") and the types of fmi2FunctionTypes.h (FMI 2.0.4, sections 2.1.2 to 2.1.5).
 //!
-//! Enumerations are plain integers: a Rust enum must not hold a number that C may pass by mistake.
+//! Enumerations are plain integers, because C may pass any number by mistake and a Rust enum must not hold an undefined one.
 
 use std::ffi::{c_char, c_int, c_uint, c_void};
 
@@ -9,25 +9,25 @@ use crate::fmi::Status;
 /// Length of an array: C's size_t.
 pub type size_t = usize;
 
-/// An instance.
+/// Pointer to an instance.
 pub type fmi2Component = *mut c_void;
-/// Pointer of the master, handed back to its logger.
+/// Pointer of the master, passed back to its logger.
 pub type fmi2ComponentEnvironment = *mut c_void;
-/// A stored state.
+/// Pointer to a stored state.
 pub type fmi2FMUstate = *mut c_void;
 /// Identifies a variable.
 pub type fmi2ValueReference = c_uint;
-/// Real.
+/// Value of a Real variable.
 pub type fmi2Real = f64;
-/// Integer and Enumeration.
+/// Value of an Integer or Enumeration variable.
 pub type fmi2Integer = c_int;
 /// Boolean: [`fmi2True`] or [`fmi2False`].
 pub type fmi2Boolean = c_int;
 /// Character.
 pub type fmi2Char = c_char;
-/// UTF-8, ending with a zero byte.
+/// UTF-8 text that ends with a zero byte.
 pub type fmi2String = *const fmi2Char;
-/// Byte of a serialised state: a char of C, which may have a sign.
+/// Byte of a serialised state: a char in C, which may be signed.
 pub type fmi2Byte = u8;
 
 /// True.
@@ -37,15 +37,15 @@ pub const fmi2False: fmi2Boolean = 0;
 
 /// Status of a call.
 pub type fmi2Status = c_int;
-/// Done.
+/// The call succeeded.
 pub const fmi2OK: fmi2Status = Status::Ok as fmi2Status;
-/// Done, with a probable mistake of the master.
+/// The call succeeded, but the master probably made a mistake.
 pub const fmi2Warning: fmi2Status = Status::Warning as fmi2Status;
-/// Could not be done.
+/// The call could not be completed.
 pub const fmi2Discard: fmi2Status = Status::Discard as fmi2Status;
-/// Refused.
+/// The call was refused.
 pub const fmi2Error: fmi2Status = Status::Error as fmi2Status;
-/// A defect of the library.
+/// The library has a defect.
 pub const fmi2Fatal: fmi2Status = Status::Fatal as fmi2Status;
 
 /// Kind of FMU.
@@ -76,7 +76,7 @@ pub struct fmi2EventInfo {
 /// Kind of status: fmi2DoStepStatus 0, fmi2PendingStatus 1, fmi2LastSuccessfulTime 2, fmi2Terminated 3.
 pub type fmi2StatusKind = c_int;
 
-/// The master's logger. The message is finished text: no further arguments follow, and `%` is doubled.
+/// The master's logger. The message is complete text: no further arguments follow, and `%` is doubled.
 pub type fmi2CallbackLogger = unsafe extern "C" fn(
     componentEnvironment: fmi2ComponentEnvironment,
     instanceName: fmi2String,
@@ -104,6 +104,6 @@ pub struct fmi2CallbackFunctions {
     pub freeMemory: Option<fmi2CallbackFreeMemory>,
     /// Not used.
     pub stepFinished: Option<fmi2StepFinished>,
-    /// Handed back to the logger.
+    /// Passed back to the logger.
     pub componentEnvironment: fmi2ComponentEnvironment,
 }
