@@ -1,5 +1,5 @@
 //! Estimator: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force among its states, a
-//! multiple-model bank of process noises, and alternative hypotheses after singularities; `docs/estimator.md` derives it.
+//! multiple-model bank of process noises, and alternative hypotheses after singularities; `docs/estimator-theory.md` derives it.
 //!
 //! | file | holds |
 //! | --- | --- |
