@@ -1,5 +1,5 @@
-//! Checks of each step against what no right step breaks, whatever the method: the balance of energy, the signs of the singularity
-//! determinants, and the branch of the closure. `docs/checks.md` says what right steps show, and how far beyond that the bounds are.
+//! Checks of each step against properties that every correct step has, whatever the method: the balance of energy, the signs of the
+//! singularity determinants, and the branch of the closure. `docs/checks.md` describes correct steps, and how far the bounds are from them.
 
 use super::{State, StepError, System, Work};
 use crate::vector::Vector;
@@ -7,52 +7,52 @@ use crate::vector::Vector;
 /// Admissible imbalance of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Imbalance {
-    /// As a part of the energies.
+    /// Relative to the energies.
     part: f64,
-    /// Energy that always counts, J: errors of the forces remain where little moves.
+    /// Energy that is always added to them, J: errors of the forces remain if little moves.
     always: f64,
 }
 
 impl Imbalance {
-    /// Of steps whose rates are as accurate as their angles, at an error tolerance, rad, and energy scale, J.
+    /// For steps with rates as accurate as angles, from the error tolerance, rad, and the energy scale, J.
     pub(super) fn of_tolerance(tolerance: f64, energy_scale: f64) -> Self {
         Self { part: 1e3 * tolerance.max(LEAST_TOLERANCE), always: energy_scale }
     }
 
-    /// Of steps whose rates are less accurate than their angles, of third order: between the order 2/3 of the rates and 1, as measured; at
-    /// an error tolerance, rad, and energy scale, J.
+    /// For steps of third order with rates less accurate than angles, from the error tolerance, rad, and the energy scale, J. The exponent,
+    /// 3/4, is between the order 2/3 of the rates and 1, as measured.
     pub(super) fn of_third_order(tolerance: f64, energy_scale: f64) -> Self {
         let tolerance = tolerance.max(LEAST_TOLERANCE);
         Self { part: 3e3 * (tolerance * tolerance.sqrt()).sqrt(), always: energy_scale }
     }
 
-    /// Of steps that keep the energy, by the energy scale, J.
+    /// For steps that conserve energy, from the energy scale, J.
     pub(super) fn of_conserving(energy_scale: f64) -> Self {
         Self { part: 1e-6, always: energy_scale }
     }
 
-    /// Of steps whose error nothing controls, by the energy scale, J.
+    /// For steps without error control, from the energy scale, J.
     pub(super) fn of_fixed_steps(energy_scale: f64) -> Self {
         Self { part: 1e-2, always: energy_scale }
     }
 }
 
-/// Error tolerance, rad, below which the balance of a step is round-off.
+/// Error tolerance, rad, below which the balance of a step is only round-off.
 const LEAST_TOLERANCE: f64 = 1e-11;
-/// Round-off of energies and work, in machine epsilons of their sizes; of sines, in machine epsilons.
+/// Round-off, in machine epsilons: of energies and work relative to their sizes, and of sines.
 const ROUND_OFF: f64 = 1e3;
-/// Distance from a singularity at which a sign may change, in displacements of a link that rates and accelerations at both ends of the
-/// step allow: two links turn, and between its ends a long step is not known.
+/// Largest distance from a singularity at which a sign may change, in displacements of a link that follow from the rates and accelerations
+/// at both ends of the step. Two links turn, and the motion inside a long step is unknown.
 const REACH: f64 = 8.0;
 
-/// A motion, as far as a step is checked.
+/// The quantities of a motion that checks compare.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Checked<'a, const N: usize> {
     /// Coordinates, m and rad.
     pub(super) q: &'a Vector<N>,
     /// Velocities, m/s and rad/s.
     pub(super) v: &'a Vector<N>,
-    /// Accelerations, m/s² and rad/s²; 0 of methods that do not keep them.
+    /// Accelerations, m/s² and rad/s²; 0 for methods that do not store them.
     pub(super) a: &'a Vector<N>,
     /// Kinetic plus potential energy, J.
     pub(super) energy: f64,
@@ -62,7 +62,7 @@ pub(super) struct Checked<'a, const N: usize> {
     pub(super) configuration_signs: u8,
 }
 
-/// What is noted of the beginning of a step.
+/// Quantities at the beginning of a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Books {
     energy: f64,
@@ -74,7 +74,7 @@ pub(super) struct Books {
 }
 
 impl Books {
-    /// Notes the beginning of a step.
+    /// Records the beginning of a step.
     #[inline(always)]
     pub(super) fn open<const N: usize, const M: usize>(system: &impl System<N, M>, from: &Checked<'_, N>) -> Self {
         let &Checked { q, v, a, energy, work, configuration_signs } = from;
@@ -82,7 +82,8 @@ impl Books {
         Self { energy, work, configuration_signs, branch: system.branch(q, v), rates }
     }
 
-    /// Refuses a step of `h` seconds to `to` that no right step could be.
+    /// Refuses a step of `h` seconds that ends at `to` if its energy is out of balance, a sign changed away from its singularity, or the
+    /// branch of the closure changed.
     #[inline(always)]
     pub(super) fn check<const N: usize, const M: usize>(
         &self,
@@ -107,7 +108,7 @@ impl Books {
     }
 }
 
-/// Makes a step of fixed length, and counts it if it fails the checks. It is not refused: such steps are made to compare their errors.
+/// Makes a step of fixed length and counts it if it fails the checks. It is not refused, because such steps serve to compare errors.
 pub fn count_breaches<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     energy_scale: impl FnOnce() -> f64,
@@ -122,7 +123,7 @@ pub fn count_breaches<const N: usize, const M: usize>(
     Ok(())
 }
 
-/// Refuses an imbalance of more than round-off beyond the admissible one, J.
+/// Refuses an imbalance `off`, J, that exceeds the admissible imbalance by more than round-off.
 #[cold]
 #[inline(never)]
 fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f64) -> Result<(), StepError> {
@@ -131,8 +132,8 @@ fn check_imbalance<const N: usize>(to: &Checked<'_, N>, off: f64, admissible: f6
     if off.abs() <= admissible { Ok(()) } else { Err(StepError::Imbalance { off, admissible }) }
 }
 
-/// Refuses the `changed` signs, one bit each, if the posture is farther from their singularity than rates and accelerations at both ends of
-/// the `h` seconds lead. On a branch that is singular all along (folded legs) round-off alone changes signs.
+/// Refuses `changed` signs, one bit each, if the posture is farther from their singularity than it can have moved in `h` seconds, judged by
+/// rates and accelerations at both ends. On a branch that is singular everywhere (folded legs), round-off alone changes signs.
 #[cold]
 #[inline(never)]
 fn check_signs<const N: usize, const M: usize>(
@@ -151,7 +152,7 @@ fn check_signs<const N: usize, const M: usize>(
     Ok(())
 }
 
-/// Refuses a motion on another branch.
+/// Refuses a motion that is on another branch.
 #[cold]
 #[inline(never)]
 fn check_branch<const N: usize, const M: usize>(

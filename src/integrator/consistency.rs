@@ -1,15 +1,15 @@
-//! Checks of a stored state: numbers are finite, counters countable, and the loop is closed. A forged state that passes is some motion.
+//! Checks of a stored state: numbers are finite, counters possible, and the loop is closed. A forged state that passes is a valid motion.
 
 use super::{Counters, Passage, State, System};
 use crate::vector::Vector;
 
-/// Defect of a state, as the end of a sentence whose subject is the state.
+/// Defect of a state, as the end of a sentence with the state as its subject.
 pub type Inconsistency = &'static str;
 
 /// Admissible deviations of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Admissible max |Φ|, relative to the system's size.
+    /// Admissible max |Φ|, relative to the size of the system.
     pub position: f64,
     /// Admissible max |Φ_q q̇|, relative to its largest term.
     pub velocity: f64,
@@ -18,11 +18,10 @@ pub struct Bounds {
 /// Upper limit of counters: a larger count would take longer than a lifetime.
 const MOST_COUNTED: u64 = 1 << 62;
 
-/// Rates below this limit, 1/s, may be round-off of rest.
+/// Rates below this limit, 1/s, may be round-off at rest.
 const AT_REST: f64 = 1e-9;
 
-/// Admissible violations of position and velocity on a ray through a vertex, where nothing is projected, in the units of
-/// [`Bounds`].
+/// Admissible violations of position and velocity on a ray through a vertex, where nothing is projected, in the units of [`Bounds`].
 const ON_RAY: [f64; 2] = [1e-4, 1e-1];
 
 impl Counters {
@@ -46,8 +45,8 @@ impl Counters {
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// Checks that all values are possible and that the loop is closed. Accelerations and joint forces are those of the past, or of whoever
-    /// forged the state, until the next step.
+    /// Refuses impossible values and a loop that is not closed. Until the next step, accelerations and joint forces are as stored, even in
+    /// a forged state.
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let Self { work, power, energy, .. } = self;
         let energies = [work.input, work.dissipated, power.input, power.dissipated, energy.unwrap_or(0.0)];
@@ -78,12 +77,12 @@ impl Bounds {
     ) -> Result<(), Inconsistency> {
         let [position, velocity] = if on_ray { ON_RAY } else { [self.position, self.velocity] };
         let pose = system.pose(q);
-        // Comparisons are false for what is not a number.
+        // Comparisons with NaN are false.
         let is_closed = system.phi(q, &pose).max_norm() <= position * system.length_scale();
         if !(q.is_finite() && is_closed) {
             return Err("the loop is not closed");
         }
-        // The largest term of Φ_q q̇: each coordinate alone.
+        // Largest term of Φ_q q̇: each coordinate alone.
         let terms = (0..N).map(|i| system.phi_q_times(&pose, &(v[i] * Vector::unit(i))).max_norm());
         let allowed = velocity * terms.fold(0.0, f64::max) + AT_REST * system.length_scale();
         if !(v.is_finite() && system.phi_q_times(&pose, v).max_norm() <= allowed) {

@@ -1,4 +1,4 @@
-//! Step-size control: proportional controller with memory of the last error, for all error-controlled methods.
+//! Step-size control: a proportional controller with memory of the last error, for all error-controlled methods.
 //!
 //! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.2. Errors are in units of the tolerance.
 
@@ -7,7 +7,7 @@ use crate::vector::ROUND;
 /// Safety factor on the step that the error allows.
 const SAFETY: f64 = 0.85;
 
-/// Lower limit of the remembered ln of an error: ln 1e-4.
+/// Lower limit of ln of a remembered error: ln 1e-4.
 pub(super) const LEAST_LOG_ERROR: f64 = -9.210_340_371_976_182;
 
 /// Parameters of a step-size controller.
@@ -15,7 +15,7 @@ pub(super) const LEAST_LOG_ERROR: f64 = -9.210_340_371_976_182;
 pub(super) struct StepSizeController {
     /// Exponent of the last error.
     pub(super) exponent: f64,
-    /// Exponent of the error before the last; 0 for a method without memory.
+    /// Exponent of the error before the last one; 0 for a method without memory.
     pub(super) memory: f64,
     /// Bounds on the factor after an accepted step.
     pub(super) accepted: [f64; 2],
@@ -26,24 +26,24 @@ pub(super) struct StepSizeController {
 }
 
 impl StepSizeController {
-    /// Factor on the step after an accepted one, from ln of its error and of the error before.
+    /// Factor on the step length after an accepted step, from ln of its error and of the error before.
     pub(super) fn growth(&self, log_error: f64, before: f64) -> f64 {
         let change = SAFETY * exp(self.memory * before - self.exponent * log_error);
         change.clamp(self.accepted[0], self.accepted[1])
     }
 
-    /// Longest step that may follow one of `h` seconds.
+    /// Longest step that may follow a step of `h` seconds, s.
     pub(super) fn longest_after(&self, h: f64) -> f64 {
         self.accepted[1] * h
     }
 
-    /// Factor on the step after a rejected one with this error; NaN where it failed without an estimate.
+    /// Factor on the step length after a step that was rejected with this error; the error is NaN if there is no estimate.
     pub(super) fn reduction(&self, error: f64) -> f64 {
         self.reduction_after(error, None)
     }
 
-    /// Factor on the step after a rejected one, which may follow another rejection with the ratios `before` of lengths and errors.
-    /// With stiff forces errors fall more slowly with h than the order promises; the order alone would lead to further rejections.
+    /// Factor on the step length after a rejected step. `before` are the ratios of lengths and errors of an earlier rejection to this one.
+    /// With stiff forces errors fall more slowly with h than the order suggests; the order alone would cause further rejections.
     pub(super) fn reduction_after(&self, error: f64, before: Option<[f64; 2]>) -> f64 {
         if error.is_nan() {
             return self.failed;
@@ -56,8 +56,8 @@ impl StepSizeController {
     }
 }
 
-/// Length of the next step, s, after one of `h` seconds where `wanted` was intended: a step cut short by a limit does not shorten
-/// later ones.
+/// Length of the next step, s, after a step of `h` seconds that should have taken `wanted` seconds. A step cut short by a limit does not
+/// shorten later steps.
 pub(super) fn next_step(h: f64, growth: f64, wanted: f64) -> f64 {
     if is_cut_short(h, wanted) { (h * growth).max(wanted) } else { h * growth }
 }
@@ -67,10 +67,10 @@ pub(super) fn is_cut_short(h: f64, wanted: f64) -> bool {
     wanted.is_finite() && h < 0.5 * wanted
 }
 
-/// Natural logarithm of a positive number, absolute error below 2e-6, enough for step lengths at a third of the cost of full
+/// Natural logarithm of a positive number, with an absolute error below 2e-6: enough for step lengths, at a third of the cost of full
 /// precision.
 pub(super) fn ln(x: f64) -> f64 {
-    // The number is 2^k m with m from √½ to √2; for 0, k is below that of the smallest number.
+    // The number is 2^k m with m from √½ to √2. For 0, k is below its value for the smallest number.
     let k = (x.to_bits() as i64 - std::f64::consts::FRAC_1_SQRT_2.to_bits() as i64) >> (f64::MANTISSA_DIGITS - 1);
     let m = f64::from_bits((x.to_bits() as i64 - (k << (f64::MANTISSA_DIGITS - 1))) as u64);
     let s = (m - 1.0) / (m + 1.0);
@@ -78,7 +78,8 @@ pub(super) fn ln(x: f64) -> f64 {
     k as f64 * std::f64::consts::LN_2 + s * (2.0 + z * (2.0 / 3.0 + z * (2.0 / 5.0)))
 }
 
-/// Exponential function for |x| ≤ 4 (larger arguments are clamped), relative error below 2e-7; covers all factors of a step length.
+/// Exponential function for |x| ≤ 4 (larger arguments are clamped), with a relative error below 2e-7. The range covers all factors of a
+/// step length.
 fn exp(x: f64) -> f64 {
     let shifted = x.clamp(-4.0, 4.0) * std::f64::consts::LOG2_E + ROUND;
     let k = shifted - ROUND;

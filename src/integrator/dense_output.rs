@@ -1,9 +1,9 @@
-//! Dense output: the interpolating polynomial between the ends of a step, of degree 7 with the stages of DOP853 (Hairer, Nørsett,
-//! Wanner I, section II.6), of degree 5 by Hermite's conditions, with rigorous bounds from its Bernstein coefficients.
+//! Dense output: the interpolating polynomial between the ends of a step, of degree 7 with the stages of DOP853 (Hairer, Nørsett, Wanner I,
+//! section II.6), of degree 5 from Hermite's conditions, with rigorous bounds from its Bernstein coefficients.
 
 use crate::vector::Vector;
 
-/// Polynomial c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) in the part θ of the step.
+/// Polynomial c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) in the fraction θ of the step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Interpolant<const K: usize>([Vector<K>; 8]);
 
@@ -13,7 +13,7 @@ pub(super) fn max_magnitude<const K: usize>(most: &Vector<K>, x: &Vector<K>) -> 
 }
 
 impl<const K: usize> Interpolant<K> {
-    /// Interpolant from values and derivatives (times the step) at both ends, and the higher coefficients.
+    /// Interpolant from values and derivatives (times the step) at both ends, and from the higher coefficients.
     pub(super) fn new([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], [d, e, f, g]: [Vector<K>; 4]) -> Self {
         let difference = to - from;
         let second = rate - difference;
@@ -31,8 +31,8 @@ impl<const K: usize> Interpolant<K> {
         quintic
     }
 
-    /// Quintic from values and derivatives (times the step) at both ends and in the middle. With stiff forces second derivatives would carry
-    /// the error of the ends, times h².
+    /// Quintic from values and derivatives (times the step) at both ends and in the middle. With stiff forces second derivatives would
+    /// contain the error of the ends, times h².
     pub(super) fn through_middle([from, to]: [Vector<K>; 2], rates: [Vector<K>; 2], [value, rate]: [Vector<K>; 2]) -> Self {
         let mut quintic = Self::new([from, to], rates, [Vector::ZERO; 4]);
         let [_, displacement, second, third, ..] = quintic.0;
@@ -43,7 +43,7 @@ impl<const K: usize> Interpolant<K> {
         quintic
     }
 
-    /// Interpolant of some components.
+    /// Interpolant of selected components.
     pub(super) fn components<const L: usize>(&self, components: [usize; L]) -> Interpolant<L> {
         Interpolant(std::array::from_fn(|row| Vector::from_fn(|i| self.0[row][components[i]])))
     }
@@ -54,18 +54,18 @@ impl<const K: usize> Interpolant<K> {
         [d, e, f, g]
     }
 
-    /// Value at a part θ of the step.
+    /// Value at the fraction θ of the step.
     pub(super) fn at(&self, part: f64) -> Vector<K> {
         let rest = 1.0 - part;
         let [from, difference, second, third, d, e, f, g] = self.0;
         from + part * (difference + rest * (second + part * (third + rest * (d + part * (e + rest * (f + part * g))))))
     }
 
-    /// Derivative at a part θ of the step, times the step.
+    /// Derivative at the fraction θ of the step, times the step.
     pub(super) fn rate_at(&self, part: f64) -> Vector<K> {
         let (mut value, mut rate) = (self.0[7], Vector::ZERO);
         for place in (0..7).rev() {
-            // The factors are θ and 1−θ in turn.
+            // The factors alternate between θ and 1−θ.
             let (factor, slope) = if place % 2 == 0 { (part, 1.0) } else { (1.0 - part, -1.0) };
             rate = slope * value + factor * rate;
             value = self.0[place] + factor * value;
@@ -75,11 +75,11 @@ impl<const K: usize> Interpolant<K> {
 
     /// Higher coefficients of the polynomial restricted to the step before `part`.
     pub(super) fn truncate(&self, part: f64) -> [Vector<K>; 4] {
-        // Power coefficients on the shorter step, from the innermost bracket on.
+        // Power coefficients on the shorter step, starting with the innermost bracket.
         let mut powers = [Vector::ZERO; 8];
         powers[0] = self.0[7];
         for place in (0..7).rev() {
-            // The factors are θ and 1−θ in turn.
+            // The factors alternate between θ and 1−θ.
             let [constant, slope] = if place % 2 == 0 { [0.0, part] } else { [1.0, -part] };
             for k in (0..8 - place).rev() {
                 let below = if k > 0 { powers[k - 1] } else { Vector::ZERO };
@@ -87,7 +87,7 @@ impl<const K: usize> Interpolant<K> {
             }
             powers[0] += self.0[place];
         }
-        // Bracket coefficients on the shorter step: the value at 0 and 1 in turn, then division by θ and 1−θ.
+        // Bracket coefficients on the shorter step: the value at 0 and 1 alternately, then division by θ and 1−θ.
         let mut coefficients = [Vector::ZERO; 8];
         for (place, coefficient) in coefficients.iter_mut().enumerate() {
             if place % 2 == 0 {
@@ -106,7 +106,7 @@ impl<const K: usize> Interpolant<K> {
         [d, e, f, g]
     }
 
-    /// Running maximum of a component up to a part of the step. For a quantity that never falls the interpolant is wrong where it
+    /// Running maximum of a component up to a fraction of the step. For a quantity that never falls, the interpolant is wrong where it
     /// falls, and the running maximum is at most as wrong as the interpolant.
     pub(super) fn running_maximum(&self, component: usize, part: f64) -> f64 {
         let rates: [f64; 7] = std::array::from_fn(|row| (1..8).fold(0.0, |sum, k| sum + RATES[row][k] * self.0[k][component]));
@@ -122,7 +122,7 @@ impl<const K: usize> Interpolant<K> {
             let count = 7 - order;
             let derivative_bounds =
                 coefficients[..count].iter().fold(Vector::ZERO, |most, coefficient| max_magnitude(&most, coefficient));
-            // Bernstein coefficients of a derivative are differences of those before, times the degree.
+            // Bernstein coefficients of a derivative are the differences of the coefficients, times the degree.
             for row in 0..count - 1 {
                 coefficients[row] = (count - 1) as f64 * (coefficients[row + 1] - coefficients[row]);
             }
@@ -131,10 +131,10 @@ impl<const K: usize> Interpolant<K> {
     }
 }
 
-/// Maximum on a part of the step, up to `until`, of a function whose derivative has these Bernstein coefficients there.
-/// Coefficients of one sign mean a monotone function; otherwise both halves are examined.
+/// Maximum over a part of the step, up to `until`, of a function whose derivative has these Bernstein coefficients there. If they have one
+/// sign, the function is monotone; otherwise both halves are examined.
 fn maximum_until(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], until: f64) -> f64 {
-    /// Part of the step below which values next to a maximum differ by round-off.
+    /// Fraction of the step below which values next to a maximum differ by round-off.
     const SHORTEST_STRETCH: f64 = 1e-8;
     let end = to.min(until);
     if rates.iter().all(|rate| *rate >= 0.0) {
@@ -146,7 +146,7 @@ fn maximum_until(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2]
     if to - from < SHORTEST_STRETCH {
         return at(from).max(at(end));
     }
-    // Subdivision by the algorithm of de Casteljau.
+    // Subdivision with de Casteljau's algorithm.
     let mut second = rates;
     let first = std::array::from_fn(|round| {
         let coefficient = second[0];
@@ -182,7 +182,7 @@ const fn rates() -> [[f64; 8]; 7] {
             }
             place += 1;
         }
-        // Multiplication by θ and 1−θ in turn.
+        // Multiplication by θ and 1−θ alternately.
         let mut k = 7;
         while k > 0 {
             powers[k] = if bracket % 2 == 0 { powers[k - 1] } else { powers[k] - powers[k - 1] };
@@ -206,9 +206,9 @@ mod tests {
         let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
         let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
         let [rate, curvature_bound, ..] = interpolant.derivative_bounds().map(|derivative_bounds| derivative_bounds[0]);
-        // The bounds are reached at the ends, or are a little above the largest value.
+        // The bounds are attained at the ends, or are slightly above the largest value.
         let mut steepest = 0.0_f64;
-        // Restricted to the first 0.3 of the step the polynomial keeps its values.
+        // Restricted to the first 0.3 of the step, the polynomial keeps its values.
         let part = 0.3;
         let ends = [interpolant.at(0.0), interpolant.at(part)];
         let rates = [0.0, part].map(|at| part * interpolant.rate_at(at));
@@ -223,7 +223,7 @@ mod tests {
             let here = interpolant.at(part)[0];
             let slope = (interpolant.at(part + step)[0] - here) / step;
             steepest = steepest.max(slope.abs());
-            // Forward differences are off by the curvature times half the step.
+            // The error of forward differences is the curvature times half the step.
             assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
             let curvature = (interpolant.rate_at(part + step)[0] - interpolant.rate_at(part)[0]) / step;
             assert!(slope.abs() <= rate + 1e-4 && curvature.abs() <= curvature_bound + 1e-3, "{part}: {slope} {curvature}");
@@ -231,7 +231,7 @@ mod tests {
         assert!(rate < 1.5 * steepest, "{rate} of {steepest}");
     }
 
-    /// Compared with values at 4000 places, for random polynomials.
+    /// Compares random polynomials with their values at 4000 places.
     #[test]
     fn what_has_risen_never_falls() {
         let (mut number, mut falling) = (1_u64, 0);
@@ -248,8 +248,8 @@ mod tests {
                 let here = interpolant.at(part)[0];
                 (most, falls) = (most.max(here), falls || here < most);
                 let running_maximum = interpolant.running_maximum(0, part);
-                // Between two places a maximum is higher by at most an eighth of the square of their distance times the curvature,
-                // 100 at most.
+                // Between two places a maximum is higher by at most an eighth of their squared distance times the curvature, which is at
+                // most 100.
                 assert!((most..most + 1e-6).contains(&running_maximum), "{part}: {running_maximum} instead of {most}");
             }
             falling += u32::from(falls);

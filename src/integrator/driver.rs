@@ -1,14 +1,14 @@
-//! The driver of error-controlled steps, one for all methods: a step begins, is tried until its error is admissible, ends at an event if
+//! The driver of error-controlled steps, common to all methods: a step begins, is tried until its error is admissible, ends at an event if
 //! one occurs, and is accepted.
 //!
 //! | state of a step | what happens | leads to |
 //! | --- | --- | --- |
-//! | begin | the mode is that after all transitions due; vertices are looked for; the step is planned | try, or the end: at rest, past a vertex |
+//! | begin | the mode follows all transitions that are due; vertices are looked for; the step is planned | try, or the end: at rest, past a vertex |
 //! | try | the method makes a trial; the locator looks for events on its dense output | accept, end at an event, a shorter trial |
-//! | end at an event | the step is tried up to the event, or, if that lies at its beginning, begins again in the next mode | try, begin |
-//! | accept | the method takes the trial over, and its next step is as long as error and events allow | the end |
+//! | end at an event | the step is tried up to the event; if the event is at its beginning, the step begins again in the next mode | try, begin |
+//! | accept | the method accepts the trial; its next step is as long as error and events allow | the end |
 //!
-//! A step past a communication point, and one made again up to it, belong to the methods with dense output (`dense.rs`).
+//! Methods with dense output (`dense.rs`) also step past communication points, and redo such a step up to a communication point.
 
 use super::checks::{Books, Imbalance};
 use super::locator::{EventTrials, Probe};
@@ -16,13 +16,13 @@ use super::{Approach, Guards, Mechanics, PassageLimits, State, StepError, StepLi
 
 /// Trials of one step.
 pub(super) struct Trials {
-    /// Length of the present trial, s.
+    /// Length of the current trial, s.
     pub(super) h: f64,
-    /// Length, s, and error of the last trial that was rejected for its error.
+    /// Length, s, and error of the last trial that was rejected because of its error.
     pub(super) rejected: Option<[f64; 2]>,
-    /// Trials that are to end at a guard.
+    /// Trials that should end at a guard.
     pub(super) events: EventTrials,
-    /// Longest trial that the errors of rejected ones allow, s.
+    /// Longest trial that the errors of rejected trials allow, s.
     longest: f64,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Trials {
 pub(super) enum Outcome {
     /// The step is accepted.
     Accepted,
-    /// The error, in tolerances, is too large, or NaN where there is no estimate.
+    /// The error, in tolerances, is too large, or NaN if there is no estimate.
     Rejected(f64),
     /// The step has to end at an event, this many seconds after its beginning.
     EventAt(f64),
@@ -39,47 +39,47 @@ pub(super) enum Outcome {
 /// Progress of a step, or of a macro step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Progress {
-    /// The step is made: by a trial, at rest, or past a vertex.
+    /// The step is finished: by a trial, at rest, or past a vertex.
     Done,
-    /// A trial of this length, s, was rejected next to a bifurcation of the constraints; the caller decides.
+    /// A trial of this length, s, was rejected near a bifurcation of the constraints; the caller decides.
     Blocked(f64),
 }
 
-/// A step by a method, as the driver asks for it.
+/// A method's part of a step, called by the driver.
 pub(super) trait Method<const N: usize, const M: usize, S: Mechanics<N, M>> {
     /// State at the beginning of the step.
     fn start(&self) -> &State<N, M>;
-    /// State at the end of the accepted step; methods may keep only this one then.
+    /// State at the end of the accepted step; a method may store only this state by then.
     fn end(&self) -> &State<N, M>;
     /// Mode at the beginning of the step.
     fn initial_mode(&self) -> S::Mode;
     /// Longest step, s.
     fn longest(&self) -> f64;
-    /// Changes the mode, in which forces and accelerations are evaluated again.
+    /// Changes the mode and evaluates forces and accelerations again in it.
     fn enter(&mut self, system: &S, mode: S::Mode);
     /// Stays at rest over the longest step.
     fn rest(&mut self);
     /// Moves to the end of a transit.
     fn pass(&mut self, system: &S, transit: &Transit<N>) -> Result<(), StepError>;
-    /// Length of the first trial, s, by `system` in the mode of the step, which lasts for `lasting` seconds; within limits if a vertex is
-    /// near.
+    /// Returns the length of the first trial, s. `system` is in the mode of the step, which lasts about `lasting` seconds; `near` are
+    /// limits if a vertex is near.
     fn plan(&mut self, system: &S, near: Option<&StepLimits>, lasting: f64) -> f64;
-    /// Makes a trial, `system` being in the mode of the step, and takes it over if its error is admissible and no event occurs earlier;
-    /// `from` is the beginning among the guards, where there are any.
+    /// Makes a trial with `system` in the mode of the step. Accepts it if its error is admissible and no event occurs earlier. `from` is
+    /// the guard probe at the beginning, if there are guards.
     fn attempt(&mut self, system: &S, trials: &Trials, from: Option<&Probe<S::GuardValues>>) -> Result<Outcome, StepError>;
     /// Discards a trial.
     fn discard(&mut self);
-    /// Length of the next trial, s, after one that was rejected with an error.
+    /// Returns the length of the next trial, s, after a trial that was rejected with an error.
     fn shorten(&mut self, trials: &Trials, error: f64) -> Result<f64, StepError>;
 }
 
-/// Limits of all steps of a run.
+/// Limits for all steps of a run.
 pub(super) struct Limits {
     /// Thresholds of vertices.
     pub(super) passage: PassageLimits,
     /// Error tolerance, rad.
     pub(super) tolerance: f64,
-    /// Admissible imbalance of the energy.
+    /// Admissible imbalance of energy.
     pub(super) imbalance: Imbalance,
 }
 
@@ -99,7 +99,7 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
             method.rest();
             return Ok(Progress::Done);
         }
-        // A passage goes by the forces of its states, whatever the mode.
+        // A passage uses the forces of its own states, in every mode.
         let near = match system.approach(&limits.passage, &method.start().departure(method.longest())) {
             Approach::Clear => None,
             Approach::Limited(limits) => Some(limits),
@@ -126,8 +126,8 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     }
 }
 
-/// Enters the mode in which a step begins, after all transitions due at its beginning; returns the beginning among the guards, where there
-/// are any.
+/// Enters the mode in which a step begins, after all transitions due at its beginning. Returns the guard probe at the beginning, if there
+/// are guards.
 fn begin<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,
@@ -153,8 +153,8 @@ fn begin<const N: usize, const M: usize, S: Mechanics<N, M>>(
     }
 }
 
-/// Makes trials of a step, of at most `longest` seconds, by the system in one mode; returns nothing where an event at the very beginning
-/// ends the mode. `from` is the beginning among the guards.
+/// Makes trials of a step, of at most `longest` seconds, with the system in one mode. Returns `None` if an event at the very beginning ends
+/// the mode. `from` is the guard probe at the beginning.
 fn in_one_mode<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,

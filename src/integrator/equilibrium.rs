@@ -3,9 +3,9 @@
 use super::{Kkt, StickingConstraint, Stuck, System, Work};
 use crate::vector::Vector;
 
-/// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇ at q with its pose and q̇, and evaluates the power of the forces, W.
+/// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇ at q, its pose and q̇, and evaluates the power of the forces, W.
 ///
-/// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: λ has minimum norm there.
+/// With e = 1/(κ m̄) instead of 0 the solution is unique even if Φ_q loses rank: λ then has minimum norm.
 pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
@@ -16,7 +16,7 @@ pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
     (a, lambda, power)
 }
 
-/// Acceleration q̈ and power at rates `v`, `by` away from coordinates with their pose.
+/// Acceleration q̈ and power at rates `v`, for coordinates that differ by `by` from coordinates with a known pose.
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -48,7 +48,7 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     if system.stuck() != Stuck::Nothing { with_reaction(system, forces, (q, pose, v), (mass, a, lambda)) } else { (a, lambda) }
 }
 
-/// q̈ and λ with the reaction of sticking friction, from those without.
+/// Adds the reaction of sticking friction to q̈ and λ.
 fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     forces: &Vector<N>,
@@ -65,7 +65,7 @@ fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
     }
 }
 
-/// Velocity q̇ without its component along the sticking direction: the projection that is smallest in the mass metric.
+/// Velocity q̇ without its component along the sticking direction: the smallest change in the mass metric.
 pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
@@ -80,8 +80,8 @@ pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
     }
 }
 
-/// Reaction of one sticking direction, a multiple of its force, that brings a change along its row to 0, with the changes of q̈ (or q̇)
-/// and λ by that reaction; 0 where nothing moves the row.
+/// Reaction along one sticking direction, as a multiple of its force, that brings the change along its row to 0, and the changes of q̈ (or
+/// q̇) and λ due to this reaction. All are 0 if nothing can move the row.
 pub fn reaction<const N: usize, const M: usize>(
     mass: &impl Kkt<N, M>,
     [row, force]: [&Vector<N>; 2],

@@ -1,4 +1,4 @@
-//! Errors of a step, with the sentences that users see.
+//! Errors of a step, with the messages that users see.
 
 use std::fmt;
 
@@ -13,7 +13,7 @@ pub enum StepError {
         violation: f64,
         /// Admissible constraint violation, m.
         tolerance: f64,
-        /// Largest last correction of a coordinate, m or rad, which is bounded too.
+        /// Largest last correction of a coordinate, m or rad, which has a bound too.
         correction: f64,
     },
     /// The tangent matrix is not positive definite: the step is too long for this posture and load.
@@ -27,7 +27,7 @@ pub enum StepError {
     FallbackFailed,
     /// A value became NaN or infinite.
     NotFinite,
-    /// Close to a vertex a sub-step changed the kinetic energy.
+    /// A sub-step near a vertex changed the kinetic energy.
     EnergyChange {
         /// Relative change of the kinetic energy.
         part: f64,
@@ -125,7 +125,7 @@ impl std::error::Error for StepError {}
 const DETERMINANTS: [&str; super::CONFIGURATION_SIGNS] =
     ["the determinant of J_x", "the bend of the left elbow", "the bend of the right elbow"];
 
-/// Shortest sub-step that a motion may ask for, s: in shorter ones nothing moves by a digit.
+/// Shortest sub-step that a motion may need, s: in shorter ones no digit changes.
 const SHORTEST_OF_MOTION: f64 = 1e-15;
 
 /// Local error of a sub-step, rad, formatted as the end of a sentence.

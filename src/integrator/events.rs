@@ -1,8 +1,8 @@
 //! Hybrid systems: guards, modes and transitions of forces with discontinuities (stops, contact, stick-slip friction).
 //!
-//! Within a mode every force is one smooth formula, which also extends a little past its guards. A step uses the formulas of one
-//! mode, so that all stages see smooth forces; where the motion crosses a guard the step ends, and the next one begins in the next
-//! mode. The order of the method is kept, and no contact between stages is missed.
+//! Within a mode every force is one smooth formula, which also extends slightly beyond its guards. A step uses the formulas of one mode, so
+//! all stages see smooth forces. When the motion crosses a guard, the step ends, and the next step begins in the next mode. The method
+//! keeps its order, and no contact between stages is missed.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -12,7 +12,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::locator::Path;
 use crate::vector::Vector;
 
-/// Rate that is as admissible an error as an angle of 1 rad, 1/s: a rate counts as the displacement in 0.1 s, in error norms and in guards.
+/// Conversion between errors of rates and of angles, 1/s: in error norms and guards a rate counts as its displacement in 0.1 s.
 pub const ERROR_RATE: f64 = 10.0;
 
 /// Bounds on the first four derivatives of the coordinates over a step.
@@ -31,10 +31,10 @@ pub struct Extremes<const N: usize> {
 /// Distances of a state past its guards, in event tolerances; negative within the mode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residuals {
-    /// Distance past the guard that is passed by most.
+    /// Distance past the guard that is exceeded most.
     pub largest: f64,
-    /// Distance of the reaction of sticking friction past its breakaway bound while the system moves; −∞ where nothing sticks. The reaction
-    /// is known at evaluated states only, without a bound in between.
+    /// Distance of sticking friction's reaction past its breakaway bound while the system moves; −∞ if nothing sticks. The reaction is
+    /// known only at evaluated states, without a bound in between.
     pub breakaway: f64,
 }
 
@@ -43,30 +43,28 @@ pub trait Guards {
     /// Bounds on the derivatives of the coordinates on which guards depend, over a path.
     type PathBounds;
 
-    /// Distances of the state past the guards, in units of the event tolerance that belongs to `tolerance`.
+    /// Distances of the state past the guards, in units of the event tolerance for `tolerance`.
     fn residuals(&self, _tolerance: f64) -> Residuals {
         Residuals { largest: f64::NEG_INFINITY, breakaway: f64::NEG_INFINITY }
     }
 
-    /// Elastic energy still stored in springs that have separated, J; it is dissipated as they relax, in addition to the integral of
-    /// the power.
+    /// Elastic energy still stored in separated springs, J. It is dissipated as they relax, in addition to the integral of the power.
     fn separation_energy(&self) -> f64 {
         0.0
     }
 
-    /// Estimated time until the mode ends, s, where its formulas hold over a short path only.
+    /// Estimated time until the mode ends, s, if its formulas are valid only over a short path.
     fn dwell_time(&self) -> f64 {
         f64::INFINITY
     }
 
-    /// Whether a motion within bounds certainly passes no guard in `duration` seconds from here on, reactions of sticking friction
-    /// excepted.
+    /// Whether a motion within these bounds certainly passes no guard in the next `duration` seconds, except breakaway guards.
     fn are_out_of_reach(&self, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
         true
     }
 
-    /// Whether a motion within bounds certainly passes no guard by more than the event tolerance between here and another state,
-    /// `duration` seconds later, reactions of sticking friction excepted.
+    /// Whether a motion within these bounds certainly passes no guard by more than the event tolerance before another state, `duration`
+    /// seconds later, except breakaway guards.
     fn stay_until(&self, _to: &Self, _duration: f64, _bounds: &Self::PathBounds, _tolerance: f64) -> bool {
         true
     }
@@ -87,15 +85,15 @@ pub trait Events<const N: usize>: Clone {
     /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
 
-    /// Mode that q and q̇ alone determine.
+    /// Mode that follows from q and q̇ alone.
     fn mode_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Mode;
 
-    /// The mode with the closure branch on which a motion begins.
+    /// The mode, with the closure branch on which a motion begins.
     fn select_branch(&self, mode: Self::Mode, _q: &Vector<N>, _v: &Vector<N>) -> Self::Mode {
         mode
     }
 
-    /// The system with forces of a fixed mode.
+    /// The system with its forces in a fixed mode.
     fn on(&self, _mode: Self::Mode) -> Cow<'_, Self> {
         Cow::Borrowed(self)
     }
@@ -110,7 +108,7 @@ pub trait Events<const N: usize>: Clone {
         false
     }
 
-    /// Bounds over a path.
+    /// Bounds on the derivatives over a path.
     fn path_bounds(&self, path: &Path<N>) -> <Self::GuardValues as Guards>::PathBounds;
 }
 

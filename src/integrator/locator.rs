@@ -1,6 +1,6 @@
-//! Event location on the dense output of a step, which no method knows: interval bounds prove that a stretch crosses no guard,
-//! otherwise it is halved; crossings are refined by false position. Reactions of sticking friction have no such bounds, so their maxima
-//! are located. Events are data here: guard values, their residual and their bounds come from the system.
+//! Event location on the dense output of a step, independent of the method. Interval bounds prove that a stretch crosses no guard;
+//! otherwise the stretch is halved. False position refines crossings. Reactions of sticking friction have no such bounds, so their maxima
+//! are located. Events are data here: the system supplies guard values, their residuals and their bounds.
 
 use std::cell::Cell;
 
@@ -8,34 +8,34 @@ use super::dense_output::Interpolant;
 use super::{Events, Extremes, Guards, Residuals};
 use crate::vector::Vector;
 
-/// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
+/// Guard residual at which a step should end, in event tolerances. It is past the guard, so that the next mode begins well inside its own
 /// guards.
 const TARGET_RESIDUAL: f64 = 0.5;
 /// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
 const WINDOW_HALF_WIDTH: f64 = 0.4;
-/// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
+/// Guard residual above which an event has occurred, in event tolerances. It is less than 1, so that bounds on the residual fit between.
 pub const CROSSING_RESIDUAL: f64 = 0.95;
-/// Number of trials to end a step at a guard after which the step is halved instead.
+/// Number of trials to end a step at a guard before the step is halved instead.
 const MOST_TRIES: u32 = 8;
-/// Shortest step that ends at a guard, s; the mode changes at once where a guard is crossed earlier.
+/// Shortest step that ends at a guard, s. If a guard is crossed earlier, the mode changes immediately.
 pub(super) const SHORTEST: f64 = 1e-15;
-/// Shortest step that is halved, s: nothing moves in shorter ones.
+/// Shortest step that is halved, s: nothing moves in shorter steps.
 const SHORTEST_HALVED: f64 = 1e-12;
-/// Time over which the motion is linearised for the derivative of the guard residual, relative to the step.
+/// Time over which the motion is linearised to differentiate the guard residual, relative to the step.
 const LINEARIZED_PART: f64 = 1e-6;
 /// Largest correction of a step's end towards a guard, relative to the step.
 const LARGEST_CORRECTION: f64 = 0.1;
-/// Length of a stretch, relative to the step, on which the reaction is assumed to have one maximum at most.
+/// Length of a stretch, relative to the step, on which the reaction is assumed to have at most one maximum.
 const ONE_MAXIMUM: f64 = 1.0 / 16.0;
 /// Largest number of parabolas per maximum.
 const MAXIMUM_ROUNDS: u32 = 6;
-/// Accuracy of the place of a maximum, relative to the bracket; the error of its value is of second order.
+/// Accuracy of a maximum's place, relative to the bracket; the error of its value is of second order.
 const MAXIMUM_ACCURACY: f64 = 1e-3;
-/// Shortest stretch, relative to the step; below it only round-off lies between the ends.
+/// Shortest stretch, relative to the step: on shorter ones the ends differ only by round-off.
 const SHORTEST_STRETCH: f64 = 1e-6;
 /// Largest number of rounds of false position.
 const ROUNDS: u32 = 60;
-/// Largest number of evaluations per step; a step that needs more is too long for its interpolant and is halved.
+/// Largest number of evaluations per step. A step that needs more is too long for its interpolant and is halved.
 const MOST_EVALUATIONS: u32 = 200;
 
 /// Decision about a step with an admissible error.
@@ -48,9 +48,8 @@ pub(super) enum EventCheck {
     Before(f64),
 }
 
-/// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` is its beginning, `end` q, q̇ and q̈ at
-/// its end; `path` is its dense output; `truncate` may end the step at a time inside it, s, so that
-/// it need not be made again.
+/// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` is its beginning, `end` holds q, q̇ and
+/// q̈ at its end, and `path` is its dense output. `truncate` may end the step at a time inside it, s, so that it need not be redone.
 pub(super) fn check<const N: usize, S: Events<N>>(
     (system, tolerance): (&S, f64),
     from: &Probe<S::GuardValues>,
@@ -85,13 +84,13 @@ pub(super) fn check<const N: usize, S: Events<N>>(
     }
 }
 
-/// Trials of one step that are to end at a guard.
+/// Trials of one step that should end at a guard.
 pub(super) struct EventTrials {
     /// Number of such trials.
     pub(super) count: u32,
-    /// Length of the next trial, s, where it is to end at a guard.
+    /// Length of the next trial, s, if it should end at a guard.
     pub(super) end: Option<f64>,
-    /// Length, s, of the trial whose dense output has shown the event; infinite before.
+    /// Length of the trial whose dense output showed the event, s; infinite before.
     shown_by: f64,
 }
 
@@ -99,7 +98,7 @@ impl EventTrials {
     /// No trial has shown an event.
     pub(super) const NONE: Self = Self { count: 0, end: None, shown_by: f64::INFINITY };
 
-    /// After a trial of `tried` seconds has shown an event `when` seconds after the beginning of the step.
+    /// Notes that a trial of `tried` seconds showed an event `when` seconds after the beginning of the step.
     pub(super) fn repeat(&mut self, tried: f64, when: f64) {
         self.count += 1;
         let crossed_at_once = when < SHORTEST;
@@ -107,17 +106,17 @@ impl EventTrials {
         self.end = (!crossed_at_once).then_some(when);
     }
 
-    /// Longest next step, s, after one of `length` seconds: short where a longer trial has shown a false event, or an event early in it.
-    /// Oscillation about a guard is so resolved within a few steps.
+    /// Longest next step, s, after a step of `length` seconds. It is short if a longer trial showed a false event, or an event early in the
+    /// trial, so that a few steps resolve an oscillation about a guard.
     pub(super) fn longest_next(&self, event: &EventCheck, length: f64) -> f64 {
         self.longest_after(event, (length, self.shown_by))
     }
 
-    /// Longest next step, s, see [`Self::longest_next`], where a step of `tried` seconds was truncated to `length`.
+    /// Longest next step, s, as in [`Self::longest_next`], after a step of `tried` seconds was truncated to `length`.
     pub(super) fn longest_after(&self, event: &EventCheck, (length, tried): (f64, f64)) -> f64 {
         /// Largest next step, relative to the longer trial.
         const AFTER_FALSE_EVENT: f64 = 0.3;
-        /// Part of the longer trial before which an event is early.
+        /// Fraction of the longer trial before which an event is early.
         const EARLY: f64 = 0.01;
         match event {
             EventCheck::AtEnd if length >= EARLY * tried => f64::INFINITY,
@@ -130,8 +129,8 @@ impl EventTrials {
 pub(super) enum EventWindow {
     /// The guard residual is within the accepted window.
     Within,
-    /// The guard residual is outside the window; the correction of the step length, s, if the linearised motion reaches the guard
-    /// nearby.
+    /// The guard residual is outside the window. The value is the correction of the step length, s, if the linearised motion reaches the
+    /// guard nearby.
     Outside(Option<f64>),
 }
 
@@ -150,7 +149,7 @@ impl EventWindow {
     }
 }
 
-/// Motion over a step: a polynomial for the coordinates relative to its beginning, whose derivative is the rates.
+/// Motion over a step: a polynomial for the coordinates relative to the beginning; its derivative gives the rates.
 pub struct Path<const N: usize> {
     /// Coordinates at the beginning, m and rad.
     pub(super) origin: Vector<N>,
@@ -163,7 +162,7 @@ pub struct Path<const N: usize> {
 }
 
 impl<const N: usize> Path<N> {
-    /// Coordinates and rates at a part of the step.
+    /// Coordinates and rates at a fraction of the step.
     fn at(&self, part: f64) -> [Vector<N>; 2] {
         [self.origin + self.increment.at(part), (1.0 / self.length) * self.increment.rate_at(part)]
     }
@@ -179,9 +178,9 @@ impl<const N: usize> Path<N> {
     }
 }
 
-/// Evaluated place on the interpolant.
+/// Guard values evaluated at one place of the interpolant.
 pub(super) struct Probe<T> {
-    /// Place, as a part of the step.
+    /// Place, as a fraction of the step.
     part: f64,
     /// Guard values at the place.
     pub(super) guard_values: T,
@@ -189,7 +188,7 @@ pub(super) struct Probe<T> {
 }
 
 impl<T: Guards> Probe<T> {
-    /// Evaluates a place, given as a part of the step, where the state is q and q̇.
+    /// Evaluates the guards at a place, given as a fraction of the step, with the state q and q̇.
     pub(super) fn new<const N: usize, S: Events<N, GuardValues = T>>(
         system: &S,
         (part, [q, v]): (f64, [&Vector<N>; 2]),
@@ -205,7 +204,7 @@ impl<T: Guards> Probe<T> {
         self.residuals.breakaway != f64::NEG_INFINITY
     }
 
-    /// Whether an event has occurred: the place is past a guard of the mode.
+    /// Whether an event has occurred, so that the place is past a guard of the mode.
     pub(super) fn is_past_guard(&self) -> bool {
         self.residuals.largest > CROSSING_RESIDUAL
     }
@@ -230,11 +229,11 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
         Probe::new(self.system, (part, [&q, &v]), self.tolerance)
     }
 
-    /// Part of the step at which the first guard is crossed between two places; the first place is within all guards. Where `stays` is
-    /// given, bounds on a longer stretch have excluded all guards but those of sticking friction.
+    /// Fraction of the step at which the first guard is crossed between two places; the first place is within all guards. If `stays`,
+    /// bounds on a longer stretch have excluded all guards except those of sticking friction.
     fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>, stays: bool) -> Option<f64> {
         if to.is_past_guard() {
-            // A crossing lies in between; the stretch before it is searched for earlier ones.
+            // A crossing lies between; the stretch before it is searched for an earlier one.
             let at = self.crossing_between(from, to);
             let before = if at.is_past_guard() { None } else { self.first(from, &at, stays) };
             return before.or(Some(at.part));
@@ -261,7 +260,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
         self.first(from, &middle, stays).or_else(|| self.first(&middle, to, stays))
     }
 
-    /// First crossing on a stretch where the reaction of sticking friction has one maximum at most, by successive parabolas.
+    /// First crossing on a stretch with at most one maximum of sticking friction's reaction, by successive parabolas.
     fn refine_maximum(&self, from: &Probe<S::GuardValues>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
         for _ in 0..MAXIMUM_ROUNDS {
             let slope = |[x, y]: [f64; 2], [z, w]: [f64; 2]| (w - y) / (z - x);
@@ -286,10 +285,10 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
         None
     }
 
-    /// Crossing of a guard between a place within and a place past it, by false position (Anderson and Björck, *BIT* 13, 1973).
+    /// Crossing of a guard between a place within it and a place past it, by false position (Anderson and Björck, *BIT* 13, 1973).
     fn crossing_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
         let [mut before, mut after] = [from.part, to.part];
-        // Only sign and size near the guard matter.
+        // Only the sign, and the size near the guard, matter.
         let (mut low, mut high) = ((from.residuals.largest - TARGET_RESIDUAL).max(-1e12), to.residuals.largest - TARGET_RESIDUAL);
         let mut last_was_positive = None;
         if low < 0.0 {
@@ -303,12 +302,12 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
                 if after - before <= f64::EPSILON {
                     break;
                 }
-                // The residual at an end that stays twice in a row is reduced.
+                // If the same end stays twice in a row, its residual is reduced.
                 let is_past = here > 0.0;
                 let (value, opposite) = if is_past { (high, &mut low) } else { (low, &mut high) };
                 if last_was_positive == Some(is_past) {
                     let less = 1.0 - here / value;
-                    // If another guard was dominant at one end, the residuals give no slope; the factor is at least 0.1.
+                    // If another guard was dominant at one end, the residuals give no slope. The factor is at least 0.1.
                     *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
                 }
                 last_was_positive = Some(is_past);
@@ -323,7 +322,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
     }
 }
 
-/// Whether the reaction of sticking friction stays below its breakaway bound between three equidistant places, by their parabola
+/// Whether the reaction of sticking friction stays below its breakaway bound between three equidistant places, judged by their parabola
 /// with a margin.
 fn maximum_is_below([[_, from], [_, middle], [_, to]]: [[f64; 2]; 3]) -> bool {
     /// Margin in second differences; the parabola itself rises above its chords by 1/8.

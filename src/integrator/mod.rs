@@ -1,5 +1,4 @@
-//! Time integration of constrained mechanical systems: i3-ALP and the methods beside it, generic over the [`System`] they
-//! integrate.
+//! Time integration of constrained mechanical systems: i3-ALP and other methods, generic over the [`System`] that they integrate.
 //!
 //! Invariant: no module here knows the mechanism or FMI; none does input or output, allocates, or reads a clock.
 
@@ -36,7 +35,7 @@ use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
 pub use system::{AccelerationTangents, Features, Implicit, Kkt, StickingConstraint, Stuck, System, TangentPoint, Work};
 
-/// A system as the methods that follow their error need it: equations of motion, passages through vertices, and events.
+/// A system with everything that error-controlled methods need: equations of motion, passages through vertices, and events.
 pub trait Mechanics<const N: usize, const M: usize>: System<N, M> + Passage<N> + Events<N> {}
 
 impl<const N: usize, const M: usize, S: System<N, M> + Passage<N> + Events<N>> Mechanics<N, M> for S {}

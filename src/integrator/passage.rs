@@ -1,7 +1,7 @@
 //! Passage through vertices: singular postures where the constraints lose rank and branches of the configuration space cross.
 //!
-//! A method asks its system once per step, and the answer is one of three: no vertex is near, the step is limited, or the system
-//! has passed the vertex and gives the state behind it (`docs/vertices.md`).
+//! A method asks its system once per step. There are three answers: no vertex is near, the step is limited, or the system has passed the
+//! vertex and returns the state behind it (`docs/vertices.md`).
 
 use super::{Events, State, StepEnd, StepError, System, Work};
 use crate::vector::Vector;
@@ -11,29 +11,29 @@ use crate::vector::Vector;
 pub struct PassageLimits {
     /// Radius of the ball around a vertex inside which motions on a ray are straight, rad.
     pub radius: f64,
-    /// Largest distance, rad, at which a motion on a ray misses the vertex (impact parameter).
+    /// Largest distance, rad, by which a motion on a ray misses the vertex (impact parameter).
     pub impact_parameter: f64,
-    /// Longest straight motion with dissipative forces, s, because these are evaluated at its ends only.
+    /// Longest straight motion with dissipative forces, s, because they are evaluated only at its ends.
     pub longest_with_dissipation: f64,
 }
 
 impl PassageLimits {
-    /// Thresholds for an error tolerance, rad: a motion through a vertex misses it by the accumulated local errors of thousands of
-    /// steps, so the impact parameter follows the tolerance.
+    /// Thresholds for an error tolerance, rad. A motion through a vertex misses it by the accumulated local errors of thousands of steps,
+    /// so the impact parameter follows the tolerance.
     pub fn for_error_tolerance(tolerance: f64) -> Self {
         let impact_parameter = (1e4 * tolerance).clamp(1e-7, 1e-4);
         Self { radius: impact_parameter.sqrt().min(1e-3), impact_parameter, longest_with_dissipation: f64::INFINITY }
     }
 }
 
-/// State from which a step departs.
+/// State at the beginning of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure<'a, const N: usize> {
     /// Coordinates q, m and rad.
     pub q: &'a Vector<N>,
     /// Velocities q̇, m/s and rad/s.
     pub v: &'a Vector<N>,
-    /// Whether the motion is on a ray through a vertex already.
+    /// Whether the motion is already on a ray through a vertex.
     pub on_ray: bool,
     /// Longest step, s.
     pub rest: f64,
@@ -46,7 +46,7 @@ pub enum Approach<const N: usize> {
     Clear,
     /// The step is limited.
     Limited(StepLimits),
-    /// The system has moved straight, along a ray through the vertex or from rest in it.
+    /// The system has moved straight, along a ray through the vertex or from rest at the vertex.
     Passed(Transit<N>),
 }
 
@@ -57,11 +57,10 @@ pub struct StepLimits {
     pub longest: f64,
     /// Round-off of the local error, rad; shorter steps would not reduce it.
     pub round_off: f64,
-    /// Factor on e of the saddle-point systems, which must stay small against the smallest eigenvalue of S; that falls with the
-    /// square of the distance to the vertex.
+    /// Factor on e of the saddle-point systems. e must stay small compared with the smallest eigenvalue of S, which falls with the square
+    /// of the distance to the vertex.
     pub regularization: f64,
-    /// Energy before the step, where it has to be conserved: close to a vertex, round-off in the direction of the velocity changes
-    /// it.
+    /// Energy before the step, if it must be conserved: close to a vertex, round-off in the direction of the velocity changes it.
     pub energy: Option<EnergyBalance>,
 }
 
@@ -70,12 +69,12 @@ impl StepLimits {
     pub const NONE: Self = Self { longest: f64::INFINITY, round_off: 0.0, regularization: 1.0, energy: None };
 }
 
-/// Energy before a step, with its rate of change.
+/// Energy before a step, and its rate of change.
 #[derive(Clone, Copy, Debug)]
 pub struct EnergyBalance {
     /// Kinetic plus potential energy, J.
     pub energy: f64,
-    /// Power of the forces that have no potential, W.
+    /// Power of the forces without a potential, W.
     pub power: f64,
 }
 
@@ -88,24 +87,24 @@ pub struct Transit<const N: usize> {
     pub v: Vector<N>,
     /// Duration, s.
     pub duration: f64,
-    /// Whether the motion ends inside the ball, where no projection is made.
+    /// Whether the motion ends inside the ball, where nothing is projected.
     pub on_ray: bool,
     /// Whether the motion has passed the vertex.
     pub passed: bool,
-    /// For a start from rest in the vertex: whether forces drive the motion, and the number of other branches open to it.
+    /// For a start from rest at the vertex: whether forces drive the motion, and the number of other possible branches.
     pub from_rest: Option<(bool, u32)>,
-    /// Acceleration q̈ at the end and work, J, where the equations of motion do not determine them.
+    /// Acceleration q̈ at the end and work, J, if the equations of motion do not determine them.
     pub known: Option<(Vector<N>, Work)>,
 }
 
-/// Knowledge of a system about its vertices; by default there are none.
+/// A system's knowledge about its vertices; by default there are none.
 pub trait Passage<const N: usize> {
-    /// Decides about the step that departs from this state.
+    /// Decides about the step that begins at this state.
     fn approach(&self, _limits: &PassageLimits, _from: &Departure<'_, N>) -> Approach<N> {
         Approach::Clear
     }
 
-    /// Whether a step of h seconds that a method has failed to take begins or ends close to a bifurcation of the constraints.
+    /// Whether a failed step of h seconds begins or ends near a bifurcation of the constraints.
     fn is_near_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> bool {
         false
     }
@@ -120,7 +119,7 @@ pub trait Passage<const N: usize> {
         true
     }
 
-    /// Energy that a step from q and q̇ has to conserve, if the state is so close to a vertex that round-off alone would change it.
+    /// Energy that a step from q and q̇ must conserve, if the state is so close to a vertex that round-off alone would change it.
     fn energy_to_keep(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<EnergyBalance> {
         None
     }
@@ -130,21 +129,21 @@ pub trait Passage<const N: usize> {
         false
     }
 
-    /// Acceleration q̈ at rest exactly in a vertex, where the equations of motion have several solutions: that of the branch of
-    /// least constraint. `None` elsewhere.
+    /// Acceleration q̈ at rest exactly at a vertex, on the branch of least constraint: the equations of motion have several solutions
+    /// there. `None` elsewhere.
     fn acceleration_from_rest(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// State from which the next step of at most `rest` seconds departs.
+    /// State from which the next step, of at most `rest` seconds, starts.
     pub(super) fn departure(&self, rest: f64) -> Departure<'_, N> {
         Departure { q: &self.q, v: &self.v, on_ray: self.on_ray, rest }
     }
 
-    /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there, and returns the mode in which the motion goes on.
-    /// A transit has no mode: the power is that of the present state at both ends.
+    /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there. Returns the mode in which the motion continues. A
+    /// transit has no mode: at both ends the power follows from the state.
     pub(super) fn pass_through<S: System<N, M> + Events<N>>(
         &mut self,
         system: &S,

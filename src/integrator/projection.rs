@@ -15,16 +15,16 @@ pub struct Projection {
     pub max_iterations: u32,
 }
 
-/// Admissible violation of a projection to round-off, relative to the system's size.
+/// Admissible violation of a projection to round-off, relative to the size of the system.
 const TO_ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 
 impl Projection {
-    /// Projection to round-off in a system of this [`System::length_scale`], m.
+    /// Projection to round-off for a system with this [`System::length_scale`], m.
     pub fn to_round_off(length_scale: f64, regularization: f64, max_iterations: u32) -> Self {
         Self { regularization, tolerance: TO_ROUND_OFF * length_scale, max_iterations }
     }
 
-    /// Projects q onto Φ = 0 by Newton's method; returns iterations and pose.
+    /// Projects q onto Φ = 0 by Newton's method. Returns the number of iterations and the pose.
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
@@ -34,7 +34,7 @@ impl Projection {
         Ok((self.position_from(system, &mut pose, q)?, pose))
     }
 
-    /// Projects q onto Φ = 0 from the pose at q, with corrections in the mass metric; returns the iterations.
+    /// Projects q onto Φ = 0 from the pose at q, with corrections in the mass metric. Returns the number of iterations.
     #[inline(always)]
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -45,7 +45,7 @@ impl Projection {
         self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
     }
 
-    /// Projects q onto Φ = 0 with corrections by a given map from the residual of Φ to a change of q.
+    /// Projects q onto Φ = 0 with corrections from a given map of the residual Φ to a change of q.
     #[inline(always)]
     pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
         &self,

@@ -1,4 +1,4 @@
-//! Classical Runge–Kutta of order 4 on the index-1 augmented form, the paper's Eq. (4), at fixed step.
+//! Classical Runge–Kutta method of order 4 with fixed steps, on the index-1 augmented form, the paper's Eq. (4).
 //!
 //! (M + Φ_qᵀαΦ_q) q̈ = Q − Φ_qᵀα Φ̇_q q̇ is solved as a saddle-point system with e = 1/α. The stabilising terms 2μωΦ̇ + ω²Φ are
 //! omitted (μ = ω = 0): the projection after each step replaces them exactly.
@@ -19,7 +19,7 @@ pub struct Settings {
     pub max_iterations: u32,
 }
 
-/// One step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
+/// Makes one step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,

@@ -1,5 +1,4 @@
-//! State of a run: coordinates, rates, accelerations and multipliers with work and counters; and the end of a step before it
-//! becomes the state.
+//! State of a run: coordinates, rates, accelerations, multipliers, work and counters; and the end of a step before it becomes the state.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -15,28 +14,28 @@ pub struct Counters {
     pub steps: u64,
     /// Accepted sub-steps.
     pub substeps: u64,
-    /// Newton iterations, those of rejected sub-steps included.
+    /// Newton iterations, including those of rejected sub-steps.
     pub iterations: u64,
     /// Rejected sub-steps.
     pub rejected: u64,
-    /// Sub-steps that converged only by the line-search fallback.
+    /// Sub-steps that converged only with the line-search fallback.
     pub rescued: u64,
-    /// Restarts: q̈ and λ solved again from equilibrium because inputs or parameters had changed.
+    /// Restarts: q̈ and λ were solved again from equilibrium because inputs or parameters changed.
     pub restarts: u64,
-    /// Starts from rest in a vertex.
+    /// Starts from rest at a vertex.
     pub launches: u64,
-    /// Vertices of the configuration space passed straight through.
+    /// Passages straight through a vertex of the configuration space.
     pub vertex_passes: u64,
     /// Sign changes of each determinant of [`System::configuration_signs`].
     pub sign_changes: [u64; CONFIGURATION_SIGNS],
-    /// Steps of the conserving method by the energy-only fallback, whose equations were not solved.
+    /// Steps of the conserving method that ended with the energy-only fallback because their equations were not solved.
     pub fallbacks: u64,
     /// Steps of fixed length that failed their checks (`checks.rs`).
     pub breaches: u64,
 }
 
 impl Counters {
-    /// Counts the determinants that have changed sign, and stores the new signs.
+    /// Counts the determinants that changed sign, and stores the new signs.
     pub(super) fn count_sign_changes(&mut self, stored: &mut u8, signs: u8) {
         if signs != *stored {
             for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
@@ -46,7 +45,7 @@ impl Counters {
         }
     }
 
-    /// Singular events: starts from rest in a vertex, vertices passed, sign changes of each determinant.
+    /// Counts of singular events: starts from rest at a vertex, passages through a vertex, sign changes of each determinant.
     pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
         let [first, second, third] = self.sign_changes;
         [self.launches, self.vertex_passes, first, second, third]
@@ -69,7 +68,7 @@ pub struct State<const N: usize, const M: usize> {
     pub lambda: Vector<M>,
     /// Predicted jerk (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, m/s³ and rad/s³; 0 after a restart.
     pub jerk: Vector<N>,
-    /// Sub-step that the local error last asked for, s; infinite before the first.
+    /// Sub-step that the last local error suggests, s; infinite before the first sub-step.
     pub substep: f64,
     /// Local error of the last accepted sub-step, rad; see [`System::error_norm`].
     pub error_estimate: f64,
@@ -77,20 +76,21 @@ pub struct State<const N: usize, const M: usize> {
     pub work: Work,
     /// Power at the state, W; 0 unless [`super::Features::work`].
     pub power: Work,
-    /// Kinetic plus potential energy at the state, J, with [`super::Features::checks`]; `None` where the motion or the machine was replaced.
+    /// Kinetic plus potential energy at the state, J, with [`super::Features::checks`]; `None` after the motion or the machine was
+    /// replaced.
     pub energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
-    /// Whether the motion is on a ray through a vertex, where no projection is made.
+    /// Whether the motion is on a ray through a vertex; then nothing is projected.
     pub on_ray: bool,
-    /// Number of further branches on which the last start from rest in a vertex could have left.
+    /// Number of other branches on which the last start from rest at a vertex could have left.
     pub alternatives: u32,
     /// Counters since the start.
     pub counters: Counters,
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// State at q and q̇ with these signs of the singularity determinants, before anything is known of its accelerations and its past.
+    /// State at q and q̇ with these signs of the singularity determinants; accelerations and history are not known yet.
     pub fn of_motion([q, v]: [Vector<N>; 2], configuration_signs: u8) -> Self {
         Self {
             q,
@@ -110,7 +110,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         }
     }
 
-    /// State at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
+    /// State at the start, with q̈ and λ from equilibrium. If the constraints lose rank, λ has minimum norm.
     pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
         let mut state = Self::of_motion([q, v], system.configuration_signs(&system.pose(&q)));
         let pose = system.pose(&q);
@@ -121,13 +121,13 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Solves q̈ and λ again from equilibrium after a discontinuity of the forces, and resets the predictor.
     ///
-    /// Otherwise a new input would act half a step late, and every driven scene would be of first order.
+    /// Without it a new input would act half a step late, and every driven scene would be of first order.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         self.reinitialize(system, pose, regularization);
         self.counters.restarts += 1;
     }
 
-    /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium and resets the predictor.
+    /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium, and resets the predictor.
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         if system.stuck() != Stuck::Nothing {
             let mass = system.factor_mass(pose, regularization);
@@ -138,26 +138,26 @@ impl<const N: usize, const M: usize> State<N, M> {
         self.jerk = Vector::ZERO;
     }
 
-    /// Sets q̈, λ and power from equilibrium; at rest exactly in a vertex q̈ is that of the branch of least constraint.
+    /// Sets q̈, λ and power from equilibrium. At rest exactly at a vertex, q̈ belongs to the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         let (a, lambda, power) = equilibrium(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         (self.lambda, self.power) = (lambda, power);
     }
 
-    /// The motion, as far as a step is checked; `None` where its energy is not known.
+    /// The quantities that a step's checks compare; `None` if the energy is not known.
     #[inline(always)]
     pub(super) fn checked(&self) -> Option<Checked<'_, N>> {
         let &Self { ref q, ref v, ref a, energy, work, configuration_signs, .. } = self;
         energy.map(|energy| Checked { q, v, a, energy, work, configuration_signs })
     }
 
-    /// Counts the determinants that have changed sign, and stores the new signs.
+    /// Counts the determinants that changed sign, and stores the new signs.
     pub(super) fn count_sign_changes(&mut self, configuration_signs: u8) {
         self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
     }
 
-    /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.
+    /// Copies the end of an accepted step. The method sets work, predictor and step length.
     pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
         let &StepEnd { q, v, a, lambda, power, energy, configuration_signs } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power, self.energy) = (q, v, a, lambda, power, energy);
@@ -178,7 +178,7 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) configuration_signs: u8,
 }
 
-/// Energy of a motion, J, where steps are checked.
+/// Energy of a motion, J, if steps are checked.
 #[inline(always)]
 fn energy_if_checked<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -218,7 +218,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
         }
     }
 
-    /// End at q and q̇ with q̈ and λ from equilibrium, as one shared copy of the code for rare operations.
+    /// End at q and q̇ with q̈ and λ from equilibrium; a shared copy of the code for rare operations.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
         let pose = system.pose(&q);
         Self::in_balance(system, [q, v], &pose, &system.factor_mass(&pose, regularization))
@@ -229,7 +229,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
         (self.q + self.v + self.a).is_finite()
     }
 
-    /// The end itself, or [`StepError::NotFinite`].
+    /// Returns the end itself, or [`StepError::NotFinite`].
     pub(super) fn finite(self) -> Result<Self, StepError> {
         if self.is_finite() { Ok(self) } else { Err(StepError::NotFinite) }
     }

@@ -1,4 +1,4 @@
-//! The interface between integrators and mechanical systems: constraints, masses, forces, their tangents and linear solves.
+//! The interface between methods and mechanical systems: constraints, masses, forces, their tangents and linear solves.
 
 use std::ops::AddAssign;
 
@@ -11,14 +11,14 @@ use crate::vector::Vector;
 ///
 /// Inputs belong to the system and are constant during a step. Constraints do not depend on time.
 pub trait System<const N: usize, const M: usize> {
-    /// Quantities that depend on q only and are computed once per q (directions, arms).
+    /// Quantities that depend only on q and are computed once per q (directions, arms).
     type Pose;
     /// Factorised saddle-point matrix [M Φ_qᵀ; Φ_q −e].
     type Mass: Kkt<N, M>;
 
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
-    /// Pose at q + `by` from the pose at q.
+    /// Pose at q + `by`, from the pose at q.
     fn pose_near(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
@@ -30,9 +30,9 @@ pub trait System<const N: usize, const M: usize> {
     fn phi_q_dot_times(&self, pose: &Self::Pose, v: &Vector<N>) -> Vector<M>;
     /// M x.
     fn mass_times(&self, pose: &Self::Pose, x: &Vector<N>) -> Vector<N>;
-    /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W; 0 unless [`Features::work`].
+    /// Generalised applied forces Q(q, q̇), and the power of inputs and of dissipative forces, W, which is 0 without [`Features::work`].
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work);
-    /// Kinetic energy plus potential energy of all forces but the inputs, J, which changes at the rate of their power.
+    /// Kinetic energy plus potential energy of all forces except the inputs, J. It changes at the rate of their power.
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
         0.0
     }
@@ -43,15 +43,15 @@ pub trait System<const N: usize, const M: usize> {
         Features::SMOOTH
     }
 
-    /// Signs of the singularity determinants, one bit each. A bit changes where the motion passes a singularity.
+    /// Signs of the singularity determinants, one bit each. A changed bit means that the motion passed a singularity.
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Sines whose signs [`System::configuration_signs`] are: of the angles by which the posture is off each singularity.
+    /// Sines of the angles between the posture and each singularity; [`System::configuration_signs`] are their signs.
     fn determinants(&self, _pose: &Self::Pose) -> [f64; CONFIGURATION_SIGNS] {
         [0.0; CONFIGURATION_SIGNS]
     }
-    /// Number of the branch of the constraints on which a motion is, where several meet and the coordinates alone do not keep it there.
+    /// Number of the constraint branch on which a motion is, if several branches meet and the coordinates alone do not keep it there.
     fn branch(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<u8> {
         None
     }
@@ -59,12 +59,12 @@ pub trait System<const N: usize, const M: usize> {
     fn stuck(&self) -> Stuck {
         Stuck::Nothing
     }
-    /// Sticking constraint with its reaction. Called only if [`System::stuck`] is not [`Stuck::Nothing`].
+    /// Sticking constraint and its reaction. Called only if [`System::stuck`] is not [`Stuck::Nothing`].
     fn sticking_constraint(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> StickingConstraint<N> {
         StickingConstraint::Nothing
     }
-    /// Tangents of q̈ with respect to q and q̇ at a state in dynamic equilibrium; `None` where they are unknown, so that no
-    /// implicit step begins there.
+    /// Tangents of q̈ with respect to q and q̇ at a state in dynamic equilibrium. `None` if they are unknown; then no implicit step begins
+    /// there.
     fn acceleration_tangents(
         &self,
         _at: &State<N, M>,
@@ -79,7 +79,7 @@ pub trait System<const N: usize, const M: usize> {
     fn length_scale(&self) -> f64;
 }
 
-/// Features of the forces of a system, by which a method treats them.
+/// Features of a system's forces that decide how a method treats them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Features {
     /// Whether the work of any force must be integrated along the path.
@@ -88,20 +88,20 @@ pub struct Features {
     pub stiff: bool,
     /// Whether there are events.
     pub events: bool,
-    /// Whether friction may stick: events are stick-slip transitions, whose state only the run can remember.
+    /// Whether friction may stick: events are then stick-slip transitions, and only the run can remember their state.
     pub may_stick: bool,
     /// Whether any force has sharp nonlinearities without an event.
     pub sharp: bool,
-    /// Whether the constraints are of a kind that is compiled apart from the others, so that evaluations leave the regular path.
+    /// Whether the constraints are compiled separately from the others, so that evaluations leave the regular path.
     pub special_constraints: bool,
-    /// Whether steps are checked against what no right step breaks (`checks.rs`).
+    /// Whether steps are checked against properties that every correct step has (`checks.rs`).
     pub checks: bool,
-    /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
+    /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate. A method must resolve it.
     pub regularization_velocity: f64,
 }
 
 impl Features {
-    /// Smooth forces whose work is of no interest.
+    /// Smooth forces without an account of work.
     pub const SMOOTH: Self = Self {
         work: false,
         stiff: false,
@@ -125,19 +125,19 @@ pub enum Stuck {
     Wholly,
 }
 
-/// A system for implicit methods: constraint forces, and tangents of all forces.
+/// A system for implicit methods: with constraint forces and with tangents of all forces.
 pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
-    /// The unspecialised form of the system, for rare operations; a specialised form is compiled for regular steps only.
+    /// The unspecialised form of the system, for rare operations. Specialised forms are compiled only for regular steps.
     type General: Implicit<N, M, Pose = Self::Pose>;
 
-    /// The unspecialised form of the system.
+    /// Returns the unspecialised form of the system.
     fn general(&self) -> Self::General;
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &Vector<M>) -> Vector<N>;
     /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the paper's projections.
     fn effective_mass_times(&self, at: &TangentPoint<'_, Self::Pose, N, M>, x: &Vector<N>) -> Vector<N>;
-    /// Solves A₀ x + Φ_qᵀ y = b, Φ_q x − e y = c with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q);
-    /// [`StepError::IndefiniteTangent`] where h is so long that A₀ is not positive definite.
+    /// Solves A₀ x + Φ_qᵀ y = b, Φ_q x − e y = c with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q). Returns
+    /// [`StepError::IndefiniteTangent`] if h is so long that A₀ is not positive definite.
     fn solve_tangent(
         &self,
         at: &TangentPoint<'_, Self::Pose, N, M>,
@@ -145,8 +145,8 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         right: (&Vector<N>, &Vector<M>),
     ) -> Result<(Vector<N>, Vector<M>), StepError>;
 
-    /// Solves the system of [`Implicit::solve_tangent`] with A₀ made positive definite: a descent direction of the incremental
-    /// potential for the line search after a failed Newton iteration. `None`: no fallback.
+    /// Solves the system of [`Implicit::solve_tangent`] with A₀ made positive definite. The result is a descent direction of the
+    /// incremental potential, for the line search after a failed Newton iteration. `None` means that there is no fallback.
     fn solve_descent(
         &self,
         _at: &TangentPoint<'_, Self::Pose, N, M>,
@@ -155,13 +155,12 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     ) -> Option<(Vector<N>, Vector<M>)> {
         None
     }
-    /// Potential energy of all forces, constant inputs included, J, for the line search; `None` where a force has no known
-    /// potential.
+    /// Potential energy of all forces including constant inputs, J, for the line search. `None` if a force has no known potential.
     fn potential(&self, _q: &Vector<N>, _pose: &Self::Pose) -> Option<f64> {
         None
     }
 
-    /// Generalised forces of drives (servos), if there are any. Called only with [`Features::stiff`] forces.
+    /// Generalised forces of drives (servos), if there are any. Called only for [`Features::stiff`] forces.
     fn drive_forces(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
@@ -200,7 +199,7 @@ pub struct AccelerationTangents<const N: usize> {
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
     fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>);
-    /// The x for b = 0: the smallest change in the metric of A that moves Φ_q x by c, as projections need.
+    /// The x for b = 0: the smallest change, in the metric of A, that changes Φ_q x by c. Projections use it.
     fn correction(&self, c: &Vector<M>) -> Vector<N> {
         self.solve(&Vector::ZERO, c).0
     }
@@ -244,7 +243,7 @@ impl AddAssign for Work {
 }
 
 impl Work {
-    /// Work that came in and was not dissipated.
+    /// Work of the inputs minus dissipated work.
     pub(super) fn net(self) -> f64 {
         self.input - self.dissipated
     }
@@ -254,7 +253,7 @@ impl Work {
         Vector::from([self.input, self.dissipated])
     }
 
-    /// Work from the vector (input, dissipated).
+    /// Creates the work from the vector (input, dissipated).
     pub(super) fn of_pair(pair: Vector<2>) -> Self {
         Self { input: pair[0], dissipated: pair[1] }
     }
