@@ -219,9 +219,7 @@ fn is_able<const N: usize>(stick_slip: &StickSlips, constraint: &FrictionConstra
 /// closure. `None` if the closure keeps the place from moving, for example an elbow at its turning point.
 ///
 /// Because of the regularisation e of the saddle-point system, r has a part of order e that violates the closure. The row responds to this
-/// part as if the place could move; the response of M r is only of order e². A place is mobile if nearly all of its mobility remains with M
-/// r.
-/// place could move; M r responds to it in the order of e². A mobility is one of the mechanism if nearly all of it remains.
+/// part as if the place could move; the response of M r is only of order e². A place can move if M r keeps nearly all of its mobility.
 fn admissible_direction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     (pose, mass): (&S::Pose, &S::Mass),

@@ -1,11 +1,11 @@
 //! Error-controlled steps with dense output on the index-1 form of a [`super::System`], projected onto the constraints after every
 //! accepted step.
 //!
-//! A step belongs to a [`Scheme`]: explicit (`explicit.rs`) of order 8 or 5, or linearly implicit (`rosenbrock.rs`) for stiff
-//! loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
-//! interpolant. Inputs are constant during a step; if they change at a communication point inside it, the step is discarded and
-//! redone up to that point ([`DenseStep::truncate_and_redo`]). So the state of a run is its current step: both ends, the
-//! coefficients of the interpolant and the time elapsed in it. Events of the forces end a step (`locator.rs`).
+//! A step belongs to a [`Scheme`]: explicit (`explicit.rs`) of order 8 or 5, or linearly implicit (`rosenbrock.rs`) for stiff loads. Steps
+//! are as long as the local error allows and may pass communication points; the state there is the projected interpolant. Inputs are
+//! constant during a step. If they change at a communication point inside it, the step is discarded and redone up to this point
+//! ([`DenseStep::truncate_and_redo`]). The state of a run is therefore its current step: both ends, the coefficients of the interpolant and
+//! the time elapsed in it. Events of the forces end a step (`locator.rs`).
 //!
 //! `docs/explicit.md` and `docs/automatic.md` derive the methods.
 
@@ -32,9 +32,9 @@ use trial::StageDerivative;
 pub struct Settings {
     /// Schemes in use.
     pub schemes: Schemes,
-    /// Admissible local error per step: this value for a coordinate, rad, and (10/s + |q̇|) times it for a rate; root mean square.
+    /// Admissible local error per step, as root mean square: this value for a coordinate, rad, and (10/s + |q̇|) times it for a rate.
     pub error_tolerance: f64,
-    /// Energy, J, by which the error tolerance is multiplied to bound the error of a step's work; used with events.
+    /// Energy, J. Times the error tolerance, it bounds the error of a step's work; used with events.
     pub energy_scale: f64,
     /// Length of the first step tried, s.
     pub first_step: f64,
@@ -42,7 +42,8 @@ pub struct Settings {
     pub max_iterations: u32,
     /// Largest number of evaluations and iterations in one macro step, so that every call ends.
     pub max_work: u32,
-    /// Regularisation e of the saddle-point systems, 1/kg (the unit of Φ_q M⁻¹ Φ_qᵀ), noticeable only where that matrix loses rank.
+    /// Regularisation e of the saddle-point systems, 1/kg (the unit of Φ_q M⁻¹ Φ_qᵀ). It has a visible effect only if this matrix loses
+    /// rank.
     pub regularization: f64,
 }
 
@@ -52,18 +53,17 @@ const EVALUATIONS: u64 = 12;
 /// Round-off of a sum of macro steps, relative to the current step.
 const MACRO_STEP_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// Limits of the steps ahead, s from the beginning of a macro step.
+/// Limits of the next steps, s from the beginning of a macro step.
 #[derive(Clone, Copy, Debug)]
 pub struct Horizon {
-    /// Time of the next output, s; infinite where no output is read before the end of the step. A step that passes it is
-    /// interpolated.
+    /// Time of the next output, s; infinite if no output is read before the end of the step. A step that passes it is interpolated.
     pub output: f64,
     /// Latest end of a step, s.
     pub limit: f64,
 }
 
 impl Horizon {
-    /// Horizon seen `elapsed` seconds later.
+    /// The horizon `elapsed` seconds later.
     fn after(self, elapsed: f64) -> Self {
         Self { output: self.output - elapsed, limit: self.limit - elapsed }
     }
@@ -72,33 +72,33 @@ impl Horizon {
 /// State of a run: its current step.
 #[derive(Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct DenseStep<const N: usize, const M: usize, K> {
-    /// State at the beginning of the step, the last accepted state that time has passed.
+    /// State at the beginning of the step: the last accepted state that time has passed.
     start: State<N, M>,
-    /// State at the end of the step; after Tsit5 without q̈, λ and power, which are evaluated when needed.
+    /// State at the end of the step. After Tsit5 it lacks q̈, λ and power, which are evaluated when needed.
     end: State<N, M>,
     /// Length of the step, s.
     length: f64,
-    /// Length of the original step, s, if this step is its part before an event; 0 otherwise.
+    /// If this step is a part of an original step before an event: length of the original step, s; otherwise 0.
     truncated_from: f64,
     /// Time elapsed in the step, s, between 0 and its length.
     elapsed: f64,
     /// Scheme of the step.
     scheme: Scheme,
-    /// Higher coefficients of the interpolant; 0 where no interpolant was needed.
+    /// Higher coefficients of the interpolant; 0 if no interpolant was needed.
     dense: [StageDerivative<N>; 4],
-    /// Whether the step is a straight motion through a vertex, where nothing is projected.
+    /// Whether the step is a straight motion through a vertex; then nothing is projected.
     is_linear: bool,
     /// Mode of the forces within the step.
     mode: K,
-    /// Mode of the forces from the end of the step on.
+    /// Mode of the forces after the end of the step.
     next_mode_at_end: K,
     memory: Memory,
-    /// Memory at the beginning of the step, for redoing it.
+    /// Memory at the beginning of the step, to redo it.
     before: Memory,
 }
 
 impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
-    /// Copies the whole value at once; a derived implementation would go field by field.
+    /// Copies the whole value at once; a derived implementation would copy field by field.
     fn clone(&self) -> Self {
         *self
     }
@@ -109,14 +109,14 @@ impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
 struct Memory {
     /// Natural logarithm of the error of the last accepted step, in units of the tolerance.
     log_error: f64,
-    /// Step length wanted in the other contact mode (with or without a pushing contact), s; infinite where unknown.
+    /// Step length for the other contact mode (with or without a pushing contact), s; infinite if unknown.
     substep_in_other_mode: f64,
     stiffness: StiffnessDetector,
     stiffness_switch: StiffnessSwitch,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Starts a run at q and q̇, which must meet the constraints.
+    /// Starts a run at q and q̇, which must satisfy the constraints.
     pub fn start<S: Mechanics<N, M, Mode = K>>(system: &S, q: Vector<N>, v: Vector<N>, settings: &Settings) -> Self {
         let mode = system.mode_of(&q, &v);
         let state = State::start(&*system.on(mode), q, v, settings.regularization);
@@ -142,7 +142,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Advances by macro steps of `h` seconds within the current step, `most` at most; returns their number.
+    /// Advances by at most `most` macro steps of `h` seconds within the current step. Returns their number.
     pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
         let (length, rounded) = (self.length, MACRO_STEP_ROUND_OFF * self.length);
         // A macro step that begins before this time ends before the current step does.
@@ -152,8 +152,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             elapsed += h;
             left -= 1;
         }
-        // A macro step that ends with the current step within round-off ends with it. At its very end even the shortest macro step
-        // exceeds it.
+        // A macro step that ends within round-off of the current step's end is set to end there. At the very end even the shortest macro
+        // step exceeds the current step.
         if left > 0 && elapsed < length && h <= length - elapsed + rounded {
             elapsed = length;
             left -= 1;
@@ -165,8 +165,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// Advances by one macro step of `h` seconds; `pose` is the pose at the end of the current step, if known. On failure the run
-    /// is undefined, so the caller keeps a copy.
+    /// Advances by one macro step of `h` seconds. `pose` is the pose at the end of the current step, if known. On failure the run is
+    /// undefined, so the caller keeps a copy.
     pub fn advance<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
@@ -178,7 +178,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.advance_within(h, 1) == 1 { Ok(()) } else { self.advance_past(system, settings, h, horizon, pose) }
     }
 
-    /// Advances by a macro step that exceeds the current step, see [`advance_within`](Self::advance_within).
+    /// Advances by a macro step that exceeds the current step; see [`advance_within`](Self::advance_within).
     pub fn advance_past<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
@@ -207,7 +207,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         EVALUATIONS * (substeps + rejected) + iterations
     }
 
-    /// Checks the work limit of a macro step that began at the count `done`.
+    /// Refuses work above the limit, for a macro step that began at the count `done`.
     fn check_work(&self, settings: &Settings, done: u64) -> Result<(), StepError> {
         if self.work() - done <= u64::from(settings.max_work) {
             return Ok(());
@@ -215,8 +215,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Err(StepError::TooMuchWork { most: settings.max_work, substep: self.length, error: self.end.error_estimate })
     }
 
-    /// Ends the current step at the present time, because inputs or parameters change: the step is redone up to here. `system` is
-    /// the system of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
+    /// Ends the current step at the present time because inputs or parameters change: redoes it up to this time. `system` is the system of
+    /// the step; [`restart`](Self::restart) follows. On failure the run is undefined.
     pub fn truncate_and_redo<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) -> Result<(), StepError> {
         let mut rest = self.elapsed;
         if rest == self.length {
@@ -233,13 +233,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest }, None)?;
             rest -= self.length;
         }
-        // Dissipation shown to the caller is not taken back: of two values below the exact one the larger is closer.
+        // Dissipation that the caller has seen does not decrease: of two values below the exact one, the larger is closer.
         self.end.work.dissipated = self.end.work.dissipated.max(sampled.dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
     }
 
-    /// Discards the step, which counts as rejected.
+    /// Discards the step and counts it as rejected.
     fn discard(&mut self) {
         self.reset_to_start();
         self.end.counters.rejected += 1;
@@ -255,8 +255,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.counters.iterations = iterations;
     }
 
-    /// Ends the current step at the present time, because the motion is replaced: the step is discarded, and the work shown so far
-    /// is kept. `system` is the system of the step; [`replace`](Self::replace) and [`restart`](Self::restart) follow.
+    /// Ends the current step at the present time because the motion is replaced: discards the step but keeps the work that the caller has
+    /// seen. `system` is the system of the step; [`replace`](Self::replace) and [`restart`](Self::restart) follow.
     pub fn abandon<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let work = self.sample(system, settings).work;
         if self.elapsed < self.length {
@@ -267,7 +267,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.length, self.elapsed) = (0.0, 0.0);
     }
 
-    /// Notes after the current step has been ended that the machine is replaced, and its motion where another one is given;
+    /// Notes that the machine is replaced, and the motion too if `motion` is given. The current step must have been ended;
     /// [`restart`](Self::restart) follows.
     pub fn replace(&mut self, motion: Option<[Vector<N>; 2]>) {
         if let Some([q, v]) = motion {
@@ -276,8 +276,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.energy = None;
     }
 
-    /// Restarts after a discontinuity that did the given work, J, and before which the current step has been ended. `pose` is the
-    /// pose at the present state.
+    /// Restarts after a discontinuity that did the given work, J. The current step must have been ended. `pose` is the pose at the present
+    /// state.
     pub fn restart<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose, work: Work) {
         let mode = system.mode_of(&self.end.q, &self.end.v);
         self.end.configuration_signs = system.configuration_signs(pose);
@@ -288,7 +288,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.dense, self.is_linear, self.truncated_from) = ([StageDerivative::NONE; 4], false, 0.0);
     }
 
-    /// Shifts the coordinates by whole turns, which leave the system unchanged, rad.
+    /// Shifts the coordinates by whole turns, rad, which do not change the system.
     pub fn shift(&mut self, shift: &Vector<N>) {
         self.start.q += *shift;
         self.end.q += *shift;

@@ -1,6 +1,6 @@
 //! The default method: index-3 augmented Lagrangian with projections (i3-ALP) in dual form, with error-controlled sub-steps.
 //!
-//! `docs/method.md` (section 5) derives the step from the paper's equations. With A₀ the tangent without penalty and e = 1/(αβ), the
+//! `docs/method.md` (section 5) derives the step from the paper's equations. With the tangent A₀ without penalty and e = 1/(αβ), the
 //! penalty step (A₀ + αβ Φ_qᵀΦ_q) Δq = −f, λ* ← λ* + αΦ is equivalent to the saddle-point system
 //!
 //! ```text
@@ -8,7 +8,7 @@
 //! [ Φ_q   −e  ] [ βλ ] = [ −Φ − e β λ*         ]        β = h²/4
 //! ```
 //!
-//! in the total multiplier λ: nothing large enters a diagonal, and no multiplier accumulates over the steps.
+//! for the total multiplier λ. No diagonal contains a large term, and no multiplier accumulates over the steps.
 
 mod damping;
 mod line_search;
@@ -43,10 +43,10 @@ pub struct Settings {
     pub tolerance: f64,
     /// Largest number of Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// Largest work per macro step, rejected sub-steps included, so that every call ends: Newton iterations weighted by the cost of
-    /// their linear solve, plus line-search trials, plus sub-steps.
+    /// Largest work per macro step including rejected sub-steps, so that every call ends. Work counts Newton iterations, weighted by the
+    /// cost of their linear solve, line-search trials and sub-steps.
     pub max_work: u32,
-    /// Energy, J, by which the error tolerance is multiplied to bound the error of a step's energy balance; used with stiff forces.
+    /// Energy, J. Times the error tolerance, it bounds the error of a step's energy balance; used with stiff forces.
     pub energy_scale: f64,
     /// Total energy at the start, J; used with stiff forces.
     pub energy_at_start: f64,
@@ -54,38 +54,38 @@ pub struct Settings {
     pub regularization: f64,
 }
 
-/// Shortest sub-step from which the predictor takes a jerk, s: below it the change of q̈ is round-off.
+/// Shortest sub-step for which the predictor uses a jerk, s: in shorter sub-steps the change of q̈ is round-off.
 const SHORTEST_FOR_JERK: f64 = 1e-10;
-/// Shortest step solved by Newton's method, s: below it the Taylor series is exact, while Newton's method would divide round-off by
+/// Shortest step solved by Newton's method, s. In shorter steps the Taylor series is exact, while Newton's method would divide round-off by
 /// h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
-/// Longest stretch for a parabola of sticking friction, relative to the step: the local error bounds the change of the accelerations, so that
+/// Longest stretch for a parabola of sticking friction, relative to the step. The local error bounds the change of the accelerations, so
 /// reactions bend little over a step.
 const LONGEST_PARABOLA: f64 = 1.0;
 /// Step-size controller for a local error of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// A macro step under way.
+/// A macro step in progress.
 #[derive(Clone, Copy, Debug)]
 pub struct MacroStep {
     /// Time left, s.
     rest: f64,
-    /// Work done: sub-steps, tried or through a vertex, and weighted iterations.
+    /// Work done: sub-steps, whether tried or through a vertex, and weighted iterations.
     work: u64,
     /// Length, s, and error, rad, of the last sub-step tried.
     last: [f64; 2],
-    /// Longest sub-step after the last rejected one, s.
+    /// Longest sub-step after the last rejection, s.
     shorter: f64,
 }
 
 impl MacroStep {
-    /// Macro step of `h` seconds.
+    /// Starts a macro step of `h` seconds.
     pub fn of(h: f64) -> Self {
         Self { rest: h, work: 0, last: [h, f64::INFINITY], shorter: h }
     }
 
-    /// Goes on from `mode`, in one step or in error-controlled sub-steps. On failure `state` and `mode` are undefined, so the caller keeps
+    /// Continues in `mode`, in one step or in error-controlled sub-steps. On failure `state` and `mode` are undefined, so the caller keeps
     /// a copy.
     #[inline(never)]
     pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
@@ -113,8 +113,8 @@ impl MacroStep {
         Ok(Progress::Done)
     }
 
-    /// After a blocked sub-step: applies the transit past the bifurcation, or tries a shorter sub-step where there is none. Returns
-    /// whether the macro step is done.
+    /// Continues after a blocked sub-step: applies the transit past the bifurcation or, without one, tries a shorter sub-step. Returns
+    /// whether the macro step is done or blocked again.
     pub fn cross<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
         system: &S,
@@ -133,12 +133,12 @@ impl MacroStep {
         self.advance(system, settings, state, mode)
     }
 
-    /// Part of the time left, s, that divides it equally into sub-steps of at most `longest` seconds.
+    /// Sub-step, s, that divides the remaining time into equal parts of at most `longest` seconds.
     fn divided(&self, longest: f64) -> f64 {
         self.rest / (self.rest / longest).ceil().max(1.0)
     }
 
-    /// Checks the work limit.
+    /// Refuses work above the limit of a macro step.
     fn check_work(&self, &Settings { max_work, .. }: &Settings) -> Result<(), StepError> {
         let [substep, error] = self.last;
         let error = if error.is_nan() { f64::INFINITY } else { error };
@@ -146,7 +146,7 @@ impl MacroStep {
     }
 }
 
-/// A sub-step under trial. Sub-steps divide the rest of the macro step into equal parts, anew for each.
+/// A sub-step under trial. Each sub-step again divides the rest of the macro step into equal parts.
 struct Substep<'a, S: Events<N>, const N: usize, const M: usize> {
     of: &'a mut MacroStep,
     settings: &'a Settings,
@@ -246,20 +246,20 @@ impl<S: Implicit<N, M> + Mechanics<N, M>, const N: usize, const M: usize> Method
     }
 }
 
-/// A sub-step that converged and is not accepted yet.
+/// A sub-step that has converged and is not yet accepted.
 struct Attempt<const N: usize, const M: usize> {
     end: StepEnd<N, M>,
     /// Local error, rad.
     error: f64,
     /// Energy dissipated by springs that have separated, J.
     separated: f64,
-    /// Work of drives beyond the trapezoidal rule, J, where the error of the rates is controlled.
+    /// Work of drives beyond the trapezoidal rule, J, if the error of the rates is controlled.
     driven: f64,
 }
 
-/// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
-/// (15); acceleration and multipliers from equilibrium (16); local error (18). `from` are the guard values at the beginning, where
-/// events are located.
+/// Tries one step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
+/// (15); acceleration and multipliers from equilibrium (16); local error (18). `from` are the guard values at the beginning, if events are
+/// located.
 #[inline(never)] // one shared copy for fixed steps and sub-steps saves 33 kB and costs 1.5 % of the instructions of a bare step
 fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     system: &S,
@@ -272,13 +272,13 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         return taylor_step(system, state, h, settings.regularization);
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
-    // Predictor (19), then Newton's method (9) with its fallbacks.
+    // Predictor (19), then Newton's method (9) and its fallbacks.
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
     let mut retried = false;
     let pose = loop {
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
             Ok(pose) => break pose,
-            // Stiff friction keeps the rates constant where the predicted accelerations would change them.
+            // Stiff friction keeps the rates constant although the predicted accelerations would change them.
             Err(_) if controls_rates(&settings, system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
                 step = step.without_jerk(state);
@@ -287,7 +287,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         }
     };
 
-    // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16): one factorisation serves both.
+    // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16). One factorisation serves both.
     let (q, v) = (step.q(), step.velocity());
     let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
@@ -299,7 +299,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
     let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
-    // Next to a vertex the rates are already scaled to the energy.
+    // Near a vertex the rates are already scaled to the energy.
     if controls_rates(&settings, system)
         && limits.energy.is_none()
         && let Some(damped) = damping::damped(system, &settings, state, h, (&pose, &mass), &end)
@@ -317,12 +317,13 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, separated, driven }) } else { Err(StepError::NotFinite) }
 }
 
-/// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost constant angles.
+/// Whether the error of the rates is controlled in addition to the error of the angles: with stiff forces, rates oscillate at almost
+/// constant angles.
 fn controls_rates<const N: usize, const M: usize>(settings: &Settings, system: &impl Implicit<N, M>) -> bool {
     settings.adaptive && system.features().stiff
 }
 
-/// A step so short that q̈ and λ change by round-off only.
+/// A step so short that q̈ and λ change only by round-off.
 #[cold]
 fn taylor_step<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
@@ -335,9 +336,9 @@ fn taylor_step<const N: usize, const M: usize>(
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
-    /// Checks the sub-step for events after `tries` trials to end it at a guard. Its dense output is the quintic of both ends, with the
-    /// integral of the rates as displacement: that of the trapezoidal rule differs by the local error, which divided by h would show
-    /// slips that are none.
+    /// Checks the sub-step for events after `tries` trials to end it at a guard. The dense output is the quintic of both ends, with the
+    /// integral of the rates as displacement. The displacement of the trapezoidal rule differs by the local error, which divided by h would
+    /// show slip where there is none.
     #[cold]
     fn check_events<S: Implicit<N, M> + Events<N>>(
         &self,
@@ -358,14 +359,14 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         locator::check((system, settings.error_tolerance), at_start, ([&to.q, &to.v, &to.a], h), tries, &path, |_| false)
     }
 
-    /// Makes the attempt the new state.
+    /// Accepts the attempt as the new state.
     fn accept(&self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
         let Self { end, error, separated, .. } = self;
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
         }
         if system.features().work {
-            // Trapezoidal rule, of the order of the method.
+            // Trapezoidal rule, which has the order of the method.
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
             state.work.dissipated += separated;
         }
@@ -374,8 +375,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     }
 }
 
-/// Local error of a step of h over the angles, rad (18): of the trapezoidal rule, from the change of q̈, and of the velocity
-/// projection.
+/// Local error of a step of h over the angles, rad (18): of the trapezoidal rule, from the change of q̈, and of the velocity projection.
 pub(super) fn local_error<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     h: f64,

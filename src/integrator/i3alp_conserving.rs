@@ -1,8 +1,8 @@
-//! Energy-conserving step of fixed length: index-3 augmented Lagrangian on the energy–momentum rule, with position and velocity
-//! constraints met by discrete derivatives (Gonzalez 1996; García Orden and Ortega 2006; Gear, Leimkuhler, Gupta 1985).
+//! Energy-conserving step of fixed length: index-3 augmented Lagrangian on the energy–momentum rule. Discrete derivatives satisfy the
+//! position and velocity constraints (Gonzalez 1996; García Orden and Ortega 2006; Gear, Leimkuhler, Gupta 1985).
 //!
-//! `docs/conserving.md` derives it. Unknowns are the increment d = q₁ − q₀, Λ = h²λ/2 with the joint forces λ, and the multipliers ν of
-//! the velocity constraints; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
+//! `docs/conserving.md` derives it. Unknowns are the increment d = q₁ − q₀, Λ = h²λ/2 with the joint forces λ, and the multipliers ν of the
+//! velocity constraints. With z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
 //!
 //! ```text
 //! M (z − h q̇₀) + J_bᵀ Λ + ½ K_b(z)ᵀ ν = ½ h² Q̄       momentum
@@ -10,9 +10,9 @@
 //! J₁ w = 0,   w = h q̇₁ = 2z − h q̇₀                    velocities
 //! ```
 //!
-//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z, so constraint forces do no work at any h; Q̄ᵀd is the work of the applied forces. So
-//! energy, Φ and Φ̇ are conserved to round-off, and no local error is estimated. Steps that plain Newton iteration does not solve go
-//! through the stages of `fallback.rs`.
+//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z, so constraint forces do no work at any h; Q̄ᵀd is the work of the applied forces. Energy, Φ
+//! and Φ̇ are therefore conserved to round-off, and no local error is estimated. If plain Newton iteration does not solve a step, the
+//! stages of `fallback.rs` follow.
 
 mod fallback;
 mod newton;
@@ -28,16 +28,16 @@ use newton::{IterationBudget, ResidualBounds, StopRule, staggered_newton};
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Settings {
-    /// Largest number of Newton iterations of the first try.
+    /// Largest number of Newton iterations in the first try.
     pub max_iterations: u32,
-    /// Largest number of Newton iterations of one step with its fallback stages, the energy-only stage excepted; 0: no fallback but
-    /// a better first guess.
+    /// Largest number of Newton iterations of one step including its fallback stages, except the energy-only stage. 0 allows no fallback
+    /// other than a better first guess.
     pub max_work: u32,
-    /// Regularisation e of the step's systems, 1/kg: it weighs increments and moves no root.
+    /// Regularisation e of the step's systems, 1/kg. It weighs increments and does not move the root.
     pub regularization: f64,
     /// Regularisation e of equilibrium and projections, 1/kg.
     pub equilibrium: f64,
-    /// Energy, J, that counts as in motion where the balance of a step is checked.
+    /// Energy, J, that is always added to the motion's energy in the check of a step's balance.
     pub energy_scale: f64,
 }
 
@@ -50,7 +50,7 @@ const HISTORY_LENGTH: usize = 6;
 /// Number of past steps that a quadratic extrapolation uses.
 const PARABOLA: usize = 3;
 
-/// State of a run. Accelerations and joint forces are not part of it: they follow from equilibrium when they are read.
+/// State of a run. Accelerations and joint forces are not part of it; they are computed from equilibrium when they are read.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct ConservingRun<const N: usize, const K: usize> {
     /// Coordinates, m and rad.
@@ -59,7 +59,7 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
-    /// Energy at q and q̇, J, from the end of a step on that is checked, until anything else changes it.
+    /// Energy at q and q̇, J; known after a checked step until anything else changes it.
     energy: Option<f64>,
     /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
@@ -68,7 +68,7 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     history: History<K>,
 }
 
-/// Loop-cut unknowns of past steps, from which those of the next step are extrapolated.
+/// Loop-cut unknowns of past steps; the unknowns of the next step are extrapolated from them.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct History<const K: usize> {
     /// Length of these steps, s.
@@ -82,7 +82,7 @@ struct History<const K: usize> {
 impl<const K: usize> History<K> {
     const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; HISTORY_LENGTH] };
 
-    /// Extrapolates by the polynomial of degree 5 through the last six steps of length `h`, or by a parabola through three.
+    /// Extrapolates with the polynomial of degree 5 through the last six steps of length `h`, or with a parabola through three.
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
         match usize::from(known) {
@@ -103,28 +103,28 @@ impl<const K: usize> History<K> {
 }
 
 impl<const N: usize, const K: usize> ConservingRun<N, K> {
-    /// Starts a run at q and q̇, which must meet the constraints.
+    /// Starts a run at q and q̇, which must satisfy the constraints.
     pub fn start<const M: usize, S: Discrete<N, M, K>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
         let counters = Counters::default();
         Self { q, v, work: Work::default(), energy: None, configuration_signs, counters, history: History::NONE }
     }
 
-    /// Notes a discontinuity of the inputs, which makes the higher differences of the history useless: a parabola is used until the
-    /// history is full again.
+    /// Notes a discontinuity of the inputs. It makes higher differences of the history useless, so a parabola is used until the history is
+    /// full again.
     pub fn change(&mut self) {
         self.history.known = self.history.known.min(PARABOLA as u8);
         self.counters.restarts += 1;
     }
 
-    /// Notes a discontinuity of the motion or of the machine, which did the given work, J, and clears the history.
+    /// Notes a discontinuity of the motion or the machine that did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
         (self.energy, self.history) = (None, History::NONE);
         self.counters.restarts += 1;
     }
 
-    /// Full state with q̈, λ and power from equilibrium. None of these values is fed back.
+    /// Full state with q̈, λ and power from equilibrium. The run does not use these values.
     pub fn state<const M: usize, S: Discrete<N, M, K> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, configuration_signs, counters, .. } = self;
         let mut state = State { work, counters, ..State::of_motion([q, v], configuration_signs) };
@@ -132,8 +132,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         state
     }
 
-    /// One step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
-    /// `system`; a specialised form is compiled for the first try only.
+    /// Makes one step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
+    /// `system`; a specialised form is compiled only for the first try.
     #[inline(never)]
     pub fn advance<const M: usize, S, G>(
         &mut self,
@@ -153,7 +153,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.substeps += 1;
                 return Ok(());
             }
-            // After rest the history says nothing about the branch.
+            // After rest the history contains no information about the branch.
             self.history = History::NONE;
         }
         let x = match self.history.extrapolated(h) {
@@ -190,12 +190,12 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.by_full_newton(&Step::new(general, [&q, &v], h), settings, (begun, guess))
     }
 
-    /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
+    /// Whether a system at rest stays at rest. Newton's method would amplify round-off at a vertex.
     fn is_in_balance<const M: usize, S: Discrete<N, M, K> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
         self.state(system, settings.equilibrium).a.max_norm() < BALANCED
     }
 
-    /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
+    /// First guess of the unknowns from equilibrium, for the start, after a discontinuity, and when h changes.
     fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
     where
         S: Discrete<N, M, K> + Passage<N>,
@@ -206,7 +206,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         from_equilibrium::<N, M, K, S>(&self.v, (&branch.unwrap_or(a), &lambda), h)
     }
 
-    /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
+    /// Full Newton iteration from the result of the staggered iteration; if it fails, the fallback stages.
     fn by_full_newton<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M, K>,
@@ -223,7 +223,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
     }
 
-    /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
+    /// Runs the fallback stages within the remaining iterations of the step, which began at the iteration count `begun`.
     #[inline(never)]
     fn recover<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
@@ -241,7 +241,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.accept(step, settings, &end)
     }
 
-    /// Accepts the end of a step that was found by full Newton iteration or a fallback stage.
+    /// Accepts the end of a step found by full Newton iteration or a fallback stage.
     fn accept<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         step: &Step<'_, S, N, M, K>,
@@ -251,8 +251,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.conclude(step.system, settings, &step.increment(secant, [d, acting]), (v, *x))
     }
 
-    /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted. The unknowns
-    /// `x` of a root enter the history; an end that is no root clears it.
+    /// Advances the run to q₀ + d with the velocity `v`. The work is evaluated with the rates in `over`, at which the forces acted. The
+    /// unknowns `x` of a root enter the history; an end without a root clears it.
     fn conclude<const M: usize, S: Discrete<N, M, K>>(
         &mut self,
         system: &S,
@@ -286,13 +286,13 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         books.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), over.h)
     }
 
-    /// The motion, as far as a step is checked, with its energy.
+    /// The quantities that a step's checks compare, with the given energy, J.
     fn checked(&self, energy: f64) -> Checked<'_, N> {
         let &Self { ref q, ref v, work, configuration_signs, .. } = self;
         Checked { q, v, a: &Vector::ZERO, energy, work, configuration_signs }
     }
 
-    /// A step so short that q̈ changes by round-off only.
+    /// A step so short that q̈ changes only by round-off.
     fn taylor_step<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &mut self,
         system: &S,
@@ -307,7 +307,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
     }
 
-    /// Refuses a run whose numbers are impossible or whose loop is open; e of equilibrium is `regularization`, 1/kg.
+    /// Refuses a run with impossible numbers or an open loop. `regularization` is e of equilibrium, 1/kg.
     pub fn check<const M: usize, S: Discrete<N, M, K> + Passage<N>>(
         &self,
         system: &S,

@@ -1,6 +1,6 @@
-//! i3-ALP as the paper prints it, misprints corrected (`docs/method.md`, "Errata of the paper"), for comparison.
+//! i3-ALP as printed in the paper, with misprints corrected (`docs/method.md`, "Errata of the paper"), for comparison.
 //!
-//! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
+//! It uses a fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection and no sub-steps. Every linear
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ), which has the same x.
 
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -19,11 +19,11 @@ pub struct Settings {
     pub max_iterations: u32,
 }
 
-/// Bound on |Δq| and |Φ| at which Newton's method stops, relative to the system's size. With a fixed α both fall linearly, more
-/// slowly near singularities: ten iterations do not meet a tighter bound on the paper's own free fall.
+/// Bound on |Δq| and |Φ| at which Newton's method stops, relative to the size of the system. With a fixed α both fall linearly, and more
+/// slowly near singularities: ten iterations do not meet a tighter bound in the paper's own free fall.
 const STOP: f64 = 1e-8;
 
-/// One step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
+/// Makes one step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,

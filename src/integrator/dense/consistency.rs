@@ -1,4 +1,4 @@
-//! Check of a stored current step: its ends and the states inside it close the loop, and its lengths and memory are possible.
+//! Check of a stored current step: its ends and the states inside close the loop, and its lengths and memory are possible.
 
 use super::step::LONGEST;
 use super::trial::StageDerivative;
@@ -6,7 +6,7 @@ use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Mechanics, State};
 
-/// Number of states inside the rest of a step that are checked: more than the degree of the interpolant, which they bound.
+/// Number of states that are checked in the rest of a step: more than the interpolant's degree, so that they bound the interpolant.
 const INSIDE: u32 = 9;
 
 impl Memory {
@@ -20,12 +20,12 @@ impl Memory {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Beginning of the step with its mode, and end of the step with the mode from there on.
+    /// Beginning of the step with its mode, and end of the step with the mode that follows.
     pub fn ends(&self) -> [(&State<N, M>, K); 2] {
         [(&self.start, self.mode), (&self.end, self.next_mode_at_end)]
     }
 
-    /// Checks that both ends are possible states and that the step leads from one to the other.
+    /// Refuses ends that are impossible states, and a step that does not lead from one end to the other.
     pub fn check<S: Mechanics<N, M, Mode = K>>(
         &self,
         system: &S,
@@ -55,7 +55,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length { Ok(()) } else { self.check_inside(system, settings, bounds) }
     }
 
-    /// Checks the states from the present time to the end of the step, as they will be read.
+    /// Refuses states between the present time and the end of the step that do not close the loop. They are checked as they will be read.
     fn check_inside<S>(&self, system: &S, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency>
     where
         S: Mechanics<N, M, Mode = K>,

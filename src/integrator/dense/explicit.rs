@@ -1,7 +1,7 @@
-//! Explicit Runge–Kutta methods: one engine for every [`Tableau`], which gives stages, error estimate and end of a step.
+//! Explicit Runge–Kutta methods: one engine for every [`Tableau`]. It computes the stages, error estimate and end of a step.
 //!
-//! The local error is that of two estimates, the finer damped by a coarser one (E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary
-//! Differential Equations I*, 2nd ed., section II.5, eq. 5.17), so that it falls with the order of the method.
+//! The local error combines two estimates; the coarser one damps the finer one (E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary
+//! Differential Equations I*, 2nd ed., section II.5, eq. 5.17), so that the error falls with the order of the method.
 
 mod dop853;
 mod tsit5;
@@ -19,7 +19,7 @@ use wide::f64x2;
 /// Largest number of stages of a tableau.
 const MAX_STAGES: usize = 12;
 
-/// Coefficients of every stage for a sum; 0 for stages that it does not need, which the compiler omits.
+/// Coefficients of all stages in a sum; 0 for unused stages, which the compiler omits.
 type Weights = [f64; MAX_STAGES];
 
 /// Coefficients of an explicit method with its error estimates and dense output.
@@ -28,7 +28,7 @@ pub(super) trait Tableau: Sized {
     const SCHEME: Scheme;
     /// Number of stages.
     const STAGES: usize;
-    /// Coefficients of the stages, each by those before.
+    /// Coefficients of the stages; each row uses earlier stages.
     const A: [Weights; MAX_STAGES];
     /// Coefficients of the end of the step.
     const END: Weights;
@@ -36,9 +36,9 @@ pub(super) trait Tableau: Sized {
     const FINE: Weights;
     /// Coefficients of the coarser error estimate.
     const COARSE: Weights;
-    /// Weight of the coarser estimate in mean square.
+    /// Weight of the coarser estimate in the mean square.
     const DAMPING: f64;
-    /// Coefficients of a second estimate of the order of the finer one, for forces with sharp nonlinearities: contributions from both
+    /// Coefficients of a second estimate with the order of the finer one, for forces with sharp nonlinearities. Contributions from both
     /// sides of a bend may cancel in one estimate, but hardly in both.
     const SECOND: Option<Weights>;
 
@@ -51,7 +51,7 @@ pub(super) trait Tableau: Sized {
     ) -> [StageDerivative<N>; 4];
 }
 
-/// Upper limit of the second error estimate in mean square, relative to the coarser one, which keeps round-off of stiff forces out.
+/// Upper limit of the second error estimate in the mean square, relative to the coarser one. It excludes round-off of stiff forces.
 const SECOND_ERROR_WEIGHT: f64 = 0.09;
 
 /// Derivatives at the stages of one step.
@@ -66,12 +66,12 @@ pub(super) struct Stages<const N: usize> {
 /// One step by a tableau.
 pub(super) struct Explicit<T, const N: usize> {
     stages: Stages<N>,
-    /// Increments of q from the beginning to the last two stages, rad.
+    /// Increments of q from the beginning of the step to the last two stages, m and rad.
     last: [Vector<N>; 2],
     tableau: PhantomData<T>,
 }
 
-/// Last coefficient that is not 0.
+/// Last nonzero coefficient.
 const fn last(weights: &Weights) -> f64 {
     let mut stage = MAX_STAGES - 1;
     while stage > 0 && weights[stage] == 0.0 {
@@ -81,12 +81,12 @@ const fn last(weights: &Weights) -> f64 {
 }
 
 impl<const N: usize> Stages<N> {
-    /// Sum of the power over the stages, W.
+    /// Weighted sum of the power over the stages, W.
     fn power(&self, weights: &Weights) -> Work {
         self.slopes.iter().zip(weights).fold(Work::default(), |sum, (slope, weight)| sum.plus(*weight, slope.power))
     }
 
-    /// Sums of q̇ and q̈ over the stages, by a loop, since few scenes need it.
+    /// Weighted sums of q̇ and q̈ over the stages; a loop, because few scenes need it.
     fn sums(&self, weights: &Weights) -> [Vector<N>; 2] {
         self.slopes
             .iter()
@@ -103,8 +103,8 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
         Self { stages, last: [Vector::ZERO; 2], tableau: PhantomData }
     }
 
-    /// Increment from the beginning of the step to a stage, of q or of q̇: the sum of slopes is in units of its last coefficient, which
-    /// saves a multiplication.
+    /// Increment of q or q̇ from the beginning of the step to a stage. The sum of slopes is in units of its last coefficient, which saves a
+    /// multiplication.
     fn increment<const STAGE: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
         let mut sum = const { T::A[STAGE][0] / last(&T::A[STAGE]) } * part(&self.stages.slopes[0]);
         macro_rules! add {
@@ -140,7 +140,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
         sums
     }
 
-    /// Evaluates the stages of the step in place, which avoids copies of returned values.
+    /// Evaluates the stages of the step in place, which avoids copying returned values.
     #[inline(never)]
     fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<'_, S::Pose, N>) {
         macro_rules! evaluate {
@@ -170,7 +170,7 @@ impl<T: Tableau, const N: usize> Explicit<T, N> {
             fine = fine.max(second.min(SECOND_ERROR_WEIGHT * coarse));
         }
         let damped = fine + T::DAMPING * coarse;
-        // Both estimates are 0 where nothing moves.
+        // Both estimates are 0 if nothing moves.
         if damped == 0.0 { 0.0 } else { self.stages.h * fine / damped.sqrt() }
     }
 }
@@ -209,7 +209,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
         Work::default().plus(self.stages.h, self.stages.power(&T::END))
     }
 
-    /// Fastest rate from the difference between two evaluations at nearly the same time: the last stage and the end of the step, or the
+    /// Fastest rate, from the difference between two evaluations at almost the same time: the last stage and the end of the step, or the
     /// last two stages.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let Stages { slopes, q, .. } = &self.stages;

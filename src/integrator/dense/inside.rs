@@ -1,9 +1,9 @@
-//! Inside of the current step: its interpolant, the state at the present time with its work, and truncation at an event, where the part
-//! of the interpolant before the event becomes the step.
+//! Inside the current step: its interpolant, the state at the present time with its work, and truncation at an event, after which the part
+//! of the interpolant before the event is the step.
 //!
-//! An interpolant solves equations with forces that differ by its defect, the difference between its derivative and the right-hand
-//! side at its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31,
-//! 1989). The defect, integrated up to the event, is judged like the error of a step.
+//! An interpolant solves equations with forces that differ by its defect: its derivative minus the right-hand side at its values (W. H.
+//! Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31, 1989). The defect, integrated up to
+//! the event, is judged like the error of a step.
 
 use super::trial::{ErrorWeights, StageDerivative, StepResult, project};
 use super::{DenseStep, Scheme, Settings};
@@ -16,12 +16,12 @@ use crate::vector::Vector;
 
 /// Largest integrated defect, in units of the admissible error.
 const GREATEST_DEFECT: f64 = 0.1;
-/// Largest number of corrections that bring the end into the window of the event.
+/// Largest number of corrections that move the end into the window of the event.
 const MOST_CORRECTIONS: u32 = 4;
 
-/// Longest stretch for a parabola of sticking friction, relative to a step of high order, over which a reaction may swing.
+/// Longest stretch for a parabola of sticking friction, relative to a step of high order, in which a reaction may oscillate.
 const LONGEST_PARABOLA: f64 = 0.25;
-/// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
+/// Admissible inconsistency between an interpolant's rates and its coordinates, in tolerances; it is at most 60 in good steps.
 const LARGEST_INCONSISTENCY: f64 = 1e3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
@@ -42,7 +42,7 @@ pub struct Sample<const N: usize, P> {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// State at the present time on the constraints: inside the step the projected interpolant, or the interpolant itself where the
+    /// State at the present time, on the constraints. Inside the step it is the projected interpolant, or the interpolant itself if the
     /// projection does not converge.
     pub fn sample<S: Mechanics<N, M, Mode = K>>(&self, system: &S, settings: &Settings) -> Sample<N, S::Pose> {
         let Self { end, .. } = self;
@@ -67,20 +67,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Sample { q, v, pose, work, configuration_signs }
     }
 
-    /// The step with the dense output that is shown: its own, or, where that contradicts itself, the quintic of both ends.
+    /// The step with the dense output that the caller sees: its own or, if that contradicts itself, the quintic of both ends.
     fn shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> Self {
         if !system.features().stiff || self.is_linear || self.interpolant_is_consistent(settings) {
             return *self;
         }
         let (Self { start, end, .. }, h) = (self, self.length);
         let positions = Interpolant::between([[start.q, start.v, start.a], [end.q, end.v, end.a]], h);
-        // Of a scheme with one polynomial for coordinates and rates.
+        // Any scheme with one polynomial for coordinates and rates.
         Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
     }
 
-    /// Writes the parts of a sample that do not depend on the coordinates into a state, whose coordinates may be others.
+    /// Writes the parts of a sample that do not depend on the coordinates into a state, which may have other coordinates.
     pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
-        // Counters of the step count once time has passed its end; a start from rest in a vertex counts at once.
+        // Counters of the step count once time has passed its end. A start from rest at a vertex counts immediately.
         let passed = if self.elapsed == self.length { &self.end } else { &self.start };
         to.configuration_signs = passed.configuration_signs;
         to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
@@ -92,7 +92,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         to.on_ray = self.is_linear;
     }
 
-    /// Interpolant at the present time, not projected, with the work.
+    /// Interpolant at the present time, not projected, and the work.
     fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
@@ -119,14 +119,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         ([q, v], work)
     }
 
-    /// Interpolated q and q̇ at a part of the step.
+    /// Interpolated q and q̇ at a fraction of the step.
     pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
         let v = match self.scheme {
             _ if self.is_linear => start.v + part * (end.v - start.v),
             Scheme::Dop853 => self.velocities().at(part),
-            // One polynomial serves for coordinates and rates.
+            // One polynomial serves coordinates and rates.
             Scheme::Tsit5 | Scheme::Rodas4 | Scheme::Rodas5p => (1.0 / self.length) * self.positions().rate_at(part),
         };
         [q, v]
@@ -142,9 +142,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
     }
 
-    /// Whether the interpolant is consistent: its rates are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`].
-    /// Stages may miss a force that the further stages of the dense output meet. Schemes with one polynomial for both are always
-    /// consistent.
+    /// Whether the rates of the interpolant are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`]. Stages may miss a
+    /// force that the additional stages of the dense output meet. Schemes with one polynomial for both are always consistent.
     pub(super) fn interpolant_is_consistent(&self, settings: &Settings) -> bool {
         if self.scheme != Scheme::Dop853 {
             return true;
@@ -160,8 +159,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         })
     }
 
-    /// Motion over the step, for event location: the coordinates relative to the beginning of the step. In short steps, round-off of coordinates would exceed
-    /// all tolerances of the rates: there the increment is the integral of the rates, which agrees within that round-off.
+    /// Motion over the step, for event location: coordinates relative to the beginning of the step. In short steps the round-off of
+    /// coordinates would exceed all tolerances of the rates. The increment is then the integral of the rates, which agrees within this
+    /// round-off.
     pub(super) fn path(&self) -> Path<N> {
         /// Nodes and weights of Gauss quadrature with four points, exact for the interpolant of the rates.
         const GAUSS: [[f64; 2]; 4] = [
@@ -185,8 +185,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Path { origin: start.q, increment, length: *length, longest_parabola: LONGEST_PARABOLA }
     }
 
-    /// Ends the step at an event that its interpolant shows `when` seconds after the beginning; returns false and changes nothing
-    /// if the result would be less accurate than a step up to there.
+    /// Ends the step at an event that its interpolant shows `when` seconds after the beginning. If the result would be less accurate than a
+    /// step up to this time, returns false and changes nothing.
     pub(super) fn truncate<S>(&mut self, system: &S, settings: &Settings, mut when: f64) -> bool
     where
         S: Mechanics<N, M, Mode = K>,
@@ -198,7 +198,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let [mut q, mut v] = self.interpolated_state(when / self.length);
             let mut pose = system.pose(&q);
             let Ok((iterations, mass)) = project(settings, system, None, &mut pose, [&mut q, &mut v]) else { return false };
-            // The interpolant's acceleration suffices, since it is used for the remaining correction only.
+            // The interpolant's acceleration suffices, because only the remaining correction uses it.
             let a = (1.0 / self.length) * self.velocities().rate_at(when / self.length);
             match EventWindow::of(system, settings.error_tolerance, [&q, &v, &a], self.length) {
                 EventWindow::Within => {
@@ -212,8 +212,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         false
     }
 
-    /// Ends the step at a state of its interpolant, unless the integrated defect is too large; the number of iterations is that of the
-    /// projection.
+    /// Ends the step at a state of its interpolant, unless the integrated defect is too large. `iterations` is the number of iterations of
+    /// the projection.
     fn truncate_at<S>(&mut self, system: &S, settings: &Settings, when: f64, (iterations, end_state): (u32, StepEnd<N, M>)) -> bool
     where
         S: Mechanics<N, M, Mode = K>,
@@ -248,7 +248,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 }
 
-/// Work up to a part of a step, J; the dissipated part never falls.
+/// Work up to a fraction of a step, J; the dissipated part never falls.
 pub(super) fn work_until(work_interpolant: &Interpolant<2>, part: f64) -> Work {
     Work { input: work_interpolant.at(part)[0], dissipated: work_interpolant.running_maximum(1, part) }
 }
@@ -263,11 +263,11 @@ fn work_interpolant<const N: usize, const M: usize>(
     Interpolant::new([start.work.pair(), end.work.pair()], rates, higher)
 }
 
-/// Inner nodes of the power, at this part of the step and at 1 minus it.
+/// Inner nodes of the power: at this fraction of the step, and at 1 minus it.
 const NODE: f64 = 0.211_324_865_405_187_1;
 
-/// First higher coefficient of the work, J, between states `h` seconds apart, from the interpolant of the coordinates and the power at
-/// two inner nodes; computed only when the work is read.
+/// First higher coefficient of the work between states `h` seconds apart, J, from the interpolant of the coordinates and the power at two
+/// inner nodes. It is computed only when the work is read.
 fn work_coefficient<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     [from, to]: [&State<N, M>; 2],

@@ -1,5 +1,5 @@
-//! Rosenbrock methods: linearly implicit steps for loads whose stiffness would limit explicit steps by stability. One matrix serves
-//! all stages of a step, without iteration.
+//! Rosenbrock methods: linearly implicit steps for loads so stiff that stability would limit explicit steps. One matrix serves all stages
+//! of a step, without iteration.
 //!
 //! With z = (q, q̇), ż = f(z) and J = ∂f/∂z each stage solves
 //!
@@ -9,8 +9,8 @@
 //!
 //! The first row gives u_q = hγ (r_q + u_v), which leaves one equation per coordinate: (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
 //!
-//! Work is a further component of z with the rate P, the power. Of its row of J only products with the u are needed, and for the end of
-//! the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
+//! Work is another component of z, and its rate is the power P. Of its row of J only products with the u are needed, and only one of them
+//! for the end of the step: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
 
 mod tableau;
 
@@ -39,14 +39,14 @@ pub(super) struct Rosenbrock<T, const N: usize> {
     tableau: PhantomData<T>,
 }
 
-/// Tangents at the beginning of a step, with their fastest rate.
+/// Tangents at the beginning of a step, and their fastest rate.
 pub(super) struct Linearization<const N: usize> {
     tangents: AccelerationTangents<N>,
     pub(super) fastest_rate: f64,
 }
 
 impl<const N: usize> Linearization<N> {
-    /// Tangents at a state with its pose; `None` where they are unknown, so that no implicit step begins there.
+    /// Tangents at a state with its pose. `None` if they are unknown; then no implicit step begins there.
     #[inline(never)]
     pub(super) fn about<const M: usize, S: System<N, M>>(
         system: &S,
@@ -55,19 +55,19 @@ impl<const N: usize> Linearization<N> {
     ) -> Option<Self> {
         let tangents = system.acceleration_tangents(from, pose, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
-        // The larger root of ρ² = ρ |C| + |K|: decay rate of a damper, frequency of a spring.
+        // Larger root of ρ² = ρ |C| + |K|: decay rate of a damper, or frequency of a spring.
         let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
         let fastest_rate = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
         Some(Self { tangents, fastest_rate })
     }
 }
 
-/// Step of the central difference of the power along a direction, relative to the direction; truncation and round-off are below
-/// 1e-9 of the result.
+/// Step of the central difference of the power along a direction, relative to the direction. Truncation and round-off are below 1e-9 of the
+/// result.
 const DIFFERENCE_STEP: f64 = 1e-4;
 
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
-    /// Makes the stages of a step of `h` seconds.
+    /// Computes the stages of a step of `h` seconds.
     pub(super) fn new<const M: usize, S: System<N, M>>(
         system: &S,
         linearization: &Linearization<N>,
@@ -104,12 +104,12 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         step
     }
 
-    /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::A`].
+    /// Coordinates and rates of a stage: z₀ + Σ coefficient · u, with a row of [`Tableau::A`].
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
         self.row_sum(self.start, |stage| T::A[ROW][stage])
     }
 
-    /// Contribution Σ coefficient · u of earlier stages to the right-hand side, over a row of [`Tableau::C`].
+    /// Contribution Σ coefficient · u of earlier stages to the right-hand side, with a row of [`Tableau::C`].
     fn earlier_stages<const ROW: usize>(&self) -> [Vector<N>; 2] {
         self.row_sum([Vector::ZERO; 2], |stage| T::C[ROW][stage])
     }
@@ -137,7 +137,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Work of the step by given weights of the stages, J.
+    /// Work of the step for given weights of the stages, J.
     fn work_by<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MAX_STAGES]) -> Work {
         let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
         for ((weight, power), u) in weights.iter().zip(&self.power).zip(&self.u) {
@@ -153,15 +153,15 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 }
 
-/// Metric of an implicit step, in which corrections of q and q̇ are (1 − hγ C − (hγ)² K)⁻¹ times those of the mass metric, which would
-/// leave stiff forces out of balance.
+/// Metric of an implicit step. In it, corrections of q and q̇ are (1 − hγ C − (hγ)² K)⁻¹ times the corrections of the mass metric, which
+/// would leave stiff forces out of balance.
 pub(super) struct StiffMetric<'a, const N: usize> {
     inverse: &'a Inverse<N>,
     h: f64,
 }
 
 impl<const N: usize> StiffMetric<'_, N> {
-    /// Projects q with its pose onto the constraints, and q̇ where q has moved; returns the iterations.
+    /// Projects q, with its pose, onto the constraints, and q̇ too if q has moved. Returns the number of iterations.
     pub(super) fn project<const M: usize, S: System<N, M>>(
         &self,
         projection: &Projection,
@@ -184,7 +184,7 @@ impl<const N: usize> StiffMetric<'_, N> {
     fn directions<const M: usize, S: System<N, M>>(&self, system: &S, regularization: f64, pose: &S::Pose) -> [Vector<N>; M] {
         let mass = system.factor_mass(pose, regularization);
         let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
-        // Loads couple the corrections, which are combined again so that each belongs to one constraint.
+        // Loads couple the corrections. They are combined so that each belongs to one constraint.
         let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
         std::array::from_fn(|i| combination(&directions, &shares.times(&Vector::unit(i))))
     }

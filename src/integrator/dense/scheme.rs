@@ -1,8 +1,9 @@
-//! Schemes of a step, the automatic choice among them, and detection of stiffness (Hairer, Wanner II, section IV.2, the test of DOP853).
+//! Schemes of a step, the automatic choice among them, and the detection of stiffness (Hairer, Wanner II, section IV.2, the test of
+//! DOP853).
 //!
-//! DOP853 is used unless stiffness or short input holds favour another. Inputs held for no longer than a step of order 5 leave no
-//! advantage to order 8: then Tsit5. Where stability limits the step instead of the error, a Rosenbrock method is used until its
-//! own error asks for steps that an explicit method could make. `docs/automatic.md`.
+//! DOP853 is used unless stiffness or frequent input changes favour another scheme. If inputs stay constant for no longer than a step of
+//! order 5, order 8 has no advantage, and Tsit5 is used. If stability rather than the error limits the step, a Rosenbrock method is used
+//! until its own error requires steps that an explicit method could make. See `docs/automatic.md`.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -30,14 +31,14 @@ impl Scheme {
         matches!(self, Self::Rodas4 | Self::Rodas5p)
     }
 
-    /// Whether forces are evaluated at the projected end of the step, which begins the next one; not so after Tsit5, since inputs are expected
-    /// to change there.
+    /// Whether forces are evaluated at the projected end of the step, which begins the next step. Tsit5 does not, because inputs are
+    /// expected to change there.
     pub(super) const fn evaluates_end(self) -> bool {
         !matches!(self, Self::Tsit5)
     }
 
-    /// Step-size controller: for the implicit schemes that of their authors' codes. Memory and a growth limit of 3 leave DOP853 a quarter of the
-    /// rejections of the classical controller.
+    /// Step-size controller. The implicit schemes use the controller of their authors' codes. With memory and a growth limit of 3, DOP853
+    /// has a quarter of the rejections of the classical controller.
     pub(super) const fn controller(self) -> StepSizeController {
         let (order, memory, accepted, rejected, failed) = match self {
             Self::Dop853 => (8.0, 0.02, [0.3, 3.0], [0.3, 0.85], 0.3),
@@ -52,34 +53,34 @@ impl Scheme {
 /// Schemes that a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Schemes {
-    /// One scheme, with DOP853 where an implicit step cannot begin.
+    /// One scheme; DOP853 replaces an implicit step that cannot begin.
     Only(Scheme),
     /// Automatic choice of the cheapest scheme.
     Automatic,
 }
 
-/// Error tolerance, rad, from which on Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
+/// Error tolerance, rad, above which Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
 const RODAS4_TOLERANCE: f64 = 1e-5;
 
-/// Factor on the assumed length of a Tsit5 step after each DOP853 step under short input holds, so that Tsit5 is tried again.
+/// Growth of the assumed Tsit5 step after each DOP853 step with frequent input changes, so that Tsit5 is tried again.
 const TSIT5_GROWTH: f64 = 1.05;
 
-/// Number of explicit steps at the stability limit that switch to implicit ones; doubled by each return.
+/// Number of explicit steps at the stability limit that switch to implicit steps; each return doubles it.
 const STEPS_AT_LIMIT: u8 = 3;
-/// Number of successive implicit steps that could have been explicit after which the switch goes back, doubled by each return.
-/// Saturated friction has zero tangents, so fewer steps would switch back too early.
+/// Number of successive implicit steps that could have been explicit before the switch goes back; each return doubles it. Saturated
+/// friction has zero tangents, so fewer steps would switch back too early.
 const STEPS_BELOW_LIMIT: u8 = 3;
 /// Largest number of doublings.
 const MOST_RETURNS: u8 = 5;
-/// Admissible range of the stability limit: explicit step times fastest rate of the tangents, at the switch to implicit steps.
+/// Admissible range of the stability limit: explicit step times fastest rate of the tangents when implicit steps begin.
 const STABILITY_LIMIT_RANGE: [f64; 2] = [0.1, 12.0];
-/// Stability limit where none has been observed: that of DOP853 for a damper.
+/// Stability limit if none has been observed: the limit of DOP853 for a damper.
 const USUAL_STABILITY_LIMIT: f64 = 6.4;
-/// Number of explicit steps with stiff forces after which the tangents are evaluated, doubled by each return: round-off, amplified
-/// by stiff forces, may keep steps short of the stability limit.
+/// Number of explicit steps with stiff forces before the tangents are evaluated; each return doubles it. Round-off, amplified by stiff
+/// forces, may keep steps below the stability limit.
 const PROBE_INTERVAL: u16 = 100;
-/// Product of explicit step and fastest rate of the tangents above which implicit steps are tried: round-off keeps it at 0.8 or
-/// more, accuracy at 0.04 to 0.4.
+/// Product of explicit step and fastest rate of the tangents above which implicit steps are tried. Steps limited by round-off have 0.8 or
+/// more, steps limited by accuracy 0.04 to 0.4.
 const LEAST_PROBED_PRODUCT: f64 = 0.5;
 
 /// Switch between explicit and implicit schemes by detected stiffness, with its memory.
@@ -87,29 +88,29 @@ const LEAST_PROBED_PRODUCT: f64 = 0.5;
 pub(super) struct StiffnessSwitch {
     /// Whether the steps are implicit.
     stiff: bool,
-    /// Number of recent steps that speak for a change.
+    /// Number of recent steps that favour a change.
     contrary_steps: u8,
     /// Number of explicit steps since the last evaluation of tangents.
     explicit_steps: u16,
     /// Number of returns from implicit to explicit steps.
     returns: u8,
-    /// Minus the explicit step, s, at the switch to implicit steps; from the first implicit step on its product with the fastest
-    /// rate of the tangents.
+    /// Minus the length of the explicit step at the switch to implicit steps, s. After the first implicit step: the product of this length
+    /// and the fastest rate of the tangents.
     stability_limit: f64,
     /// Length of the next Tsit5 step, s.
     pub(super) tsit5_step: f64,
 }
 
-/// Accepted step, as data for a [`StiffnessSwitch`].
+/// An accepted step, as input of a [`StiffnessSwitch`].
 pub(super) struct AcceptedStep {
     pub(super) scheme: Scheme,
     /// Step length, s.
     pub(super) length: f64,
     /// Product of step length and fastest rate.
     pub(super) product: f64,
-    /// Step length that the error allows next, s.
+    /// Step length that the error allows for the next step, s.
     pub(super) wanted: f64,
-    /// Limit of the step length by other reasons, s.
+    /// Limit of the step length for other reasons, s.
     pub(super) limit: f64,
     /// Whether any force is stiff.
     pub(super) stiff_forces: bool,
@@ -121,7 +122,7 @@ impl Schemes {
         if error_tolerance >= RODAS4_TOLERANCE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
-    /// Whether a step may belong to a scheme.
+    /// Whether these schemes allow a step with a scheme.
     pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
             Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
@@ -145,21 +146,20 @@ impl StiffnessSwitch {
     pub(super) const NEW: Self =
         Self { stiff: false, contrary_steps: 0, explicit_steps: 0, returns: 0, stability_limit: 0.0, tsit5_step: f64::INFINITY };
 
-    /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate,
-    /// 1/s.
+    /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate, 1/s.
     pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
         if wanted * rate > STABILITY_LIMIT_RANGE[1] {
             (self.stiff, self.stability_limit) = (true, USUAL_STABILITY_LIMIT);
         }
     }
 
-    /// Whether enough explicit steps have been made for the tangents to be evaluated again.
+    /// Whether it is time to evaluate the tangents again, after many explicit steps.
     pub(super) fn is_probing(&self) -> bool {
         self.explicit_steps >= PROBE_INTERVAL << self.returns
     }
 
-    /// Takes the tangents' fastest rate, 1/s, at a step of `wanted` seconds: implicit steps are tried unless the product is far
-    /// from the stability limit.
+    /// Records the tangents' fastest rate, 1/s, at a step of `wanted` seconds. Implicit steps are tried unless the product is far below the
+    /// stability limit.
     pub(super) fn probe(&mut self, wanted: f64, rate: f64) {
         self.explicit_steps = 0;
         if wanted.is_finite() && wanted * rate > LEAST_PROBED_PRODUCT {
@@ -179,7 +179,7 @@ impl StiffnessSwitch {
     }
 
     fn learn_from_explicit(&mut self, seen: &AcceptedStep) {
-        // The product is an estimate, which steps at the stability limit undercut now and then.
+        // The product is an estimate; steps at the stability limit are sometimes below it.
         self.contrary_steps =
             if seen.product > STABILITY_LIMIT { self.contrary_steps + 1 } else { self.contrary_steps.saturating_sub(1) };
         self.explicit_steps += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
@@ -200,7 +200,7 @@ impl StiffnessSwitch {
         }
     }
 
-    /// Whether runs with these schemes can leave the switch in this state.
+    /// Whether a run with these schemes can produce this state of the switch.
     pub(super) fn is_possible(&self, schemes: Schemes) -> bool {
         if schemes != Schemes::Automatic {
             return *self == Self::NEW;
@@ -224,19 +224,19 @@ impl StiffnessSwitch {
     }
 }
 
-/// Accepted steps between two checks; a power of two avoids a division.
+/// Number of accepted steps between two checks; a power of two avoids a division.
 const INTERVAL: u64 = 1024;
-/// Estimated product of step and fastest rate above which a step is at the stability limit. There it is 3.9 for a damper and 3.3 in
-/// the mean for a damped spring (exact: 6.4 and 5.5); below 1.7 accuracy limits the step.
+/// Estimated product of step and fastest rate above which a step is at the stability limit. At the limit the estimate is 3.9 for a damper
+/// and 3.3 on average for a damped spring (exact: 6.4 and 5.5). Below 1.7 accuracy limits the step.
 const STABILITY_LIMIT: f64 = 2.5;
-/// Number of checks at the stability limit, without [`NONSTIFF_STEPS`] others in a row between them, that detect stiffness.
+/// Number of checks at the stability limit that detect stiffness, without [`NONSTIFF_STEPS`] others in a row between them.
 const STIFF_STEPS: u8 = 15;
 /// Number of successive checks away from the stability limit that reset the count.
 const NONSTIFF_STEPS: u8 = 6;
 
-/// Rate, in error tolerances per s, below which the system counts as at rest: less than the tolerance per ms.
+/// Rate, in error tolerances per s, below which the system counts as at rest: a motion of less than the tolerance per ms.
 const REST_RATE: f64 = 1e3;
-/// Product of step and fastest rate at rest. It is below the stability limit, at which errors would stay small until accelerations
+/// Product of step and fastest rate at rest. It is below the stability limit. At the limit, errors would stay small until accelerations
 /// reach the admissible error of rates times the fastest rate.
 const STABILITY_LIMIT_AT_REST: f64 = 5.0;
 
@@ -247,8 +247,7 @@ pub(super) struct StiffnessDetector {
     away_from_limit: u8,
     /// Whether stability rather than accuracy has limited the steps.
     pub(super) detected: bool,
-    /// Fastest rate of the tangents, 1/s, where sticking friction and springs hold the system at rest; motion does not show it
-    /// there.
+    /// Fastest rate of the tangents, 1/s, if sticking friction and springs keep the system at rest, so that the motion does not show it.
     pub(super) rate_at_rest: Option<f64>,
 }
 
@@ -258,7 +257,7 @@ impl StiffnessDetector {
         !self.detected && (self.at_limit > 0 || substeps.is_multiple_of(INTERVAL))
     }
 
-    /// Takes the product of step and fastest rate of one step.
+    /// Records the product of step and fastest rate of one step.
     pub(super) fn check(&mut self, step_times_rate: f64) {
         if step_times_rate > STABILITY_LIMIT {
             self.away_from_limit = 0;
@@ -272,7 +271,7 @@ impl StiffnessDetector {
         }
     }
 
-    /// Whether the counts can result from checks.
+    /// Whether checks can produce these counts.
     pub(super) fn is_consistent(&self) -> bool {
         self.rate_at_rest.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
             && self.at_limit <= STIFF_STEPS
@@ -282,7 +281,7 @@ impl StiffnessDetector {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Longest step, s, in which oscillations of springs decay while friction holds everything else.
+    /// Longest step, s, in which oscillations of springs decay while friction keeps everything else at rest.
     pub(super) fn longest_at_rest<S: System<N, M>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) -> f64 {
         let rate = &mut self.memory.stiffness.rate_at_rest;
         if system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {

@@ -1,5 +1,5 @@
-//! One step with dense output, as the driver asks for it: begin, trial, events, length of the next step. What follows a step, past a
-//! communication point or made again up to one, is in `dense.rs`.
+//! One step with dense output, as the driver calls it: begin, trial, events, length of the next step. `dense.rs` handles steps past a
+//! communication point and steps that are redone up to one.
 
 use super::explicit::{Dop853, Explicit, Tsit5};
 use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
@@ -13,13 +13,12 @@ use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{self, EventCheck, Probe, SHORTEST};
 use crate::integrator::{EnergyBalance, Mechanics, Passage, PassageLimits, State, StepError, StepLimits, System, Transit, Work};
 
-/// Longest step, s, where nothing moves and the error sets no limit.
+/// Longest step, s, if nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
-/// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
-/// steps.
+/// A step is interpolated if an output lies within this fraction of it. It is more than 1 by the round-off of summed macro steps.
 const OUTPUT_MARGIN: f64 = 1.000_001;
 
-/// A step under trial, with all that its trials share.
+/// A step under trial, and the data that its trials share.
 struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
     step: &'a mut DenseStep<N, M, S::Mode>,
     settings: &'a Settings,
@@ -27,9 +26,9 @@ struct Attempt<'a, S: Mechanics<N, M>, const N: usize, const M: usize> {
     pose: &'a S::Pose,
     /// Time of the next output and limit of the step while inputs are constant.
     horizon: Horizon,
-    /// Step length that the error control wants, s.
+    /// Step length that the error control suggests, s.
     wanted: f64,
-    /// Energy to be conserved, next to a vertex.
+    /// Energy that the step must conserve, near a vertex.
     energy: Option<EnergyBalance>,
     scheme: Scheme,
     /// Tangents at the beginning of the step, for an implicit scheme.
@@ -77,8 +76,7 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
         let longest = if sticks { longest.min(self.step.longest_at_rest(system, settings, self.pose)) } else { longest };
-        // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
-        // round-off.
+        // Steps are explicit, of order 8, if friction may stick, and near a vertex, because round-off dominates tangents there.
         let stiffness_switch = &self.step.memory.stiffness_switch;
         let scheme = if sticks || self.energy.is_some() {
             Scheme::Dop853
@@ -127,13 +125,13 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
 }
 
 impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M> {
-    /// Beginning of the step, as its stages see it.
+    /// Beginning of the step, relative to which its stages are evaluated.
     fn origin(&self) -> Origin<'a, S::Pose, N> {
         Origin { q: self.step.start.q, pose: self.pose, regularization: self.settings.regularization }
     }
 
-    /// Completes a trial and takes it over if its error is admissible and no event occurs earlier; `from` is the beginning among the
-    /// guards, where there are any.
+    /// Completes a trial and accepts it if its error is admissible and no event occurs earlier. `from` is the guard probe at the beginning,
+    /// if there are guards.
     fn judge<T: Trial<N>>(
         &mut self,
         mut trial: T,
@@ -178,8 +176,8 @@ impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M
         step.adapt::<T>(h, error, wanted, rejected.is_some());
         let next = step.next_length::<T>();
         *next = next.min(longest_next);
-        // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
-        // no stage at their end.
+        // Steps with friction that may stick have no choice of scheme, and truncated steps have no stage at their end. Neither updates the
+        // switch.
         let chooses = settings.schemes == Schemes::Automatic;
         if chooses && !features.may_stick && !is_truncated {
             let (product, wanted) = (h * trial.fastest_rate(&step.end), *step.next_length::<T>());
@@ -199,7 +197,7 @@ impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Makes the next step from the end of the current one, whose pose may be known.
+    /// Makes the next step from the end of the current one; its pose may be known.
     pub(super) fn step<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
@@ -230,7 +228,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.
     fn probe_stiffness<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, (limit, pose): (f64, &S::Pose)) {
         let at_start = self.start.counters.substeps == 0;
-        // With friction that may stick the scheme is fixed.
+        // If friction may stick, the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
             && !system.features().may_stick
             && (at_start || self.memory.stiffness_switch.is_probing());
@@ -246,12 +244,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Whether forces at the end of the step are not evaluated yet.
+    /// Whether the forces at the end of the step have not been evaluated yet.
     fn end_is_unevaluated(&self) -> bool {
         !self.scheme.evaluates_end() && self.length > 0.0 && !self.is_linear
     }
 
-    /// State at the end of the step with q̈, λ and power of `system`, which is in the mode of the step.
+    /// State at the end of the step with q̈, λ and power; `system` is in the mode of the step.
     pub(super) fn evaluated_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
         let mut end = self.end;
         if self.end_is_unevaluated() {
@@ -260,7 +258,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         end
     }
 
-    /// Begins a step at the end of the current one with its pose.
+    /// Begins a step at the end of the current one; `pose` is the pose there.
     fn begin<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
         if self.end_is_unevaluated() {
             self.end.balance(&*system.on(self.mode), pose, settings.regularization);
@@ -281,14 +279,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.work += *work;
     }
 
-    /// Sets the length of the next step from the error of one of `h` seconds.
+    /// Sets the length of the next step from the error of a step of `h` seconds.
     fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
-        // A rejected step is as long as its error allows, not cut short.
+        // A rejected step is as long as its error allows; it is not cut short.
         let wanted = if rejected { h } else { wanted };
         let cut_short = is_cut_short(h, wanted);
         let controller = const { T::SCHEME.controller() };
         let next = if cut_short && controller.longest_after(h) <= wanted {
-            // Many held inputs end a step so early that its error carries no information.
+            // Frequent input changes end a step so early that its error carries no information.
             wanted
         } else {
             let log_error = ln(error);
@@ -306,7 +304,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if T::SCHEME == Scheme::Tsit5 { &mut self.memory.stiffness_switch.tsit5_step } else { &mut self.end.substep }
     }
 
-    /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
+    /// Sets the mode of the step. If it changes, forces and accelerations are evaluated again.
     fn set_mode<S: Mechanics<N, M, Mode = K>>(&mut self, system: &S, settings: &Settings, (mode, pose): (K, &S::Pose)) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
@@ -320,8 +318,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.mode, self.next_mode_at_end) = (mode, mode);
     }
 
-    /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard; or refuses it with the error
-    /// of its work, in tolerances. `system` is in the mode of the step, `from` is its beginning, and `end` its evaluated end.
+    /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard. Refuses the step, with the error
+    /// of its work in tolerances, if that error is inadmissible. `system` is in the mode of the step, `from` is its beginning, and `end`
+    /// its evaluated end.
     fn check_events<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,
@@ -331,7 +330,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<EventCheck, f64> {
         let length = self.length;
         let (of, path) = ((system, settings.error_tolerance), self.path());
-        // Events are located on a dense output that agrees with the stages of the step; one that does not gives no error estimate.
+        // Events are located on a dense output that agrees with the stages of the step. If it does not, there is no error estimate.
         if !self.interpolant_is_consistent(settings) {
             return Err(f64::NAN);
         }

@@ -13,7 +13,7 @@ use crate::integrator::{
 use crate::vector::Vector;
 use wide::f64x2;
 
-/// Expands a macro for each stage instead of a loop: stages and their coefficients are constants.
+/// Expands a macro for each stage instead of a loop, because stages and their coefficients are constants.
 macro_rules! for_each {
     ($do:ident: $($stage:literal)*) => {
         $($do!($stage);)*
@@ -21,12 +21,12 @@ macro_rules! for_each {
 }
 pub(super) use for_each;
 
-/// One step of a scheme, made and not accepted yet.
+/// One step of a scheme that is not yet accepted.
 pub(super) trait Trial<const N: usize>: Sized {
     /// Scheme of the step.
     const SCHEME: Scheme;
 
-    /// Makes the stages that are not made yet, and returns the error of the step, in tolerances, and q and q̇ at its end, not projected.
+    /// Computes the remaining stages. Returns the error of the step, in tolerances, and q and q̇ at its end before projection.
     fn complete<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
@@ -37,13 +37,14 @@ pub(super) trait Trial<const N: usize>: Sized {
     /// Work over the step, J.
     fn work<const M: usize>(&self, system: &impl System<N, M>) -> Work;
 
-    /// Metric of the projection onto the constraints, where it is not that of the masses.
+    /// Metric of the projection onto the constraints; `None` means the mass metric.
     fn stiff_metric(&self) -> Option<StiffMetric<'_, N>> {
         None
     }
 
-    /// Ends the step at q and q̇: projects them onto the constraints and, where the scheme evaluates its ends, solves for q̈, λ and power
-    /// there. `energy_target` is the energy to be conserved with the time since, s; `work` is the work over the step, J.
+    /// Ends the step at q and q̇: projects them onto the constraints and, if the scheme evaluates its ends, solves for q̈, λ and power
+    /// there. `energy_target` is the energy that must be conserved and the time since then, s; `work` is the work over the step, J. `None`
+    /// if the projection or the energy fails, or the end is not finite.
     fn project<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
@@ -76,7 +77,7 @@ pub(super) trait Trial<const N: usize>: Sized {
     ) -> [StageDerivative<N>; 4];
 }
 
-/// End of a step with its work.
+/// End of a step, and its work.
 pub(super) struct StepResult<const N: usize, const M: usize> {
     /// Number of iterations of the projection.
     pub(super) iterations: u32,
@@ -90,17 +91,17 @@ pub(super) struct StepResult<const N: usize, const M: usize> {
 pub(super) struct ErrorWeights {
     /// Admissible error of a coordinate, m or rad.
     pub(super) coordinate: f64,
-    /// Rate added to |q̇| in the admissible error of a rate, 1/s: the sum times [`Self::coordinate`].
+    /// Rate added to |q̇| in the admissible error of a rate, 1/s; the sum is multiplied by [`Self::coordinate`].
     pub(super) rate: f64,
-    /// Admissible error of the work, J, where the work is judged.
+    /// Admissible error of the work, J, if the work is judged.
     pub(super) work: Option<f64>,
     /// Whether forces have sharp nonlinearities without an event.
     pub(super) has_sharp_nonlinearity: bool,
 }
 
 impl ErrorWeights {
-    /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, whose error the motion does not
-    /// show.
+    /// Weights of a system. With events the work is weighted too: it depends on discontinuous forces, and the motion does not show their
+    /// error.
     pub(super) fn of(settings: &Settings, features: Features) -> Self {
         /// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
         const SLOW_RATE_PART: f64 = 0.3;
@@ -113,7 +114,7 @@ impl ErrorWeights {
         }
     }
 
-    /// Mean square of an error of q, q̇ and the work, in units of the admissible error, with the rates at both ends of the step.
+    /// Mean square of an error of q, q̇ and the work, in units of the admissible error, given the rates at both ends of the step.
     pub(super) fn mean_square<const N: usize>(
         &self,
         [q, v]: [Vector<N>; 2],
@@ -130,15 +131,15 @@ impl ErrorWeights {
     }
 }
 
-/// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
-/// exceeds the admissible error, the step is refused with the error in tolerances.
+/// Work of a step with its dissipated part raised to at least 0: a negative value shows an error of at least its size. If this exceeds the
+/// admissible error, the step is refused with the error in tolerances.
 pub(super) fn checked_work(settings: &Settings, work: Work) -> Result<Work, f64> {
     let error = -work.dissipated / (settings.error_tolerance * settings.energy_scale);
     if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
 }
 
-/// Projects q and q̇ with the pose at q onto the constraints, except close to a vertex, where round-off would be amplified; `stiff` is the
-/// metric, where it is not that of the masses. Returns iterations and mass factor.
+/// Projects q and q̇ onto the constraints, from the pose at q. Close to a vertex it does not, because round-off would be amplified. `stiff`
+/// is the metric if it is not the mass metric. Returns the number of iterations and the mass factor.
 #[inline(always)]
 pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
     settings: &Settings,
@@ -174,13 +175,13 @@ pub(super) struct StageDerivative<const N: usize> {
 impl<const N: usize> StageDerivative<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
-    /// Higher coefficients of one polynomial for coordinates and rates.
+    /// Higher coefficients if one polynomial serves coordinates and rates.
     pub(super) fn of_positions(positions: Interpolant<N>) -> [Self; 4] {
         positions.higher().map(|q| Self { q, ..Self::NONE })
     }
 
-    /// Evaluates acceleration and power at an increment from the origin. One copy of the code for all stages fits into the
-    /// processor's cache of decoded instructions.
+    /// Evaluates acceleration and power at an increment from the origin. A single copy of the code for all stages fits into the processor's
+    /// cache of decoded instructions.
     #[inline(never)]
     pub(super) fn evaluate_acceleration<const M: usize, S: System<N, M>>(
         &mut self,
@@ -193,7 +194,7 @@ impl<const N: usize> StageDerivative<N> {
     }
 }
 
-/// Beginning of a step, near which the poses of its stages are.
+/// Beginning of a step; the poses of its stages are near its pose.
 pub(super) struct Origin<'a, P, const N: usize> {
     pub(super) q: Vector<N>,
     pub(super) pose: &'a P,
@@ -209,7 +210,7 @@ impl<P, const N: usize> Origin<'_, P, N> {
     }
 }
 
-/// Fastest rate r, 1/s, from r² |Δq| + r |Δq̇| = |Δq̈| for differences between two states: frequency of a spring, decay rate of a
+/// Fastest rate r, 1/s, from r² |Δq| + r |Δq̇| = |Δq̈| for differences between two states: frequency of a spring, or decay rate of a
 /// damper.
 pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 {
     let [q, v, a] = [dq, dv, da].map(|x| x.norm());

@@ -1,4 +1,4 @@
-//! Fallback of a failed Newton iteration: the step as a minimisation with line search (`docs/vertices.md`).
+//! Fallback after a failed Newton iteration: the step as a minimisation with line search (`docs/vertices.md`).
 //!
 //! For given multipliers λ and a finite penalty α the step is a stationary point of the incremental potential
 //!
@@ -6,8 +6,8 @@
 //! P(δ) = (β q̈ₙ + δ)ᵀ M (β q̈ₙ + δ) / 2β + V(q) + λᵀΦ + α/2 ΦᵀΦ
 //! ```
 //!
-//! A tangent made positive definite gives a descent direction; the step along it is halved until P decreases enough (Armijo). After
-//! every full step λ is updated by the penalty term, as in the paper. Where plain Newton iteration converges, both find the same root.
+//! A tangent made positive definite gives a descent direction. The step along it is halved until P decreases enough (Armijo). After every
+//! full step λ is updated by the penalty term, as in the paper. If plain Newton iteration converges too, both find the same root.
 
 use super::Settings;
 use super::newton::{LAST_CORRECTION, Step};
@@ -15,10 +15,9 @@ use crate::integrator::convergence::Convergence;
 use crate::integrator::{Counters, Implicit, TangentPoint};
 use crate::vector::Vector;
 
-/// Penalty αβ in multiples of the largest inertia: large enough for the multipliers to converge, small enough for P to be well
-/// conditioned.
+/// Penalty αβ in multiples of the largest inertia: large enough for the multipliers to converge, small enough for P to be well conditioned.
 const PENALTY: f64 = 1e4;
-/// Largest number of iterations; prototypes needed 3 on average and at most 30 at h = 1 ms.
+/// Largest number of iterations. Prototypes needed 3 on average and at most 30 at h = 1 ms.
 const MOST_ITERATIONS: u32 = 60;
 /// Largest number of halvings along one direction.
 const MOST_HALVINGS: u32 = 30;
@@ -27,7 +26,7 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 /// Slope, relative to P, below which the decrease is lost in the round-off of P.
 const FLAT: f64 = 1e-12;
 
-/// Finds δ and λ and returns the pose at the end of the step, if there is one. Only for systems whose forces have a potential.
+/// Finds δ and λ. Returns the pose at the end of the step, if there is one. Only for systems with forces that have a potential.
 #[cold]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -65,7 +64,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let slope = (joint_forces - b / beta).dot(&direction);
         let start = merit(step, step.delta)?;
 
-        // Near the minimum, where P is flat within round-off, the full step is taken.
+        // Near the minimum P is flat within round-off; the full step is then taken.
         let is_flat = slope.abs() < FLAT * start.abs().max(f64::MIN_POSITIVE);
         let decreases = |part: f64| {
             let bound = start + SUFFICIENT_DECREASE * part * slope;
@@ -81,7 +80,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         q = step.q();
         pose = system.pose(&q);
-        // Only a full step tells how near the root is.
+        // Only a full step shows how near the root is.
         convergence.corrected(if part == 1.0 { direction.max_norm() } else { f64::INFINITY });
         if convergence.is_met(system.phi(&q, &pose).max_norm()) {
             counters.rescued += 1;

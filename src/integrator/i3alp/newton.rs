@@ -1,4 +1,4 @@
-//! Newton's method on the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
+//! Newton's method for the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
 
 use super::stiff_forces::STIFF_RATE;
 use super::{Settings, controls_rates};
@@ -6,14 +6,14 @@ use crate::integrator::convergence::{Convergence, LastCorrection};
 use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, Stuck, TangentPoint};
 use crate::vector::Vector;
 
-/// Step length, s, at which [`Settings::tolerance`] holds: multiplier noise is Φ/β, so the tolerance is proportional to h².
+/// Step length, s, for which [`Settings::tolerance`] is given. Multiplier noise is Φ/β, so the tolerance is proportional to h².
 const TOLERANCE_STEP: f64 = 1e-3;
 /// Lower limit of the bound on |Φ|, relative to the system's size.
 const LEAST_TOLERANCE: f64 = 16.0 * f64::EPSILON;
-/// Bound on the last correction, m and rad: by quadratic convergence the error left is below round-off.
+/// Bound on the last correction, m and rad. Because convergence is quadratic, the remaining error is below round-off.
 pub(super) const LAST_CORRECTION: LastCorrection = LastCorrection::below(1e-5);
 
-/// Unknowns of a step with their constant data.
+/// Unknowns of a step, and its constant data.
 pub(super) struct Step<const N: usize, const M: usize> {
     /// Step length, s.
     pub(super) h: f64,
@@ -27,15 +27,15 @@ pub(super) struct Step<const N: usize, const M: usize> {
     v: Vector<N>,
     /// The product β q̈.
     pub(super) inertia: Vector<N>,
-    /// Increment δ against the predictor, m and rad.
+    /// Increment δ relative to the predictor, m and rad.
     pub(super) delta: Vector<N>,
     /// Total multipliers λ, N.
     pub(super) lambda: Vector<M>,
 }
 
 impl<const N: usize, const M: usize> Step<N, M> {
-    /// Starts a step of h: δ is the increment against the predictor, which avoids the round-off of q̈ = 4/h² (q − …), and its first
-    /// guess is β h times the jerk (19).
+    /// Starts a step of h. δ is the increment relative to the predictor, which avoids the round-off of q̈ = 4/h² (q − …). Its first guess
+    /// is β h times the jerk (19).
     pub(super) fn predict(state: &State<N, M>, h: f64, tolerance: f64) -> Self {
         let State { q, v, a, jerk, lambda, .. } = *state;
         let beta = h * h / 4.0;
@@ -51,12 +51,12 @@ impl<const N: usize, const M: usize> Step<N, M> {
         }
     }
 
-    /// Restarts the iteration from the predictor without jerk.
+    /// Restarts the iteration with the predictor without jerk.
     pub(super) fn without_jerk(&self, state: &State<N, M>) -> Self {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
     }
 
-    /// Restarts the iteration from constant rates.
+    /// Restarts the iteration with constant rates.
     pub(super) fn with_constant_rates(&self, state: &State<N, M>) -> Self {
         Self { delta: -2.0 * self.beta * state.a, ..self.without_jerk(state) }
     }
@@ -77,7 +77,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
     }
 }
 
-/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met. Returns the
+/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is satisfied. Returns the
 /// pose at the end of the step.
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -118,7 +118,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     }
 }
 
-/// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
+/// Correction that keeps the sliding rate of the sticking constraint at 0, and the friction reaction, N and N·m.
 #[cold]
 fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -131,7 +131,7 @@ fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     };
     let beta = at.h * at.h / 4.0;
     let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
-    // By the trapezoidal rule a correction changes the rate by 2/h times itself.
+    // With the trapezoidal rule a correction changes the rate by 2/h times itself.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {
         return Ok(((correction, y), Vector::ZERO));
@@ -140,7 +140,7 @@ fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     Ok(((correction + part * by_force, y + part * y_by_force), part * force))
 }
 
-/// Whether the residual of the equilibrium changes rates by less than a part of their admissible error. With stiff forces a small
+/// Whether the residual of the equilibrium changes the rates by less than a fraction of their admissible error. With stiff forces a small
 /// correction of the coordinates does not imply a small residual.
 #[cold]
 fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
@@ -162,7 +162,7 @@ fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
     system.error_norm(&change) <= PART * settings.error_tolerance * (STIFF_RATE + system.error_norm(&v))
 }
 
-/// Bound on max |Φ|, m (17): proportional to the machine's size and to h², never below round-off.
+/// Bound on max |Φ|, m (17): proportional to the size of the machine and to h², but never below round-off.
 pub(super) fn constraint_tolerance(settings: &Settings, length_scale: f64, h: f64) -> f64 {
     let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
     length_scale * scaled.clamp(LEAST_TOLERANCE.min(settings.tolerance), settings.tolerance)

@@ -1,11 +1,11 @@
-//! Error control with stiff forces (friction, servos, stops, contact): errors of the rates and of the energy balance, which the
-//! link angles do not show; and the work of drives (`docs/method.md`, section 5.6).
+//! Error control with stiff forces (friction, servos, stops, contact): errors of the rates and of the energy balance, which the link angles
+//! do not show; and the work of drives (`docs/method.md`, section 5.6).
 
 use super::Settings;
 use crate::integrator::{Implicit, State, StepEnd, TangentPoint};
 use crate::vector::Vector;
 
-/// Rate added to |q̇| in the admissible error of a rate, 1/s: a rate may be off by the sum times the error tolerance of an angle.
+/// Rate added to |q̇| in the admissible error of a rate, 1/s: this sum times the error tolerance of an angle.
 pub(super) const STIFF_RATE: f64 = 100.0;
 /// Round-off of the energy balance, in machine epsilons of the energy scale.
 const ENERGY_ROUND_OFF: f64 = 256.0;
@@ -14,9 +14,9 @@ const WORK_ROUND_OFF: f64 = 4.0;
 /// Ratio of rate error and tolerance below which the balance is limited by round-off of the positions.
 const EXACT: f64 = 1e-4;
 
-/// Local error with stiff forces, rad: the larger of the rate error, in units of [`STIFF_RATE`] + |q̇|, and the error of the energy
-/// balance, in units of the energy scale. A step across a discontinuity changes the motion little and the work much. The second value is
-/// the [`drive_work`], J; `separated` is the loss of separated springs, J.
+/// Local error with stiff forces, rad, and the [`drive_work`], J. The error is the larger of two: the rate error, in units of
+/// [`STIFF_RATE`] + |q̇|, and the error of the energy balance, in units of the energy scale. A step across a discontinuity changes the
+/// motion little but the work much. `separated` is the loss of separated springs, J.
 #[cold]
 pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -28,7 +28,7 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     let unpredicted = unpredicted(from, to, h);
     let mut rates = rate_error(system, h, &unpredicted, &to.v);
     if rates > settings.error_tolerance {
-        // Decaying components that oscillate are filtered (Hairer and Wanner II, section IV.8).
+        // Oscillations of decaying components are filtered out (Hairer and Wanner II, section IV.8).
         let filtered = filtered(system, settings, h, (pose, to), &unpredicted);
         rates = filtered.map_or(rates, |filtered| rate_error(system, h, &filtered, &to.v));
     }
@@ -38,7 +38,7 @@ pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M>>(
     let done = h / 2.0 * (from.power.net() + to.power.net()) + driven - separated;
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - from.work.net();
-    // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
+    // Joint forces do work along the round-off of the positions. It limits the balance if the motion is otherwise exact.
     let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
     let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());
     let allowed = settings.error_tolerance * settings.energy_scale * balance_factor(settings, off, balance);
@@ -50,8 +50,8 @@ pub(super) fn unpredicted<const N: usize, const M: usize>(from: &State<N, M>, to
     to.a - from.a - h * from.jerk
 }
 
-/// Product (M + h/2 C + h²/4 K)⁻¹ M x with the tangents at the end of a step, which reduces fast components of x; `None` where the matrix
-/// is not positive definite.
+/// Product (M + h/2 C + h²/4 K)⁻¹ M x with the tangents at the end of a step; it reduces fast components of x. `None` if the matrix is not
+/// positive definite.
 pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
@@ -63,8 +63,8 @@ pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
     system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
 }
 
-/// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does h/2 (P₀ +
-/// P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀), consistent with the rule for the motion: a linear drive neither loses nor gains energy.
+/// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does the work h/2 (P₀ +
+/// P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀). This is consistent with the rule for the motion: a linear drive neither loses nor gains energy.
 fn drive_work<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     h: f64,
@@ -76,11 +76,11 @@ fn drive_work<const N: usize, const M: usize, S: Implicit<N, M>>(
     -h / 4.0 * (after - before).dot(&(to.v - from.v))
 }
 
-/// Factor on the admissible error of the energy balance of one step; it falls as the accumulated error `off`, J, grows, because
-/// errors of thousands of bounces add up.
+/// Factor on the admissible error of the energy balance of one step. It falls as the accumulated error `off`, J, grows, because errors of
+/// thousands of bounces add up.
 fn balance_factor(settings: &Settings, off: f64, balance: f64) -> f64 {
-    /// Admissible accumulated error of the energy, in units of energy scale times error tolerance: the sum of step errors falls
-    /// with the power 2/3 of the tolerance only.
+    /// Admissible accumulated error of the energy, in units of energy scale times error tolerance. It is large because the sum of step
+    /// errors falls only with the power 2/3 of the tolerance.
     const BUDGET: f64 = 2000.0;
     /// Smallest factor, so that the controller still accepts steps.
     const LEAST: f64 = 0.02;

@@ -1,5 +1,4 @@
-//! Fallback stages of a conserving step that plain Newton iteration does not solve: homotopies to the same root, at the full step
-//! length.
+//! Fallback stages for a conserving step that plain Newton iteration does not solve: homotopies to the same root, at the full step length.
 //!
 //! | stage | method |
 //! | --- | --- |
@@ -9,7 +8,7 @@
 //! | 4 | smaller regularisation e |
 //! | 5 | homotopies in the step length with smaller e, and with more stages |
 //! | 6 | first guess from the end of two to sixteen shorter steps |
-//! | last | no root, close to vertices: end by rates or equilibrium, projected, its velocity scaled to the energy |
+//! | last | no root, close to vertices: end from rates or equilibrium, projected, with its velocity scaled to the energy |
 //!
 //! With `max_work` = 0 the first stage is the only one.
 
@@ -18,8 +17,7 @@ use super::newton::{IterationBudget, ResidualBounds, StopRule, full_newton};
 use crate::integrator::{CutStep, Discrete, Passage, Projection, StepError, StepIncrement, velocity_correction};
 use crate::vector::Vector;
 
-/// Largest factor on the regularisation rates of friction: the root of the softest law is found from the first guess of
-/// equilibrium.
+/// Largest factor on the regularisation rates of friction. The softest law's root is found from the first guess by equilibrium.
 const LARGEST_SOFTENING: f64 = 1e7;
 /// Smallest and largest factor by which the regularisation rates fall from one root to the next.
 const HARDENING_FACTORS: [f64; 2] = [1.05, 30.0];
@@ -27,7 +25,7 @@ const HARDENING_FACTORS: [f64; 2] = [1.05, 30.0];
 const SMALLER_REGULARIZATIONS: [f64; 2] = [1e-5, 1e-7];
 /// Further homotopies in the step length: number of stages, and regularisation relative to e.
 const FINER_CONTINUATIONS: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
-/// Numbers of shorter steps whose end is tried as a first guess.
+/// Numbers of shorter steps; their end is tried as a first guess.
 const SHORTER_STEP_COUNTS: [u32; 4] = [2, 4, 8, 16];
 /// Iteration limit and stopping rule for a root of the step itself.
 const TO_ROOT: (u32, StopRule) = (10, StopRule::Solved);
@@ -37,7 +35,7 @@ const TO_INTERMEDIATE_ROOT: (u32, StopRule) = (10, StopRule::Corrected(1e-8));
 const SOFTENED_ITERATIONS: u32 = 15;
 /// Largest number of iterations of a projection in the energy-only stage.
 const MOST_PROJECTIONS: u32 = 30;
-/// Factor by which the increment of the energy-only stage is shortened where projection or energy fail.
+/// Factor that shortens the increment of the energy-only stage if projection or energy fails.
 const SHORTENING: f64 = 0.25;
 /// Largest number of such shortenings.
 const MOST_SHORTENINGS: i32 = 20;
@@ -46,7 +44,7 @@ const VERTEX_REGULARIZATION: f64 = 1e-4;
 /// Admissible velocity violation in the energy-only stage, relative to the velocity times the system's size.
 const RATE_VIOLATION: f64 = 64.0 * f64::EPSILON;
 
-/// Beginning and length of a step.
+/// A step: its beginning and its length.
 pub(super) struct Step<'a, S: Discrete<N, M, K>, const N: usize, const M: usize, const K: usize> {
     pub(super) system: &'a S,
     /// Coordinates q₀, m and rad.
@@ -61,11 +59,11 @@ pub(super) struct Step<'a, S: Discrete<N, M, K>, const N: usize, const M: usize,
 
 /// End of a step.
 pub(super) struct ConservingEnd<S, const N: usize, const K: usize> {
-    /// Unknowns with the loops cut; `None` where no root was found, and the end conserves the energy only.
+    /// Unknowns with the loops cut; `None` if no root was found and the end only conserves the energy.
     pub(super) x: Option<Vector<K>>,
     /// Increment d = q₁ − q₀, m and rad.
     pub(super) d: Vector<N>,
-    /// Velocity at which forces have acted, m/s and rad/s: that of the end, if it is a root.
+    /// Velocity at which the forces acted, m/s and rad/s; for a root it is the velocity at the end.
     pub(super) acting: Vector<N>,
     /// Velocity q̇₁ at the end, m/s and rad/s.
     pub(super) v: Vector<N>,
@@ -73,12 +71,12 @@ pub(super) struct ConservingEnd<S, const N: usize, const K: usize> {
     pub(super) secant: S,
 }
 
-/// Increment of a step of `h` seconds at a constant acceleration.
+/// Increment of a step of `h` seconds with constant acceleration.
 fn increment<const N: usize>(v: &Vector<N>, a: &Vector<N>, h: f64) -> Vector<N> {
     h * (*v + (0.5 * h) * *a)
 }
 
-/// First guess of the unknowns for a step of `h` seconds from equilibrium at its beginning, with these q̈ and λ.
+/// First guess of the unknowns for a step of `h` seconds, from q̈ and λ in equilibrium at its beginning.
 pub(super) fn from_equilibrium<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, K>>(
     v: &Vector<N>,
     (a, lambda): (&Vector<N>, &Vector<M>),
@@ -96,12 +94,12 @@ where
         Self { system, q: *q, v: *v, pose: system.pose(q), h }
     }
 
-    /// Step increment as forces take it.
+    /// Increment of the step in the form that forces are evaluated on.
     pub(super) fn increment<'b>(&'b self, secant: &'b S::Secant, [d, v]: [&'b Vector<N>; 2]) -> StepIncrement<'b, S::Secant, N> {
         StepIncrement { q: &self.q, d, v, h: self.h, softening: 1.0, secant }
     }
 
-    /// Root of the equations for a length `h`, s, and softened laws, by full Newton iteration from the first guess `x`, which becomes the
+    /// Root of the equations for a length `h`, s, and softened laws, by full Newton iteration. `x` is the first guess and becomes the
     /// unknowns of the root.
     pub(super) fn root(
         &self,
@@ -116,7 +114,7 @@ where
         Some(ConservingEnd { x: Some(*x), d, acting: v, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }
 
-    /// Root by the first of the stages 1 to 6 that finds one.
+    /// Root from the first of the stages 1 to 6 that finds one.
     fn by_stages(
         &self,
         settings: &Settings,
@@ -171,7 +169,7 @@ where
         self.root((self.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
     }
 
-    /// Stage 2: softened friction has a root that is easy to find; from there the law is hardened in steps.
+    /// Stage 2: with softened friction a root is easy to find; from there the law is hardened in steps.
     fn harden_friction(
         &self,
         mut x: Vector<K>,
@@ -198,7 +196,7 @@ where
         None
     }
 
-    /// Stages 3 and 5: the root is continued from a step of h/stages to one of h.
+    /// Stages 3 and 5: continues the root from a step of h/stages to a step of h.
     fn continue_in_step_length(
         &self,
         regularization: f64,
@@ -226,7 +224,7 @@ impl<S, const N: usize, const M: usize, const K: usize> Step<'_, S, N, M, K>
 where
     S: Discrete<N, M, K> + Passage<N>,
 {
-    /// Finds a root by stages 1 to 6, or the end of the last stage.
+    /// Finds a root by stages 1 to 6, or otherwise the end of the last stage. Fails if that stage finds none either.
     pub(super) fn recover(
         &self,
         settings: &Settings,
@@ -240,8 +238,8 @@ where
         }
     }
 
-    /// Last stage: increment by rates or equilibrium, shortened if needed, projected onto the position constraints; its mean velocity,
-    /// projected and scaled so that the kinetic energy changes by the work of the forces.
+    /// Last stage: an increment from rates or equilibrium, shortened if necessary, is projected onto the position constraints. Its mean
+    /// velocity is projected and scaled so that the kinetic energy changes by the work of the forces.
     fn keep_energy_only(
         &self,
         settings: &Settings,
@@ -258,7 +256,7 @@ where
         projected.ok_or(StepError::FallbackFailed)
     }
 
-    /// Projects this increment, m and rad, and scales its velocity to the energy; `None` where rates of that size do not lead so far.
+    /// Projects an increment, m and rad, and scales its velocity to the energy. `None` if rates of this size cannot lead so far.
     fn project_end(
         &self,
         settings: &Settings,
@@ -275,7 +273,7 @@ where
         let mut v = d / h;
         let is_closed =
             |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= RATE_VIOLATION * v.max_norm() * system.length_scale();
-        // Close to a vertex one correction leaves a residual, while later steps assume none.
+        // Close to a vertex one correction leaves a residual, but later steps assume that there is none.
         for _ in 0..MOST_PROJECTIONS {
             v += velocity_correction(system, &pose, &mass, &v);
             if is_closed(&v) {
@@ -290,7 +288,7 @@ where
             return None;
         }
         let scaled = (wanted / got).sqrt() * v;
-        // Next to a vertex equilibrium asks for any acceleration, and a long increment may be projected onto another assembly.
+        // Next to a vertex equilibrium may require any acceleration, and a long increment may be projected onto another assembly.
         let reach = h * (system.error_norm(&v0) + system.error_norm(&scaled));
         (scaled.is_finite() && system.error_norm(&d) <= reach).then_some(ConservingEnd { x: None, d, acting: v, v: scaled, secant })
     }

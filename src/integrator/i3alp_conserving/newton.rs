@@ -1,25 +1,23 @@
-//! Newton's method for a conserving step: staggered, Λ and ν in turn with the loops cut; or full, all unknowns with the whole
+//! Newton's method for a conserving step: staggered, with Λ and ν solved alternately in cut loops; or full, with all unknowns and the whole
 //! tangent.
 
 use crate::integrator::convergence::{Convergence, LastCorrection};
 use crate::integrator::{Counters, CutStep, System};
 use crate::vector::Vector;
 
-/// Admissible |M⁻¹f| per second of step, full iteration, m/s and rad/s: a residual of the momentum does work in proportion to
-/// itself.
+/// Admissible |M⁻¹f| per second of step in the full iteration, m/s and rad/s: a residual of the momentum does proportional work.
 const OFFSET: f64 = 1e-9;
-/// Admissible |M⁻¹f| per second of step, staggered iteration, m/s and rad/s: its last increment transfers the residual to the
-/// rates.
+/// Admissible |M⁻¹f| per second of step in the staggered iteration, m/s and rad/s: its last increment transfers the residual to the rates.
 const CUT_OFFSET: f64 = 5e-11;
-/// Admissible |Φ| relative to the system's size.
+/// Admissible |Φ|, relative to the size of the system.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
-/// Admissible |J₁w|/2 per second of step, relative to the system's size, 1/s.
+/// Admissible |J₁w|/2 per second of step, relative to the size of the system, 1/s.
 const RATE_BOUND: f64 = 5e-12;
-/// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration is still a first guess for the full one.
+/// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration still gives a first guess for the full iteration.
 const LARGEST_OFFSET_OF_GUESS: f64 = 1e-3;
-/// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations; above it the full iteration takes less work.
+/// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations. Above it the full iteration takes less work.
 const LARGEST_OFFSETS: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
-/// Required contraction of |M⁻¹f| per staggered iteration after those of [`LARGEST_OFFSETS`], with a new factorisation each time.
+/// Required contraction of |M⁻¹f| per staggered iteration after those in [`LARGEST_OFFSETS`]; each factorises again.
 const CONTRACTION: f64 = 0.05;
 /// Correction of an angle, rad, below which the full iteration is at round-off.
 const LAST_CORRECTION: f64 = 1e-13;
@@ -48,7 +46,7 @@ impl ResidualBounds {
 
     /// Largest element of M⁻¹f, Φ and J₁w/2, each relative to its bound.
     fn violation(&self, [offset, phi, rate]: [f64; 3]) -> f64 {
-        // A sum would be NaN where one of them is; a maximum would not.
+        // The sum is NaN if any of them is; a maximum would not be.
         let most = (offset / self.offset).max(phi / self.phi).max(rate / self.rate);
         if (offset + phi + rate).is_nan() { f64::NAN } else { most }
     }
@@ -76,8 +74,9 @@ impl IterationBudget<'_> {
     }
 }
 
-/// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
-/// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
+/// Staggered iteration with cut loops: ν follows from a linear equation for given d; Newton's method solves for d and Λ. It contracts by
+/// (hω)² per iteration. The solution is passed to `accept_root`. On failure the result is the last iterate, unless it has diverged, and the
+/// number of iterations.
 pub(super) fn staggered_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>, T>(
     cut: &C,
     mut x: Vector<K>,
@@ -123,7 +122,7 @@ pub(super) enum StopRule {
     Corrected(f64),
 }
 
-/// Full iteration: all unknowns at once, with the whole tangent. The first guess `x` becomes the unknowns of the root.
+/// Full iteration on all unknowns at once, with the whole tangent. `x` is the first guess and becomes the unknowns of the root.
 #[inline(never)]
 pub(super) fn full_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>>(
     cut: &C,

@@ -1,8 +1,8 @@
-//! DOP853, the explicit Runge–Kutta method of order 8 by Dormand and Prince: error estimates of order 5 and 3, and dense output of
-//! order 7 from three further stages.
+//! DOP853, the explicit Runge–Kutta method of order 8 by Dormand and Prince: error estimates of order 5 and 3, and dense output of order 7
+//! with three more stages.
 //!
-//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6, with the
-//! digits of the authors' code `dop853.f`, rounded to double precision. The test below checks the order conditions.
+//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6. The digits are those
+//! of the authors' code `dop853.f`, rounded to double precision. The test below checks the order conditions.
 
 use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
 use crate::integrator::dense::trial::{Origin, StageDerivative};
@@ -11,12 +11,12 @@ use crate::integrator::{State, System, Work};
 /// Coefficients of a sum over stages: (stage, coefficient) without zeros.
 type Row = &'static [(usize, f64)];
 
-/// Row and stage of the end of the step, whose derivative begins the next step and enters the dense output.
+/// Index of the end of the step: its row, and its derivative, which begins the next step and enters the dense output.
 const END: usize = MAX_STAGES;
-/// Number of stages with those of the dense output.
+/// Number of stages including those of the dense output.
 const ALL: usize = 16;
 
-/// A row with its zeros.
+/// Fills a row with its zeros.
 const fn full(row: Row) -> Weights {
     let mut weights = [0.0; MAX_STAGES];
     let mut i = 0;
@@ -27,7 +27,7 @@ const fn full(row: Row) -> Weights {
     weights
 }
 
-/// Order 8 by twelve stages.
+/// The method of order 8, with twelve stages.
 pub(in super::super) struct Dop853;
 
 impl Tableau for Dop853 {
@@ -48,7 +48,7 @@ impl Tableau for Dop853 {
     const DAMPING: f64 = 0.01;
     const SECOND: Option<Weights> = Some(full(SECOND_ERROR));
 
-    /// Coefficients of the dense output, from three further stages.
+    /// Coefficients of the dense output, with three more stages.
     fn dense<const N: usize, const M: usize, S: System<N, M>>(
         stages: &Stages<N>,
         system: &S,
@@ -68,7 +68,7 @@ impl Tableau for Dop853 {
     }
 }
 
-/// h times the weighted sum of slopes, as a loop, since few steps need their interpolant.
+/// h times the weighted sum of slopes; a loop, because few steps need their interpolant.
 fn weighted_sum<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
     let mut sum = StageDerivative::NONE;
     for &(stage, coefficient) in row {
@@ -200,9 +200,9 @@ const ERROR_3: Row = &[
     (11, 0.02265179219836082),
 ];
 
-/// Second error estimate of order 5, for sharp nonlinearities. Sums over the stages that meet the conditions of order 5 form a
-/// space of three dimensions. Among 7,800 steps under friction with known errors this direction best detects those that [`ERROR_5`]
-/// underestimates; it is twice as long, which took the fewest steps for a given error.
+/// Second error estimate of order 5, for sharp nonlinearities. Sums over the stages that satisfy the conditions of order 5 form a space of
+/// three dimensions. Among 7,800 steps under friction with known errors, this direction best detects steps that [`ERROR_5`] underestimates.
+/// It has twice the length, which took the fewest steps for a given error.
 const SECOND_ERROR: Row = &[
     (0, 0.03594421965334723),
     (5, -0.4741121613850806),
@@ -284,10 +284,10 @@ mod tests {
         row.iter().map(|&(stage, coefficient)| coefficient * node(stage).powi(power)).sum()
     }
 
-    /// Quadrature conditions of each order, and the stage order; measured orders cover the rest.
+    /// Checks the quadrature conditions of each order and the stage order; measured orders cover the rest.
     #[test]
     fn order_conditions_hold() {
-        // Rows and nodes have coefficients of up to 43: round-off of 43² ε.
+        // Coefficients of rows and nodes reach 43: round-off of 43² ε.
         let zero = |what: &str, value: f64| assert!(value.abs() < 1e-12, "{what}: {value:e}");
         for (stage, node) in
             [(5, 1.0 / 3.0), (6, 0.25), (7, 4.0 / 13.0), (9, 0.6), (11, 1.0), (END, 1.0), (14, 0.2), (15, 7.0 / 9.0)]

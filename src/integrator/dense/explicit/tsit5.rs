@@ -1,8 +1,8 @@
-//! Tsit5, an explicit Runge–Kutta method of order 5 with six stages, for inputs held so shortly that no higher order pays.
+//! Tsit5, an explicit Runge–Kutta method of order 5 with six stages, for inputs that change so often that no higher order pays.
 //!
-//! Ch. Tsitouras, *Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying assumption*, Computers and
-//! Mathematics with Applications 62 (2011). The author's error estimate needs the derivative at the end of the step as a seventh
-//! stage, which would be discarded where inputs change; the estimate here uses the six stages.
+//! Ch. Tsitouras, *Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying assumption*, Computers and Mathematics with
+//! Applications 62 (2011). The author's error estimate needs the derivative at the end of the step as a seventh stage, which would be
+//! discarded when inputs change. The estimate here uses the six stages.
 
 use super::{MAX_STAGES, Scheme, Stages, Tableau, Weights};
 use crate::integrator::dense::trial::StageDerivative;
@@ -13,13 +13,12 @@ use crate::integrator::{State, System};
 const STAGES: usize = 6;
 /// Row of the end of the step.
 const END: usize = STAGES;
-/// Row of the error estimate of order 3: embedded solution minus solution. The eight conditions of order 4 admit only the solution
-/// itself. Among directions that meet the four conditions of order 3 this one meets the others best, to 0.0006 (root of the sum of
-/// squares, weighted as in the expansion of the error); its length makes its terms of order 5 as large as those of the author's
-/// estimate, 0.001.
+/// Row of the error estimate of order 3: embedded solution minus solution. Only the solution itself satisfies the eight conditions of order
+/// 4. Among directions that satisfy the four conditions of order 3, this one violates the others least, by 0.0006 (root of the sum of
+/// squares, weighted as in the expansion of the error). Its length makes its terms of order 5 as large as in the author's estimate, 0.001.
 const ERROR: usize = END + 1;
-/// Row of the error estimate of order 2: the direction that violates the two conditions of order 3 most, of a length that makes the
-/// estimate for short steps as large as the author's.
+/// Row of the error estimate of order 2: the direction that violates the two conditions of order 3 most. With its length the estimate is as
+/// large as the author's for short steps.
 const COARSE: usize = END + 2;
 
 /// Coefficients of the stages, then rows [`END`], [`ERROR`] and [`COARSE`].
@@ -49,7 +48,7 @@ const WEIGHTS: [[f64; STAGES]; STAGES + 3] = [
     ],
 ];
 
-/// A row with zeros for the stages that the method does not have.
+/// Fills a row with zeros for stages that the method does not have.
 const fn full(row: usize) -> Weights {
     let mut weights = [0.0; MAX_STAGES];
     let mut stage = 0;
@@ -60,7 +59,7 @@ const fn full(row: usize) -> Weights {
     weights
 }
 
-/// Order 5 by six stages.
+/// The method of order 5, with six stages.
 pub(in super::super) struct Tsit5;
 
 impl Tableau for Tsit5 {

@@ -1,9 +1,9 @@
-//! Coefficients of the Rosenbrock methods Rodas4 and Rodas5P, in the transformed form with u instead of k, which needs no product
-//! with the Jacobian.
+//! Coefficients of the Rosenbrock methods Rodas4 and Rodas5P, in the transformed form with u instead of k, which needs no product with the
+//! Jacobian.
 //!
-//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., sections IV.7 and VI.4, with the digits of their
-//! code `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the
-//! last stages are at the end of the step, and the last u is the difference to the embedded solution.
+//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., sections IV.7 and VI.4, with the digits of their code
+//! `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the last stages
+//! are at the end of the step, and the last u is the difference from the embedded solution.
 
 use crate::integrator::dense::Scheme;
 
@@ -22,9 +22,9 @@ pub(in super::super) trait Tableau: Sized {
     const A: [[f64; MAX_STAGES]; MAX_STAGES + 1];
     /// Coefficients cᵢⱼ of earlier u in the right-hand side of each stage, times the step.
     const C: [[f64; MAX_STAGES]; MAX_STAGES];
-    /// Coefficients of the authors' dense output y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), with each k a sum of u.
+    /// Coefficients of the authors' dense output y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))); each k is a sum of u.
     const DENSE: [[f64; MAX_STAGES]; 3];
-    /// Coefficients of u in the middle of the step, added to the mean of both ends.
+    /// Coefficients of u in the middle of the step, which are added to the mean of both ends.
     const MIDDLE: [f64; MAX_STAGES] = {
         let mut middle = [0.0; MAX_STAGES];
         let mut i = 0;
@@ -34,7 +34,7 @@ pub(in super::super) trait Tableau: Sized {
         }
         middle
     };
-    /// Quadrature weights of the stages, of the order of the method.
+    /// Quadrature weights of the stages, with the order of the method.
     const QUADRATURE: [f64; MAX_STAGES] = weights::<Self>(&Self::A[MAX_STAGES]);
     /// Quadrature weights of the error estimate.
     const QUADRATURE_ERROR: [f64; MAX_STAGES] = {
@@ -44,8 +44,8 @@ pub(in super::super) trait Tableau: Sized {
     };
 }
 
-/// Quadrature weights b = γ (1 − γ Cᵀ)⁻¹ m of a sum of u with coefficients m: for a component that depends on the others only, the
-/// sum is h Σ bᵢ (derivative at stage i + its change along uᵢ). Backward from the last stage.
+/// Quadrature weights b = γ (1 − γ Cᵀ)⁻¹ m for a sum of u with coefficients m, computed backward from the last stage. For a component that
+/// depends only on the others, the sum is h Σ bᵢ (derivative at stage i + its change along uᵢ).
 const fn weights<T: Tableau>(coefficients: &[f64; MAX_STAGES]) -> [f64; MAX_STAGES] {
     let mut weights = *coefficients;
     let mut i = MAX_STAGES;
@@ -182,7 +182,7 @@ impl Tableau for Rodas5p {
 mod tests {
     use super::*;
 
-    /// Order conditions of the quadratures, which a wrong digit would violate.
+    /// Checks order conditions of the quadratures, which a wrong digit would violate.
     fn check<T: Tableau>() {
         let sum = |row: &[f64; MAX_STAGES]| row.iter().sum::<f64>();
         // Coefficients of up to 112 cancel.
@@ -195,7 +195,7 @@ mod tests {
             u[stage] = T::GAMMA * (1.0 + combine(&u, &T::C[stage]));
         }
         assert!((combine(&u, &T::A[MAX_STAGES]) - 1.0).abs() < 1e-12, "the end of the step: {}", combine(&u, &T::A[MAX_STAGES]));
-        // The middle of a motion at constant rate is the mean of both ends.
+        // For a motion at constant rate, the middle is the mean of both ends.
         assert!(combine(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", combine(&u, &T::MIDDLE));
     }
 
