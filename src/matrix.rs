@@ -128,7 +128,7 @@ mod tests {
 
     /// The matrix is far from symmetric and badly scaled.
     #[test]
-    fn solves_what_nalgebra_solves() {
+    fn solutions_agree_with_nalgebra() {
         let rows: [Vector<5>; 5] = std::array::from_fn(|i| {
             Vector::from_fn(|j| {
                 let skew = ((3 * i + 5 * j) % 7) as f64 - ((3 * j + 5 * i) % 7) as f64;
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_singular_matrix_gives_nothing_finite() {
+    fn a_singular_matrix_gives_no_finite_solution() {
         let singular = [Vector::ZERO, Vector::unit(1)];
         assert!(!Lu::new(singular).solve(Vector::from([1.0, 1.0])).is_finite());
     }

@@ -240,7 +240,7 @@ mod tests {
 
     /// Lengths are odd and even, because the last element of an odd length is treated separately.
     #[test]
-    fn operators_are_those_of_algebra() {
+    fn operators_follow_linear_algebra() {
         let (x, y) = (Vector::from([1.0, -2.0, 3.0]), Vector::from([4.0, 5.0, -6.0]));
         assert_eq!(*(x + y), [5.0, 3.0, -3.0]);
         assert_eq!(*(x - y), [-3.0, -7.0, 9.0]);
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_seen() {
+    fn nan_is_detected() {
         assert!(Vector::from([1.0, 2.0, 3.0]).is_finite());
         assert!(!Vector::from([1.0, f64::NAN, 3.0]).is_finite());
         assert!(!Vector::from([1.0, 2.0, f64::INFINITY]).is_finite());

@@ -255,8 +255,8 @@ impl Closure {
     }
 }
 
-/// Factors of the saddle-point matrix. The proximal angle is eliminated first, then the distal angle. With the columns p and d of Φ_q, χ =
-/// C/P and r = d − χ p, the Schur complement is S = Σ (p pᵀ/P + r rᵀ/δ) + e.
+/// Factors of the saddle-point matrix. The proximal angle is eliminated first, then the distal angle. Let p and d be the columns of Φ_q,
+/// χ = C/P and r = d − χ p; then the Schur complement is S = Σ (p pᵀ/P + r rᵀ/δ) + e.
 #[derive(Clone, Copy, Debug)]
 pub struct Factor {
     /// 1/P and 1/δ, 1/(kg·m²).
@@ -294,7 +294,7 @@ impl Factor {
 
     /// Accelerations with the force at the tip, from the accelerations of the free links (intermediate values of the elimination).
     #[inline(always)]
-    fn held(&self, [free_p, free_r]: [Legs; 2], tip: Legs) -> Angles {
+    fn constrained(&self, [free_p, free_r]: [Legs; 2], tip: Legs) -> Angles {
         let [x, y] = tip.to_array().map(both);
         let [on_p, on_r] = self.by_tip;
         let d = free_r - (on_r.x * x + on_r.y * y);
@@ -308,16 +308,16 @@ impl Kkt<ANGLES, CLOSURES> for Factor {
         let ([p, d], [per_p, per_r]) = (legs(b), self.mobility);
         let r = d - self.chi * p;
         let tip = self.dual_times(at_tip(&self.by_tip, [p, r]) - Legs::new(**c));
-        (self.held([per_p * p, per_r * r], tip), tip.to_array().into())
+        (self.constrained([per_p * p, per_r * r], tip), tip.to_array().into())
     }
 
     #[inline(always)]
     fn correction(&self, c: &AtTip) -> Angles {
-        self.held([Legs::ZERO; 2], -self.dual_times(Legs::new(**c)))
+        self.constrained([Legs::ZERO; 2], -self.dual_times(Legs::new(**c)))
     }
 }
 
-/// Equations of motion at link angles and rates, factorised, so that several torques can be solved for:
+/// Equations of motion at link angles and rates, factorised once; torques are the right-hand sides:
 ///
 /// ```text
 /// let pose = mechanism.pose_at(legs(&angles));
@@ -404,8 +404,8 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
 /// M δα + Φ_qᵀ δλ = −K δθ − C δω + δQ + δc − δM α − δΦ_qᵀ λ,      Φ_q δα − e δλ = Σ (r α + n̂(r) ω²) δθ + 2 r ω δω
 /// ```
 ///
-/// Here r is the arm of each link in the closure, including its sign, and c are the centripetal torques. It is used for implicit steps in
-/// the link angles, for the propagation of errors and for directional derivatives. Reactions of sticking contacts are not included.
+/// Here r is the arm of each link in the closure, including its sign, and c are the centripetal torques. Implicit steps in the link angles,
+/// the propagation of errors and directional derivatives use this linearisation. It does not include reactions of sticking contacts.
 #[derive(Clone, Copy, Debug)]
 pub struct Linearised {
     factor: Factor,

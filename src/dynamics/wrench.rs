@@ -211,8 +211,8 @@ impl Slopes {
         self.over_links(weights)[1][2]
     }
 
-    /// Weighted slopes k K + c C of each leg over its links, proximal link first, in the cut loop of a finite step. Left out are slopes
-    /// that couple the legs (see [`Slopes::between_legs`]) and the turning of the rows with the forces on the positions.
+    /// Weighted slopes k K + c C of each leg over its links, proximal link first, in the cut loop of a finite step. They do not include
+    /// slopes that couple the legs (see [`Slopes::between_legs`]), or the effect of rows that turn with the forces on the positions.
     pub fn on_legs(&self, arm: &TipArm, levers: &StepLevers, weights: [f64; 2]) -> [[Legs; 2]; 2] {
         let links = self.over_links(weights);
         let mut matrix =
@@ -317,7 +317,7 @@ mod tests {
     const BOUND: f64 = 2e-9;
 
     #[test]
-    fn the_power_of_a_wrench_is_that_of_its_generalised_forces() {
+    fn a_wrench_and_its_generalised_forces_have_equal_power() {
         let mechanism = mechanism();
         for seed in 0..20 {
             let wrench = Linear::new(seed).wrench;
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn the_work_of_a_mean_wrench_is_that_of_its_generalised_forces() {
+    fn a_mean_wrench_and_its_generalised_forces_do_equal_work() {
         let mechanism = mechanism();
         for seed in 0..20 {
             let (wrench, [q, d, v]) = (Linear::new(seed).wrench, [0, 30, 60].map(|more| coordinates(seed + more)));
@@ -465,7 +465,7 @@ mod tests {
 
     /// The legs of the cut loop carry the coordinates of link 2: rows and columns of the same slopes, leg by leg.
     #[test]
-    fn slopes_on_legs_are_those_in_the_coordinates_carried_along() {
+    fn slopes_on_legs_agree_with_slopes_in_coordinates() {
         let mechanism = mechanism();
         for seed in 0..20 {
             let (law, [q, d, v]) = (Linear::new(seed), [0, 30, 60].map(|more| coordinates(seed + more)));

@@ -6,12 +6,12 @@
 //! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + c ḋ))
 //! ```
 //!
-//! `hybrid/unilateral.rs` describes N. The tangential part is regularised Coulomb friction. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ and C =
-//! −∂F/∂ṗ couple links and are not symmetric. The spring part of N has a potential; the damper and the friction dissipate. The formula is
-//! `law` 1, smooth. With `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): mu N opposes the motion of a slipping tip, and a
-//! sticking tip feels the force that keeps it at rest along the plane, up to mu N.
-//! Defaults: a floor 1 m below the motor axes, out of reach of the paper's mechanism; k 2e3 N/m and 5 N·s/m, a soft fingertip or a
-//! haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
+//! `hybrid/unilateral.rs` describes N. The tangential part is regularised Coulomb friction. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ and
+//! C = −∂F/∂ṗ couple links and are not symmetric. The spring part of N has a potential; the damper and the friction dissipate. The formula
+//! above is for `law` 1, smooth. With `law` 2, stick, friction is set-valued (`hybrid/friction.rs`): mu N opposes the motion of a slipping
+//! tip, and a sticking tip feels the force that keeps it at rest along the plane, up to mu N.
+//! Defaults: a floor 1 m below the motor axes, out of reach of the paper's mechanism; k 2e3 N/m and 5 N·s/m, a soft fingertip or a haptic
+//! wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
 //! Limits: a point against a plane. With the smooth law the tip creeps under a tangential load F_t below mu N, at about slipVelocity
 //! F_t/(mu N).
 

@@ -22,7 +22,7 @@ pub enum PowerFlow {
 
 impl PowerFlow {
     /// Input and dissipation for a given power, W, or work, J, of the law.
-    fn books(self, power: f64) -> [f64; 2] {
+    fn account(self, power: f64) -> [f64; 2] {
         match self {
             Self::Stored => [0.0; 2],
             Self::Supplied => [power, 0.0],
@@ -106,7 +106,7 @@ pub trait ForceLaw {
     /// Adds the wrench at an instant. Returns input power and dissipated power, W; the power of the wrench is input − dissipation − dU/dt.
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
         let torques = self.torques(&at.joints);
-        self.properties().power_flow.books(add_torques(&torques, &at.joints.rates, wrench))
+        self.properties().power_flow.account(add_torques(&torques, &at.joints.rates, wrench))
     }
 
     /// Adds the slopes at an instant, and the force on the tip.
@@ -120,7 +120,7 @@ pub trait ForceLaw {
     /// − dissipation − change of the potential.
     fn act_over(&self, over: &FiniteMotion, wrench: &mut Wrench) -> [f64; 2] {
         let torques = self.torques(&over.joints(&end_weights(self, over)));
-        self.properties().power_flow.books(add_torques(&torques, &over.changes, wrench))
+        self.properties().power_flow.account(add_torques(&torques, &over.changes, wrench))
     }
 
     /// Adds the slopes of the mean wrench with respect to the increments and to the rates at the step's end, and the mean force on the tip.

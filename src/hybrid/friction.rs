@@ -97,7 +97,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             return StickingConstraint::All { force };
         }
         let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
-        held_direction(self.stick_slip(), &constraints)
+        sticking_direction(self.stick_slip(), &constraints)
     }
 
     /// Friction reactions of sticking places: torques in the joints, N·m, and force on the tip, N.
@@ -111,7 +111,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             return holding;
         }
         let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
-        let StickingConstraint::Direction { row, drift, force } = held_direction(self.stick_slip(), &constraints) else {
+        let StickingConstraint::Direction { row, drift, force } = sticking_direction(self.stick_slip(), &constraints) else {
             return holding;
         };
         let mass = self.factor_mass(pose, self.regularization());
@@ -235,7 +235,7 @@ fn admissible_direction<const N: usize, const M: usize, S: System<N, M>>(
 }
 
 /// The constraint on the motion if all sticking places constrain the same direction.
-fn held_direction<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickingConstraint<N> {
+fn sticking_direction<const N: usize>(stick_slip: &StickSlips, constraints: &FrictionConstraints<N>) -> StickingConstraint<N> {
     let Some(first) = constraints.first() else { return StickingConstraint::Nothing };
     let force = shares(stick_slip, constraints).fold(Vector::ZERO, |sum, (constraint, share)| sum + share * constraint.row);
     StickingConstraint::Direction { row: first.row, drift: first.drift, force }

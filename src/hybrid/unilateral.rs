@@ -5,9 +5,9 @@
 //! ```
 //!
 //! The reaction never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N
-//! twice differentiable at d = 0. On fast separation, when max(0, ·) becomes 0, N has a kink. The spring part has the potential U = ∫ s k d
-//! dd; the remaining power, (N − s k d) ḋ ≥ 0, is dissipated. The phases are free, ramp and full; their guards are d = 0, d = width and k d
-//! + c ḋ = 0.
+//! twice differentiable at d = 0. On fast separation, when max(0, ·) becomes 0, N has a kink. The spring part has the potential
+//! U = ∫ s k d dd; the remaining power, (N − s k d) ḋ ≥ 0, is dissipated. The phases are free, ramp and full; their guards are d = 0,
+//! d = width and k d + c ḋ = 0.
 //!
 //! Upper bounds on the guard values between two states ensure that no crossing is missed. With values and slopes at both ends and bounds on
 //! higher derivatives, a function lies below two straight lines, below the parabola over its chord, and within a remainder of the cubic
@@ -455,7 +455,7 @@ mod tests {
 
     /// The mean force times the displacement is the change of the potential, within its round-off; its slope is a derivative.
     #[test]
-    fn the_mean_force_is_that_of_the_potential() {
+    fn the_mean_force_follows_from_the_potential() {
         let spring = UnilateralSpring { damping: 0.0, ..SPRING };
         for depth in [-1.0, -1e-4, 1e-5, 3e-4, 9.9e-4, 1.5e-3, 0.1] {
             for end in [-1e-3, 2e-5, 4e-4, 1.1e-3, 0.05, 0.2] {

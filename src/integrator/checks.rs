@@ -64,7 +64,7 @@ pub(super) struct Checked<'a, const N: usize> {
 
 /// Quantities at the beginning of a step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Books {
+pub(super) struct Beginning {
     energy: f64,
     work: Work,
     configuration_signs: u8,
@@ -73,10 +73,10 @@ pub(super) struct Books {
     rates: [f64; 2],
 }
 
-impl Books {
+impl Beginning {
     /// Records the beginning of a step.
     #[inline(always)]
-    pub(super) fn open<const N: usize, const M: usize>(system: &impl System<N, M>, from: &Checked<'_, N>) -> Self {
+    pub(super) fn of<const N: usize, const M: usize>(system: &impl System<N, M>, from: &Checked<'_, N>) -> Self {
         let &Checked { q, v, a, energy, work, configuration_signs } = from;
         let rates = [system.error_norm(v), system.error_norm(a)];
         Self { energy, work, configuration_signs, branch: system.branch(q, v), rates }
@@ -115,10 +115,10 @@ pub fn count_breaches<const N: usize, const M: usize>(
     (state, h): (&mut State<N, M>, f64),
     step: impl FnOnce(&mut State<N, M>) -> Result<(), StepError>,
 ) -> Result<(), StepError> {
-    let books = state.checked().map(|from| Books::open(system, &from));
+    let beginning = state.checked().map(|from| Beginning::of(system, &from));
     step(state)?;
-    let (Some(books), Some(to)) = (books, state.checked()) else { return Ok(()) };
-    let checked = books.check(system, Imbalance::of_fixed_steps(energy_scale()), &to, h);
+    let (Some(beginning), Some(to)) = (beginning, state.checked()) else { return Ok(()) };
+    let checked = beginning.check(system, Imbalance::of_fixed_steps(energy_scale()), &to, h);
     state.counters.breaches += u64::from(checked.is_err());
     Ok(())
 }

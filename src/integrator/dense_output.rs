@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_greatest_hold_on_the_whole_step() {
+    fn bounds_hold_on_the_whole_step() {
         let numbers = [0.3, -1.2, 2.5, 0.7, -3.1, 1.9, 0.2, -0.8];
         let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
         let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
@@ -233,7 +233,7 @@ mod tests {
 
     /// Compares random polynomials with their values at 4000 places.
     #[test]
-    fn what_has_risen_never_falls() {
+    fn the_running_maximum_never_falls() {
         let (mut number, mut falling) = (1_u64, 0);
         let mut next = || {
             number = number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -10,7 +10,7 @@
 //!
 //! Methods with dense output (`dense.rs`) also step past communication points, and redo such a step up to a communication point.
 
-use super::checks::{Books, Imbalance};
+use super::checks::{Beginning, Imbalance};
 use super::locator::{EventTrials, Probe};
 use super::{Approach, Guards, Mechanics, PassageLimits, State, StepError, StepLimits, Stuck, Transit};
 
@@ -111,12 +111,12 @@ pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
         let lasting = from.as_ref().map_or(f64::INFINITY, |from| DWELL_MARGIN * from.guard_values.dwell_time());
         trials.h = method.plan(&*in_mode, near.as_ref(), lasting).min(trials.longest);
         let longest = near.map_or(f64::INFINITY, |limits| limits.longest);
-        let books = method.start().checked().map(|from| Books::open(&*in_mode, &from));
+        let beginning = method.start().checked().map(|from| Beginning::of(&*in_mode, &from));
         if let Some(end) = in_one_mode(method, &*in_mode, (from.as_ref(), longest), &mut trials)? {
-            if let (Progress::Done, Some(books)) = (end, books)
+            if let (Progress::Done, Some(beginning)) = (end, beginning)
                 && let Some(to) = method.end().checked()
             {
-                books.check(&*in_mode, limits.imbalance, &to, trials.h)?;
+                beginning.check(&*in_mode, limits.imbalance, &to, trials.h)?;
             }
             return Ok(end);
         }

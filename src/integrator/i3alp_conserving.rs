@@ -19,7 +19,7 @@ mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::checks::{Books, Checked, Imbalance};
+use super::checks::{Beginning, Checked, Imbalance};
 use super::{Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
 use fallback::{ConservingEnd, Step, from_equilibrium};
@@ -268,9 +268,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             Some(x) => self.history.remember(over.h, x),
             None => self.history = History::NONE,
         }
-        let books = system.features().checks.then(|| {
+        let beginning = system.features().checks.then(|| {
             let energy = self.energy.unwrap_or_else(|| system.energy(&self.q, &system.pose(&self.q), &self.v));
-            Books::open(system, &self.checked(energy))
+            Beginning::of(system, &self.checked(energy))
         });
         if system.features().work {
             self.work = self.work.plus(1.0, system.work_over(over));
@@ -280,10 +280,10 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let configuration_signs = system.configuration_signs(end);
         self.counters.count_sign_changes(&mut self.configuration_signs, configuration_signs);
         self.counters.substeps += 1;
-        let Some(books) = books else { return Ok(()) };
+        let Some(beginning) = beginning else { return Ok(()) };
         let energy = system.energy(&self.q, end, &self.v);
         self.energy = Some(energy);
-        books.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), over.h)
+        beginning.check(system, Imbalance::of_conserving(settings.energy_scale), &self.checked(energy), over.h)
     }
 
     /// The quantities that a step's checks compare, with the given energy, J.

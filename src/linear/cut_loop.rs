@@ -9,8 +9,8 @@
 //! A = m_P a² + m_D ℓ²,   B = m_D ℓ a_D,   D = m_D a_D²        moment(p, d) = (A p + B d, B p + D d)
 //! ```
 //!
-//! Let ω̂ = ½h ω₁ with the rates ω₁ at the step's end. The first moment of displacements u_P, u_D of the centres of mass is the pair (m_P a
-//! u_P + m_D ℓ u_D, m_D a_D u_D). With these, the equations are
+//! Let ω̂ = ½h ω₁ with the rates ω₁ at the step's end. Displacements u_P and u_D of the centres of mass have the first moments
+//! m_P a u_P + m_D ℓ u_D and m_D a_D u_D. With these, the equations are
 //!
 //! ```text
 //! k = moment(s Δθ n̂_m) − k₀,     k₀ of ½h q̇₀          first moment of d − ½h q̇₀

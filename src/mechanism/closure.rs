@@ -1,7 +1,7 @@
 //! Closure of the loop: q and q̇ from the proximal angles, their rates and the assembly mode.
 //!
-//! The tip is an intersection of two circles around the elbows, with radii l₂ and l₃. The distal rates solve l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ =
-//! velocity of the right elbow relative to the left one. [`close`] describes singular postures.
+//! The tip is an intersection of two circles around the elbows, with radii l₂ and l₃. The distal rates solve l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = p with
+//! the velocity p of the right elbow relative to the left one. [`close`] describes singular postures.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn are_those_of_nalgebra_and_satisfy_their_equations() {
+    fn agree_with_nalgebra_and_satisfy_their_equations() {
         for rest in [1.0, 1e-6, 0.0] {
             let rows = rows(rest);
             let found = singular_values(rows);

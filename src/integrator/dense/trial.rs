@@ -224,7 +224,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_gives_nothing_back() {
+    fn dissipation_is_never_negative() {
         let settings = Settings {
             schemes: Schemes::Automatic,
             error_tolerance: 1e-6,

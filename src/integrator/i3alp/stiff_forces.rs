@@ -63,8 +63,9 @@ pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
     system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
 }
 
-/// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does the work h/2 (P₀ +
-/// P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀). This is consistent with the rule for the motion: a linear drive neither loses nor gains energy.
+/// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does the work
+/// h/2 (P₀ + P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀). This is consistent with the rule for the motion: a linear drive neither loses nor gains
+/// energy.
 fn drive_work<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     h: f64,

@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_make_quadratures() {
+    fn weights_satisfy_quadrature_conditions() {
         check::<Rodas4>();
         check::<Rodas5p>();
     }
