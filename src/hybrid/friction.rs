@@ -4,7 +4,10 @@
 //! place has a friction force against its sliding rate w. A sticking place has the force that keeps w = 0, up to the bound b. A method
 //! stores the states ([`StickSlips`]).
 //!
-//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b
+//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise
+//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
+//! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so at most two independent places stick, and then
+//! nothing moves.
 //! |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001). The minimiser
 //! is unique. The mechanism has two degrees of freedom, so at most two independent places stick, and then nothing moves.
 
@@ -88,7 +91,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
         stick_slip
     }
 
-    /// The constraint or the reaction of friction that sticks.
+    /// Constraint or reaction due to sticking friction.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
         if self.stick_slip().at_rest() {
             let (constraints, holding) = (self.friction_constraints((q, pose, v), all), self.holding((q, pose, v)));

@@ -1,7 +1,7 @@
 //! Discrete state of the hybrid system, the [`Mode`]: phases of unilateral springs, stick-slip states of friction places, branch of the
 //! closure. An error-controlled method ends its step where the trajectory crosses a guard and begins the next step in the next mode. Within
 //! a step every force is then one smooth formula, so the method keeps its order. All other methods use [`Mode::OF_STATE`]: the current
-//! state decides on every formula.
+//! state determines every formula.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -48,7 +48,7 @@ pub struct Mode {
 }
 
 impl Mode {
-    /// No stored mode: the current state decides on the branch of every force law.
+    /// No stored mode: the current state determines the branch of every force law.
     pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
 
     /// Whether any spring pushes.

@@ -307,7 +307,7 @@ impl UnilateralGuard<'_> {
         self.spring.potential(self.phase(mode), self.depth)
     }
 
-    /// Dissipated power, W. Not included: the elastic energy that a spring loses at once when it separates,
+    /// Dissipated power, W. Force laws skip a spring with the stored phase free; its loss is the
     /// [`separation_energy`](crate::integrator::Guards::separation_energy).
     pub fn dissipation(&self, mode: &Mode) -> f64 {
         self.spring.dissipation(self.phase(mode), self.depth, self.rate)
@@ -335,7 +335,7 @@ impl UnilateralGuard<'_> {
     }
 
     /// Whether the phase provably persists for `duration` seconds from this state, whatever the end state is. Each guard must be farther
-    /// away than the penetration can change in that time, with the error of the motion, for an angular tolerance in rad, as margin.
+    /// away than the penetration can change in that time plus the error of the motion, which follows from the angular tolerance, rad.
     pub(super) fn is_out_of_reach(&self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let bound = |order: usize| derivative_bound(self.arms, order, extremes);
         self.phase(mode).holds(|guard| {

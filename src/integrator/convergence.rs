@@ -2,7 +2,7 @@
 //!
 //! Convergence is quadratic. An iteration therefore ends once the violation of its equations is below its bound and, if it matters, the
 //! last correction is so small that the next one would be round-off. If the violation no longer falls, it is compared with round-off
-//! instead; likewise corrections.
+//! instead, and so are corrections.
 
 use super::StepError;
 

@@ -34,7 +34,7 @@ pub struct Settings {
     pub schemes: Schemes,
     /// Admissible local error per step, as root mean square: this value for a coordinate, rad, and (10/s + |q̇|) times it for a rate.
     pub error_tolerance: f64,
-    /// Energy, J. Times the error tolerance, it bounds the error of a step's work; used with events.
+    /// Energy scale, J. Its product with the error tolerance bounds the error of a step's work; used with events.
     pub energy_scale: f64,
     /// Length of the first step tried, s.
     pub first_step: f64,
@@ -165,8 +165,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// Advances by one macro step of `h` seconds. `pose` is the pose at the end of the current step, if known. On failure the run is
-    /// undefined, so the caller keeps a copy.
+    /// Advances by one macro step of `h` seconds. `pose` is the pose at the end of the current step, if known. Fails if a step becomes too
+    /// short or fails its checks, or if the work exceeds its limit; the run is then undefined, so the caller keeps a copy.
     pub fn advance<S: Mechanics<N, M, Mode = K>>(
         &mut self,
         system: &S,

@@ -83,7 +83,7 @@ pub(super) struct Limits {
     pub(super) imbalance: Imbalance,
 }
 
-/// Makes the next step. On failure the state of the method is undefined.
+/// Makes the next step. Fails if the method fails or the step fails its checks; the state of the method is then undefined.
 pub(super) fn step<const N: usize, const M: usize, S: Mechanics<N, M>>(
     method: &mut impl Method<N, M, S>,
     system: &S,

@@ -46,7 +46,7 @@ pub struct Settings {
     /// Largest work per macro step including rejected sub-steps, so that every call ends. Work counts Newton iterations, weighted by the
     /// cost of their linear solve, line-search trials and sub-steps.
     pub max_work: u32,
-    /// Energy, J. Times the error tolerance, it bounds the error of a step's energy balance; used with stiff forces.
+    /// Energy scale, J. Its product with the error tolerance bounds the error of a step's energy balance; used with stiff forces.
     pub energy_scale: f64,
     /// Total energy at the start, J; used with stiff forces.
     pub energy_at_start: f64,
@@ -85,8 +85,8 @@ impl MacroStep {
         Self { rest: h, work: 0, last: [h, f64::INFINITY], shorter: h }
     }
 
-    /// Continues in `mode`, in one step or in error-controlled sub-steps. On failure `state` and `mode` are undefined, so the caller keeps
-    /// a copy.
+    /// Continues in `mode`, in one step or in error-controlled sub-steps. Fails if a fixed step cannot be solved, a sub-step fails its
+    /// checks or the work exceeds its limit; `state` and `mode` are then undefined, so the caller keeps a copy.
     #[inline(never)]
     pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
         &mut self,
@@ -278,7 +278,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     let pose = loop {
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
             Ok(pose) => break pose,
-            // Stiff friction keeps the rates constant although the predicted accelerations would change them.
+            // Stiff friction may keep rates constant that the predicted accelerations would change, so constant rates are tried.
             Err(_) if controls_rates(&settings, system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
                 step = step.without_jerk(state);

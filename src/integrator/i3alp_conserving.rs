@@ -132,8 +132,9 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         state
     }
 
-    /// Makes one step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
-    /// `system`; a specialised form is compiled only for the first try.
+    /// Makes one step of `h` seconds. Fails if no fallback stage finds an end, a value is not finite or the step fails its checks; the run
+    /// is then undefined, so the caller keeps a copy. `general` is the unspecialised form of `system`; a specialised form is compiled only
+    /// for the first try.
     #[inline(never)]
     pub fn advance<const M: usize, S, G>(
         &mut self,

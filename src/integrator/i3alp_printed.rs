@@ -23,7 +23,8 @@ pub struct Settings {
 /// slowly near singularities: ten iterations do not meet a tighter bound in the paper's own free fall.
 const STOP: f64 = 1e-8;
 
-/// Makes one step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
+/// Makes one step of `h` seconds. Fails if Newton's method does not converge, the tangent is not positive definite or a value is not
+/// finite; `state` is then undefined, so the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,

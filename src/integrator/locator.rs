@@ -233,7 +233,7 @@ impl<S: Events<N>, const N: usize> Search<'_, S, N> {
     /// bounds on a longer stretch have excluded all guards except those of sticking friction.
     fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>, stays: bool) -> Option<f64> {
         if to.is_past_guard() {
-            // A crossing lies between; the stretch before it is searched for an earlier one.
+            // A crossing lies between the two places; the stretch before it is searched for an earlier one.
             let at = self.crossing_between(from, to);
             let before = if at.is_past_guard() { None } else { self.first(from, &at, stays) };
             return before.or(Some(at.part));

@@ -109,7 +109,7 @@ pub trait Passage<const N: usize> {
         false
     }
 
-    /// Factor on q̇ at the end of a step of h seconds that restores the energy.
+    /// Factor on q̇ at the end of a step of h seconds that restores the energy. Fails if the energy has changed too much.
     fn energy_scale(&self, _before: &EnergyBalance, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Result<f64, StepError> {
         Ok(1.0)
     }

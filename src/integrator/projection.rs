@@ -24,7 +24,7 @@ impl Projection {
         Self { regularization, tolerance: TO_ROUND_OFF * length_scale, max_iterations }
     }
 
-    /// Projects q onto Φ = 0 by Newton's method. Returns the number of iterations and the pose.
+    /// Projects q onto Φ = 0 by Newton's method. Returns the number of iterations and the pose; fails if `max_iterations` do not suffice.
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,

@@ -19,7 +19,8 @@ pub struct Settings {
     pub max_iterations: u32,
 }
 
-/// Makes one step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
+/// Makes one step of `h` seconds. Fails if the projection does not converge or a value is not finite; `state` is then undefined, so the
+/// caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,

@@ -162,7 +162,8 @@ impl LinearSolver {
         }
     }
 
-    /// Solves the saddle-point system leg by leg, for an A₀ that couples no links.
+    /// Solves the saddle-point system leg by leg, for an A₀ that couples no links. Fails if A₀ is not sufficiently positive definite but
+    /// has to be.
     #[inline(always)]
     pub fn solve_tangent_by_legs(
         &self,

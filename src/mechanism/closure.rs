@@ -119,7 +119,8 @@ fn rounded(value: f64) -> f64 {
 /// undetermined and is set to 0. With all links on one line (a vertex of the configuration space) the distal rates solve the quadratic
 /// equation of the tangent cone; of its roots, the one that moves the tip to the side of the assembly mode is taken.
 ///
-/// Refused: elbows that the distal links cannot join or that coincide, and rates that violate the closure at a direct singularity.
+/// Refused: elbows that the distal links cannot join or that coincide, and rates at a direct singularity or at a vertex for which no distal
+/// rates keep the loop closed.
 pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), SceneError> {
     let span = ElbowSpan::new(geometry, "init.theta", start.theta)?;
     let theta = angles(geometry, &span, start);

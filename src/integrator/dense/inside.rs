@@ -74,7 +74,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let (Self { start, end, .. }, h) = (self, self.length);
         let positions = Interpolant::between([[start.q, start.v, start.a], [end.q, end.v, end.a]], h);
-        // Any scheme with one polynomial for coordinates and rates.
+        // Rodas5P stands for any scheme with one polynomial for coordinates and rates.
         Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
     }
 

@@ -122,7 +122,7 @@ impl Schemes {
         if error_tolerance >= RODAS4_TOLERANCE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
-    /// Whether these schemes allow a step with a scheme.
+    /// Whether a run with these schemes may use the given scheme for a step.
     pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
             Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
