@@ -1,7 +1,7 @@
 """A scene of one's own in FMPy: a small machine, springs that carry it, and a push on its tip.
 
 Where `fivebar` is installed (in a checkout `target/venv`): python examples/own_scene.py
-The same as a scene's file, for `fivebar run`, takes no code: see docs/effects.md.
+The same as a scene's file, for `fivebar run`, takes no code: see docs/scenes.md.
 """
 
 import numpy as np

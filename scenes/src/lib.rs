@@ -1,7 +1,7 @@
 //! The scenes as Rust programs read them: values of variables by name, checked against `modelDescription.xml`.
 //!
 //! A file is an object: variable name → start value, enumerations by the names of their items, and four keys that are no
-//! variables; `docs/effects.md` describes them. A misspelt name, a value out of bounds or of the wrong type is refused in one
+//! variables; `docs/scenes.md` describes them. A misspelt name, a value out of bounds or of the wrong type is refused in one
 //! sentence. The library is not needed: programs that link it write the values into its parameters themselves. Users read scenes by
 //! the package `fivebar`, in the tip's coordinates and with mounting angles of encoders too, which are refused here;
 //! `tests/python/test_scene_readers.py` holds both readers to the same answers in all else.

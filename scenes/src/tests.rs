@@ -53,7 +53,7 @@ fn the_paper_s_scenes_are_there() {
 /// Every effect of every scene, and a scene as a user writes it.
 #[test]
 fn docs_list_every_scene_with_its_effects() {
-    let docs = fs::read_to_string(crate::folder().join("../docs/effects.md")).expect("docs/effects.md");
+    let docs = fs::read_to_string(crate::folder().join("../docs/scenes.md")).expect("docs/scenes.md");
     let variables = &names::model().expect("the model description").variables;
     let active = |scene: &Scene| -> Vec<&str> {
         let switches = variables.iter().filter_map(|variable| {
@@ -70,7 +70,7 @@ fn docs_list_every_scene_with_its_effects() {
         let effects = if active.is_empty() { "none".into() } else { active.join(", ") };
         assert!(
             rows.remove(&(scene.name.clone(), effects.clone())),
-            "docs/effects.md has no row for {} with {effects}",
+            "docs/scenes.md has no row for {} with {effects}",
             scene.name
         );
     }

@@ -338,8 +338,8 @@ def test_a_parameter_with_a_signal_is_not_called_unknown(name: str, sentence: st
 
 @pytest.mark.parametrize(("end", "note"), [(0.6292, False), (3.7708, True)])
 def test_references_that_cannot_be_closed_are_noted(end: float, note: bool) -> None:
-    """The scene in docs/effects.md turned the left motor until the elbows would have been 0.49 m apart."""
-    page = (REPOSITORY / "docs" / "effects.md").read_text(encoding="utf-8")
+    """The scene in docs/scenes.md turned the left motor until the elbows would have been 0.49 m apart."""
+    page = (REPOSITORY / "docs" / "scenes.md").read_text(encoding="utf-8")
     (block,) = (
         text for text in re.findall(r"^```json\n(.*?)^```$", page, re.DOTALL | re.MULTILINE) if "servo.theta[1]" in text
     )

@@ -1,4 +1,4 @@
-"""Scenes: start values by name, inputs that change, further runs to compare with. docs/effects.md describes the files of scenes/.
+"""Scenes: start values by name, inputs that change, further runs to compare with. docs/scenes.md describes the files of scenes/.
 
 A file is read, checked and resolved here, by the names, types, bounds and start values of the unit's own model description.
 """
