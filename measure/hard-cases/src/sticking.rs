@@ -111,20 +111,22 @@ impl<'a> Sticking<'a> {
         state
     }
 
-    /// The end of the step that comes just beyond where the state of a friction place changes: by false position (Illinois).
+    /// The end of the step that comes just beyond where the state of a friction place changes: by false position (Illinois) and bisection in
+    /// turn. Where two places are near their change the smallest guard has a corner, at which false position alone stops moving.
     fn event(&self, from: &Motion, stick_slip: &StickSlips, longest: f64) -> (Motion, f64) {
         /// So far beyond, rad/s and N·m, within the smaller.
         const BEYOND: [f64; 2] = [5e-13, 4e-13];
-        const ROUNDS: usize = 60;
+        const ROUNDS: usize = 200;
         let step = |h: f64| extrapolate(&|state| self.slope(state, stick_slip), from, h).0;
         let above = |end: &Motion| self.margin(end, stick_slip) + BEYOND[0];
         let ([mut before, mut beyond], mut end) = ([0.0, longest], step(longest));
         let [mut high, mut low] = [above(from), above(&end)];
-        for _ in 0..ROUNDS {
+        for round in 0..ROUNDS {
             if low.abs() < BEYOND[1] || beyond - before < 1e-16 || high <= 0.0 {
                 break;
             }
-            let middle = before + (beyond - before) * (high / (high - low)).clamp(1e-3, 0.999);
+            let part = if round % 2 == 0 { (high / (high - low)).clamp(1e-3, 0.999) } else { 0.5 };
+            let middle = before + (beyond - before) * part;
             let there = step(middle);
             let level = above(&there);
             if level > BEYOND[1] {
