@@ -9,7 +9,7 @@ use super::finite_motion::FiniteMotion;
 use super::wrench::{FrictionElements, JOINTS, JointMotion, Motion, Slopes, Wrench};
 use crate::hybrid::UnilateralGuards;
 
-/// Account of the energy balance to which the power of a joint law belongs.
+/// Account of the energy balance for the power of a joint law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PowerFlow {
     /// Taken from the law's potential.
@@ -34,7 +34,7 @@ impl PowerFlow {
 /// Properties of a force law that decide how methods treat it. They follow from its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Properties {
-    /// Account to which the power of the joint torques belongs.
+    /// Account of the energy balance for the power of the joint torques.
     pub power_flow: PowerFlow,
     /// Whether the whole force has a potential.
     pub conservative: bool,

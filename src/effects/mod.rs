@@ -49,7 +49,7 @@ macro_rules! effects {
 
         const FORCES: usize = [$(stringify!($force),)+].len();
 
-        /// An enabled effect whose force depends on the motion.
+        /// An enabled effect with a force that depends on the motion.
         #[derive(Clone, Debug, PartialEq)]
         #[expect(missing_docs, reason = "each is the type of the effect's file")]
         pub enum Effect {
@@ -81,8 +81,8 @@ macro_rules! effects {
                 weight
             }
 
-            /// Prepares the enabled effects whose force depends on the motion, in the order of their evaluation. Refuses parameters that an
-            /// effect refuses.
+            /// Prepares the enabled effects with a force that depends on the motion, in the order of their evaluation. Refuses parameters
+            /// that an effect refuses.
             pub fn active(&self, mechanism: &Mechanism) -> Result<Active, SceneError> {
                 let mut active = Active::new();
                 $(if self.$force.enabled { active.push(Effect::$Force($Force::new(&self.$force, mechanism)?)); })+
@@ -101,8 +101,8 @@ macro_rules! effects {
     };
 }
 
-/// Enabled effects whose force depends on the motion. The array is stored in place, so that changing a parameter during a run allocates
-/// nothing.
+/// Enabled effects with a force that depends on the motion. The array is stored in place, so that changing a parameter during a run
+/// allocates nothing.
 pub type Active = ArrayVec<Effect, FORCES>;
 
 effects! {

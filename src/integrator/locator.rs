@@ -90,7 +90,7 @@ pub(super) struct EventTrials {
     pub(super) count: u32,
     /// Length of the next trial, s, if it should end at a guard.
     pub(super) end: Option<f64>,
-    /// Length of the trial whose dense output showed the event, s; infinite before.
+    /// Length of the trial with the dense output that showed the event, s; infinite before.
     shown_by: f64,
 }
 

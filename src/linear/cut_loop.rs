@@ -68,7 +68,7 @@ fn at_tip([x, y]: [f64; 2]) -> Legs2 {
 /// Increment of a step in the form that forces are evaluated on.
 pub type Increment<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
-/// A system whose mean forces have slopes.
+/// A system with slopes of its mean forces.
 pub trait MeanSlopes: Discrete<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS, Secant = Secant> {
     /// Slopes of the mean wrench over a step, and the arms of the tip.
     fn slopes_over(&self, step: &Increment<'_>) -> (Slopes, TipArm);

@@ -133,7 +133,7 @@ impl LinearSolver {
         Self { solve, elimination: Elimination::new(mechanism, regularization), legs: OpenLegs::new(mechanism) }
     }
 
-    /// Constants of the mechanism for the energy-conserving step, whose loop is cut at the tip.
+    /// Constants of the mechanism for the energy-conserving step, with its loop cut at the tip.
     pub fn legs(&self) -> &OpenLegs {
         &self.legs
     }

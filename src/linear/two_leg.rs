@@ -142,7 +142,7 @@ impl Ground {
     }
 }
 
-/// The factorised saddle-point matrix of a five-bar whose A₀ is diagonal.
+/// The factorised saddle-point matrix of a five-bar with diagonal A₀.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLeg {
     pose: Pose,

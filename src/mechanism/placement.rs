@@ -37,7 +37,7 @@ fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
 }
 
 impl Mechanism {
-    /// Coordinates q at link angles, rad, whose pose is `pose`.
+    /// Coordinates q at link angles, rad; `pose` is their pose.
     pub fn coordinates(&self, pose: &Pose, angles: ByLink) -> Coordinates {
         let l = proximal_arm(pose);
         let proximal = Legs2 { x: self.ground_x + pose.a_p.x, y: pose.a_p.y };
