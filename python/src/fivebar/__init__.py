@@ -8,11 +8,13 @@
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from fivebar.errors import FiveBarError, StepFailed, UnitError
+    from fivebar.instance import State, Unit
     from fivebar.own_unit import Naming
     from fivebar.scene import Scene
     from fivebar.simulate import Result
@@ -20,18 +22,28 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["run", "scenes", "unit"]
+__all__ = ["FiveBarError", "State", "StepFailed", "Unit", "UnitError", "run", "scenes", "unit"]
 
 # The packages that compute and draw are loaded by what needs them: the command line answers at once.
+_MODULES = {
+    "FiveBarError": "errors",
+    "State": "instance",
+    "StepFailed": "errors",
+    "Unit": "instance",
+    "UnitError": "errors",
+}
+"""Modules of the names that are loaded when they are asked for."""
 
 
-def __getattr__(name: str) -> str:
-    """`__version__`, from the metadata of the installed package."""
-    if name != "__version__":
+def __getattr__(name: str) -> Any:
+    """A name of `_MODULES`; or `__version__`, from the metadata of the installed package."""
+    from importlib import import_module, metadata
+
+    if name == "__version__":
+        return metadata.version("fivebar")
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import version
-
-    return version("fivebar")
+    return getattr(import_module(f"fivebar.{_MODULES[name]}"), name)
 
 
 def unit(

@@ -78,6 +78,15 @@ class Variable:
                 return self.items[given]
         raise FiveBarError(f"'{self.name}' must be {wanted}, not {shown(given)}")
 
+    def number(self, given: Any) -> Value:
+        """The value as calls carry it, from what Python and NumPy have for its type; enumerations also by number. Bounds of Reals are left to the unit."""
+        plain = given.item() if hasattr(given, "item") else given
+        if self.type == "Real" and isinstance(plain, (int, float)) and not isinstance(plain, bool):
+            return float(plain)
+        if self.type == "Enumeration" and isinstance(plain, int) and not isinstance(plain, bool):
+            return plain
+        return self.value(plain)
+
     def item(self, number: int) -> str:
         """The name of an item of an enumeration."""
         return next(name for name, value in self.items.items() if value == number)

@@ -1,0 +1,680 @@
+"""A live instance of the unit: `Unit`, which all that drives one is built on, and `State`, which it stores.
+
+>>> from fivebar import Unit
+>>> with Unit("fall_90_120", **{"link[1].mass": 0.02}) as unit:
+...     unit["tau"] = 0.01, 0.0
+...     for _ in range(100):
+...         unit.step(0.001)
+...     x, y = unit.get("tip.x", "tip.y")
+...     print(f"at {unit.time:.3f} s the tip is at {x:.4f}, {y:.4f} {unit.units['tip.x']}")
+at 0.100 s the tip is at 0.1494, 0.3183 m
+"""
+
+import logging
+import threading
+import weakref
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from ctypes import CDLL, byref, c_double, c_int, c_size_t, c_void_p, create_string_buffer
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from fmpy import fmi2
+from numpy.typing import NDArray
+
+from fivebar import scene as scenes
+from fivebar.errors import FiveBarError, StepFailed, UnitError
+from fivebar.library import Block, Library, shared
+from fivebar.scene import Scene
+from fivebar.variables import Value, Variable, Variables
+
+MESSAGES = 1000
+"""Messages that a log keeps: the newest."""
+
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+
+logger = logging.getLogger("fivebar.unit")
+# A program that has not set up logging is not answered on its standard error.
+logging.getLogger("fivebar").addHandler(logging.NullHandler())
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a unit."""
+
+    instance: str
+    status: int
+    """Number of FMI's status: 0 is OK, 1 a warning, more a call that failed."""
+
+    category: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{STATUS[self.status]}: {self.text}"
+
+
+class Instance:
+    """An instance of the unit, of co-simulation or model exchange: its calls, its variables, its log."""
+
+    def __init__(self, library: Library, name: str, exchange: bool = False):
+        self.library = library
+        self.log: deque[Message] = deque(maxlen=MESSAGES)
+        self._lock = threading.RLock()
+        self._functions = library.model_exchange if exchange else library.co_simulation
+        self._callbacks = _callbacks(self.log)
+        self._handles: list[c_void_p] = []
+        """Every state that was stored."""
+
+        component = self._functions.fmi2Instantiate(
+            name.encode(),
+            fmi2.fmi2ModelExchange if exchange else fmi2.fmi2CoSimulation,
+            library.guid.encode(),
+            Path(library.directory, "resources").as_uri().encode(),
+            byref(self._callbacks),
+            fmi2.fmi2False,
+            fmi2.fmi2False,
+        )
+        if component is None:
+            raise UnitError(self._sentence("the unit gives no instance"))
+        self._component: int | None = component
+        library.open.add(component)
+        self._free = weakref.finalize(self, _free, library, self._functions, component, self._handles, self._callbacks)
+        # As the process ends, a thread that is left may be in a call.
+        self._free.atexit = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Frees the unit. What is called afterwards raises FiveBarError; a second `close` does nothing."""
+        with self._lock:
+            self._component = None
+            self._free()
+
+    def call(self, function: str, *arguments: Any) -> None:
+        """Calls a C function of FMI with the instance and the arguments that follow; a status above a warning is raised."""
+        with self._lock:
+            if self._component is None:
+                raise FiveBarError("the unit is closed")
+            status = getattr(self._functions, function)(self._component, *arguments)
+            if status > fmi2.fmi2Warning:
+                discarded = status == fmi2.fmi2Discard and function == "fmi2DoStep"
+                raise (StepFailed if discarded else UnitError)(self._sentence(f"{function} failed: {STATUS[status]}"))
+
+    def _sentence(self, otherwise: str) -> str:
+        """The unit's newest sentence of a warning or worse."""
+        return next((message.text for message in reversed(self.log) if message.status > fmi2.fmi2OK), otherwise)
+
+    def update(self, values: Mapping[str, Any]) -> None:
+        """Sets several variables or arrays by name, those of one type in one call.
+
+        Parameters
+        ----------
+        values : mapping of str to float, int, bool, str or sequence
+            As for `Unit.set`.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such variable, or the unit refuses a value; those of the same type are then as they were.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.update({"tau": (0.01, 0.02), "tip.fy": -0.1})
+        ...     unit.get("tau[2]", "tip.fy")
+        (0.02, -0.1)
+        """
+        names: list[str] = []
+        numbers: list[Value] = []
+        for name, given in values.items():
+            elements = self.library.elements(name)
+            names += [variable.name for variable in elements]
+            numbers += _numbers(name, elements, given)
+        self._write(tuple(names), numbers)
+
+    def _write(self, names: tuple[str, ...], numbers: Sequence[Value]) -> None:
+        for block in self.library.blocks(names):
+            self.write(block, [numbers[place] for place in block.places])
+
+    def write(self, block: Block, numbers: Iterable[Value]) -> None:
+        """Sets a block as calls carry it: enumerations by number."""
+        self.call(f"fmi2Set{block.type}", block.references, len(block.references), block.values(*numbers))
+
+    def read(self, block: Block) -> Any:
+        """Reads a block as calls carry it, into a new array of ctypes."""
+        values = block.values()
+        self.call(f"fmi2Get{block.type}", block.references, len(block.references), values)
+        return values
+
+    def numbers(self, names: tuple[str, ...]) -> list[Value]:
+        """Reads variables as calls carry them: enumerations by number, Booleans as 0 or 1."""
+        blocks = self.library.blocks(names)
+        if len(blocks) == 1:
+            return list(self.read(blocks[0]))
+        found: list[Value] = [0] * len(names)
+        for block in blocks:
+            for place, value in zip(block.places, self.read(block), strict=True):
+                found[place] = value
+        return found
+
+    def initialise(self, time: float) -> None:
+        """Goes through initialisation at a time, s."""
+        self.call("fmi2SetupExperiment", fmi2.fmi2False, 0.0, time, fmi2.fmi2False, 0.0)
+        self.call("fmi2EnterInitializationMode")
+        self.call("fmi2ExitInitializationMode")
+
+
+class Unit(Instance):
+    """A live unit: start it, set inputs, step, read outputs.
+
+    It is ready at time 0 s when it is made, and is freed by `close` or at the end of a `with` block. Names, units, types and
+    enumerations are those of the model description; a name without its index stands for the whole array, such as
+    `theta` for `theta[1]` and `theta[2]`.
+
+    Threads: calls of one unit wait for each other, and units run in different threads at the same time, but a sequence of calls, such as a
+    step and the reading after it, is not guarded. Fork: parent and child go on each with its own copy of the unit, if no thread was in a
+    call; a pool of processes has its workers make their own.
+
+    `log` has the newest 1000 messages (`status`, `category`, `text`), the last one at its end; it may be cleared. They also go to the logger
+    `fivebar.unit`: warnings as such, all others for debugging, since a call that fails raises its sentence.
+
+    Parameters
+    ----------
+    scene : str, pathlib.Path or fivebar.scene.Scene, optional
+        A shipped scene by name, the file of a scene, or a scene. Without one the unit has its own start values. Inputs that the scene
+        changes over time have their first values.
+    **values : float, int, bool, str or sequence
+        Start values by name, in the variable's unit, instead of the scene's. They are set before initialisation.
+
+    Raises
+    ------
+    FiveBarError
+        If the scene or a name is unknown, or the unit refuses a value or the start; the text is one sentence.
+
+    Examples
+    --------
+    >>> from fivebar import Unit
+    >>> with Unit(**{"init.theta": (1.2, 2.0), "solver.method": "automatic"}) as unit:
+    ...     unit.step(0.5)
+    ...     unit["theta"].shape, unit["solver.method"]
+    ((2,), 'automatic')
+    """
+
+    def __init__(self, scene: "str | Path | Scene | None" = None, **values: Any):
+        library = shared()
+        read = scene if scene is None or isinstance(scene, Scene) else scenes.read(scene, library.known)
+        self._open(library, "unit", read, values)
+        try:
+            self.reset()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def of(cls, library: Library, name: str = "unit") -> Self:
+        """An instance of a library that is not started: `reset` or `restore` comes first."""
+        unit = cls.__new__(cls)
+        unit._open(library, name, None, {})
+        return unit
+
+    def _open(self, library: Library, name: str, scene: Scene | None, given: Mapping[str, Any]) -> None:
+        Instance.__init__(self, library, name)
+        self._scene, self._given = scene, given
+        self._time = 0.0
+        self._spare: list[c_void_p] = []
+        """Stored states that nobody holds any longer: the next ones overwrite them."""
+
+    # --- variables --------------------------------------------------------------------------------------------------------------
+
+    @property
+    def variables(self) -> Variables:
+        """All variables by name, each with type, causality, unit, start value, bounds and items.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.variables["friction.law"].items
+        {'smooth': 1, 'stick': 2}
+        """
+        return self.library.known
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units by the names of variables and arrays; "1" where there is none.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.units["tau"], unit.units["tip.vx"]
+        ('N.m', 'm/s')
+        """
+        return self.library.units
+
+    def set(self, name: str, value: Any) -> None:
+        """Sets a parameter or an input; `unit[name] = value` is the same.
+
+        Parameters
+        ----------
+        name : str
+            A variable, or an array without its index.
+        value : float, int, bool, str or sequence
+            In the variable's unit; an enumeration by the name of its item or its number; an array as a sequence with all elements.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such variable, the value has another type, or the unit refuses it: a fixed parameter keeps its start value.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit(**{"viscous.enabled": True}) as unit:
+        ...     unit.set("tau[1]", 0.02)
+        ...     unit["viscous.b"] = [1e-3] * 5
+        """
+        self.update({name: value})
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        self.update({name: value})
+
+    def get(self, *names: str) -> Any:
+        """Reads variables, those of one type in one call; `unit[name]` is the same for one name.
+
+        Parameters
+        ----------
+        *names : str
+            Variables, or arrays without their index.
+
+        Returns
+        -------
+        float, int, bool, str, numpy.ndarray, or a tuple of them
+            The value of one name, or a tuple in the order of several names, in the variables' units. An enumeration is the name of
+            its item; an array of n elements has the shape (n,).
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such variable, or the unit cannot say its value now.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit("fall_90_120") as unit:
+        ...     unit.get("tip.x", "singular.type"), unit.get("omega")
+        ((0.1697..., 'none'), array([0., 0.]))
+        """
+        parts = [self.library.elements(name) for name in names]
+        numbers = iter(self.numbers(tuple(variable.name for part in parts for variable in part)))
+        found: list[Any] = []
+        for name, part in zip(names, parts, strict=True):
+            if len(part) == 1 and part[0].name == name:
+                found.append(_value(part[0], next(numbers)))
+            else:
+                found.append(np.array([next(numbers) for _ in part]))
+        return found[0] if len(names) == 1 else tuple(found)
+
+    def __getitem__(self, name: str) -> Any:
+        return self.get(name)
+
+    def ramp(self, rates: Mapping[str, float]) -> None:
+        """Lets inputs go on in straight lines over the step that follows; after it they stay.
+
+        Parameters
+        ----------
+        rates : mapping of str to float
+            First derivatives of inputs by name, in the input's unit per second.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit refuses one: only Real inputs have derivatives.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.ramp({"tau[1]": 0.5})
+        ...     unit.step(0.01)
+        ...     unit["tau[1]"]
+        0.005
+        """
+        for block in self.library.blocks(tuple(rates)):
+            self.write_rates(block, rates.values())
+
+    def write_rates(self, block: Block, rates: Iterable[float]) -> None:
+        """First derivatives of a block of inputs over the step that follows."""
+        count = len(block.references)
+        orders = (c_int * count)(*([1] * count))
+        self.call("fmi2SetRealInputDerivatives", block.references, count, orders, block.values(*rates))
+
+    def derivative(self, unknowns: "str | Iterable[str]", knowns: "str | Iterable[str]") -> NDArray[np.float64]:
+        """Directional derivatives of the unit, exact to round-off.
+
+        Parameters
+        ----------
+        unknowns : str or iterable of str
+            Computed variables, or arrays without their index: n elements in all.
+        knowns : str or iterable of str
+            Inputs and states (`theta`, `omega`): m elements in all.
+
+        Returns
+        -------
+        numpy.ndarray
+            (n, m): the derivative of each unknown by each known, in the unit of the unknown per unit of the known.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit has no such derivative, or none here: the angles are no coordinates in a direct singularity.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.derivative(["alpha", "tip.ax"], "tau").shape
+        (3, 2)
+        """
+        of, by = self._references(unknowns), self._references(knowns)
+        found = np.empty((len(of), len(by)))
+        one, column = (c_double * 1)(1.0), (c_double * len(of))()
+        for j, reference in enumerate(by):
+            known = (fmi2.fmi2ValueReference * 1)(reference)
+            self.call("fmi2GetDirectionalDerivative", of, len(of), known, 1, one, column)
+            found[:, j] = column
+        return found
+
+    def _references(self, names: "str | Iterable[str]") -> Any:
+        elements = [v for name in ([names] if isinstance(names, str) else names) for v in self.library.elements(name)]
+        return (fmi2.fmi2ValueReference * len(elements))(
+            *(self.library.variables[v.name].valueReference for v in elements)
+        )
+
+    # --- time -------------------------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """The present communication point, s."""
+        return self._time
+
+    def step(self, h: float) -> None:
+        """One communication step.
+
+        Parameters
+        ----------
+        h : float
+            Its length, s; the unit divides it as its method needs.
+
+        Raises
+        ------
+        StepFailed
+            If the step cannot be done. The unit is as before the step.
+        FiveBarError
+            If the unit refuses the call, such as a length that is not positive.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.step(0.25)
+        ...     unit.time
+        0.25
+        """
+        with self._lock:
+            self._step(h, self._time + h)
+
+    def step_to(self, time: float) -> None:
+        """One communication step to a time.
+
+        Parameters
+        ----------
+        time : float
+            The next communication point, s.
+
+        Raises
+        ------
+        StepFailed, FiveBarError
+            As `step`.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.step_to(0.1)
+        """
+        with self._lock:
+            self._step(time - self._time, time)
+
+    def _step(self, h: float, end: float) -> None:
+        self.call("fmi2DoStep", self._time, h, fmi2.fmi2True)
+        self._time = end
+
+    def reset(self, time: float = 0.0, **values: Any) -> None:
+        """Starts again, by the scene and the values that the unit was made with.
+
+        Parameters
+        ----------
+        time : float, optional
+            The time of the start, s.
+        **values : float, int, bool, str or sequence
+            Start values for this start, instead of or beside those.
+
+        Raises
+        ------
+        FiveBarError
+            If a value or the start is refused. The unit is then not started: reset it again.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit(**{"init.theta[1]": 1.2}) as unit:
+        ...     unit.step(0.1)
+        ...     unit.reset(time=5.0, **{"init.theta[2]": 2.0})
+        ...     unit.time, unit["theta"]
+        (5.0, array([1.2, 2. ]))
+        """
+        given = {**self._given, **values}
+        if self._scene is not None:
+            given = self._of_scene(self._scene, given)
+        with self._lock:
+            self.call("fmi2Reset")
+            self.update(given)
+            self.initialise(time)
+            self._time = time
+
+    def _of_scene(self, scene: Scene, given: Mapping[str, Any]) -> dict[str, Value]:
+        """Start values of a scene with those that are given: a start by the tip's place follows the lengths."""
+        changes: dict[str, Value | str] = {}
+        for name, value in given.items():
+            elements = self.library.elements(name)
+            for variable, number in zip(elements, _numbers(name, elements, value), strict=True):
+                changes[variable.name] = _value(variable, number)
+        changed = scene.changed(changes, self.variables)
+        return dict(changed.values) | {name: float(column[0]) for name, column in changed.signals.items()}
+
+    # --- states -----------------------------------------------------------------------------------------------------------------
+
+    def state(self) -> "State":
+        """Stores everything that can change, and the time, in some microseconds.
+
+        Returns
+        -------
+        State
+            For `restore` of this unit, or of another one while this one is open.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     now = unit.state()
+        ...     unit.step(0.5)
+        ...     unit.restore(now)
+        ...     unit.time
+        0.0
+        """
+        with self._lock:
+            handle = self._spare.pop() if self._spare else self._new_handle()
+            self.call("fmi2GetFMUstate", byref(handle))
+            return State(self, handle, self._time)
+
+    def restore(self, state: "State | bytes", time: float | None = None) -> None:
+        """Goes on from a stored state, to the same bits.
+
+        Parameters
+        ----------
+        state : State or bytes
+            From `state`, or the bytes of one, also of another process or machine.
+        time : float, optional
+            The communication point, s, for who has counted it otherwise than by `step`. By default that of the state.
+
+        Raises
+        ------
+        FiveBarError
+            If the bytes are not as they were written, or the state is of another unit; the unit is then as it was.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit("haptic") as unit:
+        ...     unit.step(0.1)
+        ...     content = unit.state().to_bytes()
+        >>> with Unit() as another:
+        ...     another.restore(content)
+        ...     another.time
+        0.1
+        """
+        if isinstance(state, State):
+            state._check()
+            with self._lock:
+                self.call("fmi2SetFMUstate", state._handle)
+                self._time = state.time if time is None else time
+            return
+        with self._lock:
+            handle = self._spare.pop() if self._spare else self._new_handle()
+            try:
+                content = create_string_buffer(bytes(state), len(state))
+                self.call("fmi2DeSerializeFMUstate", content, len(state), byref(handle))
+                self.call("fmi2SetFMUstate", handle)
+            finally:
+                self._spare.append(handle)
+            reached = c_double()
+            self.call("fmi2GetRealStatus", fmi2.fmi2LastSuccessfulTime, byref(reached))
+            self._time = reached.value if time is None else time
+
+    def _new_handle(self) -> c_void_p:
+        handle = c_void_p()
+        self._handles.append(handle)
+        return handle
+
+
+class State:
+    """A stored state of a unit, made by `Unit.state`. Any number may be kept, each some kilobytes; one that nobody holds is reused.
+
+    It ends with the unit that made it; its bytes do not.
+
+    Examples
+    --------
+    >>> from fivebar import Unit
+    >>> with Unit() as unit:
+    ...     state = unit.state()
+    ...     state.time, type(state.to_bytes())
+    (0.0, <class 'bytes'>)
+    """
+
+    def __init__(self, unit: Unit, handle: c_void_p, time: float):
+        self._unit, self._handle, self._time = unit, handle, time
+
+    def __del__(self) -> None:
+        # Garbage is collected at any point, also in a call of the unit: nothing is called here.
+        self._unit._spare.append(self._handle)
+
+    @property
+    def time(self) -> float:
+        """Its time, s."""
+        return self._time
+
+    def _check(self) -> None:
+        if self._unit._component is None:
+            raise FiveBarError("the unit that stored the state is closed; the bytes of a state outlive it")
+
+    def to_bytes(self) -> bytes:
+        """The state as bytes, for a file, another process or another machine; they hold the unit's GUID and a checksum.
+
+        Returns
+        -------
+        bytes
+            For `Unit.restore`.
+
+        Raises
+        ------
+        FiveBarError
+            If the unit is closed.
+
+        Examples
+        --------
+        >>> from fivebar import Unit
+        >>> with Unit() as unit:
+        ...     unit.restore(unit.state().to_bytes())
+        """
+        self._check()
+        size = c_size_t()
+        self._unit.call("fmi2SerializedFMUstateSize", self._handle, byref(size))
+        content = create_string_buffer(size.value)
+        self._unit.call("fmi2SerializeFMUstate", self._handle, content, size)
+        return content.raw
+
+
+def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]:
+    """What is given for a variable or an array, as calls carry it."""
+    if len(elements) == 1 and elements[0].name == name:
+        return [elements[0].number(given)]
+    values = None if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    if values is None or len(values) != len(elements):
+        found = "one" if values is None else len(values)
+        raise FiveBarError(
+            f"'{name}' has {len(elements)} elements, {elements[0].name} to {elements[-1].name}, and is given {found}"
+        )
+    return [variable.number(value) for variable, value in zip(elements, values, strict=True)]
+
+
+def _value(variable: Variable, number: Value) -> Value | str:
+    """A value as Python has it, from that of a call."""
+    if variable.type == "Enumeration":
+        return variable.item(int(number))
+    return bool(number) if variable.type == "Boolean" else number
+
+
+def _callbacks(messages: deque[Message]) -> fmi2.fmi2CallbackFunctions:
+    def append(_environment: int | None, instance: bytes, status: int, category: bytes, text: bytes) -> None:
+        # The text is a printf format by contract: a percent sign comes doubled.
+        sentence = text.decode(errors="replace").replace("%%", "%")
+        messages.append(Message(instance.decode(errors="replace"), status, category.decode(), sentence))
+        # A call that fails is raised as well.
+        logger.log(logging.WARNING if status == fmi2.fmi2Warning else logging.DEBUG, "%s", sentence)
+
+    callbacks = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(append)
+    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+    return callbacks
+
+
+def _free(
+    library: Library, functions: CDLL, component: int, handles: list[c_void_p], _callbacks: fmi2.fmi2CallbackFunctions
+) -> None:
+    """Frees an instance and its stored states. The callbacks are given so that they live until then."""
+    for handle in handles:
+        functions.fmi2FreeFMUstate(component, byref(handle))
+    functions.fmi2FreeInstance(component)
+    library.open.discard(component)

@@ -1,0 +1,172 @@
+"""The extracted .fmu of a unit: its model description and its loaded library, which any number of instances share."""
+
+import os
+import re
+import shutil
+import threading
+import weakref
+from collections.abc import Iterable, Sequence
+from ctypes import CDLL, Array, c_double, c_int, c_uint
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy import fmi2
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from fivebar import shipped
+from fivebar.errors import FiveBarError
+from fivebar.variables import Variable, Variables, similar
+
+INDEX = re.compile(r"\[\d+\]")
+"""The index in a name."""
+
+TYPES: dict[str, Any] = {"Real": c_double, "Integer": c_int, "Boolean": c_int}
+"""C types of values, by the types of FMI's calls."""
+
+_LOADING = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Block:
+    """Variables of one type, which one call reads or sets."""
+
+    type: str
+    """`Real`, `Integer` (enumerations as well) or `Boolean`."""
+
+    references: "Array[c_uint]"
+    places: Sequence[int]
+    """Where each stands in the list that the block is a part of."""
+
+    values: Any
+    """Constructor of an array of values."""
+
+
+class Library:
+    """An extracted .fmu, whose files are removed when nothing uses it any longer, or by `close`.
+
+    `model` is FMPy's model description, `variables` has its variables by name, `known` what scenes may set.
+    """
+
+    def __init__(self, fmu: Path):
+        if not fmu.is_file():
+            raise FiveBarError(f"there is no .fmu at {fmu}: `cargo xtask package` makes it")
+        self.fmu = fmu
+        self.directory = fmpy.extract(str(fmu))
+        self.loaded: list[fmi2._FMU2] = []
+        self.open: set[int] = set()
+        """Addresses of the instances that are not freed."""
+
+        self._discard = weakref.finalize(self, _discard, self.directory, os.getpid(), self.loaded, self.open)
+        self.model: ModelDescription = fmpy.read_model_description(self.directory, validate=False)
+        self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
+        self._blocks: dict[tuple[str, ...], tuple[Block, ...]] = {}
+
+    @cached_property
+    def known(self) -> Variables:
+        """All variables, with types, units, bounds and items."""
+        return Variables(self.model)
+
+    @property
+    def guid(self) -> str:
+        """GUID of the unit."""
+        return str(self.model.guid)
+
+    @cached_property
+    def co_simulation(self) -> CDLL:
+        """C functions of co-simulation."""
+        return self._load(fmi2.FMU2Slave)
+
+    @cached_property
+    def model_exchange(self) -> CDLL:
+        """C functions of model exchange."""
+        return self._load(fmi2.FMU2Model)
+
+    def _load(self, kind: type[fmi2._FMU2]) -> CDLL:
+        identifier = self.model.coSimulation.modelIdentifier
+        path = shipped.library(self.directory, identifier)
+        # FMPy changes the working directory of the process while it loads a library, so one thread at a time does.
+        with _LOADING:
+            loaded = kind(
+                guid=self.guid,
+                unzipDirectory=self.directory,
+                modelIdentifier=identifier,
+                instanceName="",
+                libraryPath=path,
+            )
+        self.loaded.append(loaded)
+        functions: CDLL = loaded.dll
+        return functions
+
+    def variable(self, name: str) -> ScalarVariable:
+        """FMPy's description of the variable of that name."""
+        if name not in self.variables:
+            raise FiveBarError(f"the unit has no variable {name!r}")
+        return self.variables[name]
+
+    @cached_property
+    def arrays(self) -> dict[str, tuple[Variable, ...]]:
+        """Elements of each array, by its name without the index: `theta` has `theta[1]` and `theta[2]`."""
+        found: dict[str, tuple[Variable, ...]] = {}
+        for name, variable in self.known.items():
+            if INDEX.search(name) and not name.startswith("der("):
+                array = INDEX.sub("", name)
+                found[array] = (*found.get(array, ()), variable)
+        return found
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units by the names of variables and arrays."""
+        of_arrays = {name: elements[0].unit for name, elements in self.arrays.items()}
+        return of_arrays | {name: variable.unit for name, variable in self.known.items()}
+
+    def elements(self, name: str) -> tuple[Variable, ...]:
+        """The variable of that name, or the elements of the array."""
+        if (one := self.known.get(name)) is not None:
+            return (one,)
+        if name not in self.arrays:
+            raise FiveBarError(f"there is no variable '{name}'{similar(name, [*self.known, *self.arrays])}")
+        return self.arrays[name]
+
+    def blocks(self, names: tuple[str, ...]) -> tuple[Block, ...]:
+        """The variables of those names, by type: one call for each block."""
+        if (found := self._blocks.get(names)) is None:
+            found = self._blocks[names] = tuple(self._by_type(names))
+        return found
+
+    def _by_type(self, names: tuple[str, ...]) -> Iterable[Block]:
+        variables = [self.variable(name) for name in names]
+        for kind, c_type in TYPES.items():
+            own = [i for i, v in enumerate(variables) if v.type.replace("Enumeration", "Integer") == kind]
+            if own:
+                references = (fmi2.fmi2ValueReference * len(own))(*(variables[i].valueReference for i in own))
+                yield Block(kind, references, own, c_type * len(own))
+
+    def close(self) -> None:
+        """Removes the extracted files now; instances that are open go on."""
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+
+def _discard(directory: str, process: int, loaded: list[fmi2._FMU2], used: set[int]) -> None:
+    """Unloads what no instance uses, and removes the files; a fork leaves them to the process that made them."""
+    if not used:
+        for each in loaded:
+            each.freeLibrary()
+    if os.getpid() == process:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def shared(fmu: Path | None = None) -> Library:
+    """The library of a packed unit, of the shipped one if none is given, extracted once in a process."""
+    file = shipped.unit() if fmu is None else fmu
+    if not file.is_file():
+        raise FiveBarError(f"there is no .fmu at {file}")
+    stat = file.stat()
+    return _shared(file.resolve(), stat.st_mtime_ns, stat.st_size, os.getpid())
+
+
+@lru_cache(maxsize=2)
+def _shared(file: Path, _changed: int, _size: int, _process: int) -> Library:
+    return Library(file)
