@@ -4,26 +4,20 @@ Where `fivebar` is installed (in a checkout `target/venv`): python examples/fixe
 docs/conserving.md says how long a step takes, and what becomes of one whose work is bounded.
 """
 
-from unit import Unit
+from fivebar import Unit
 
 STEP = 1e-3
 """s."""
 
-CONSERVING = 5
-"""The item i3alpConserving of solver.method."""
-
-with Unit(**{"solver.method": CONSERVING, "solver.maxWork": 40, "init.theta[2]": 2.0944}) as unit:
-    unit.start({})
+with Unit(**{"solver.method": "i3alpConserving", "solver.maxWork": 40, "init.theta[2]": 2.0944}) as unit:
     worst = largest = before = 0.0
     for _ in range(10_000):
         unit.step(STEP)
         error, iterations = unit.get("energy.error", "solver.iterations")
         worst, largest, before = max(worst, abs(error)), max(largest, iterations - before), iterations
-    steps, substeps, rescued, last = (
-        int(x) for x in unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts")))
-    )
+    steps, substeps, rescued, last = unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts")))
     position, velocity = unit.get("solver.positionError", "solver.velocityError")
 
 print(f"{steps} steps of {1e3 * STEP} ms, {substeps} sub-steps: {rescued} rescued, {last} by the fallback")
 print(f"largest energy error {worst:.1e} J; constraints at the end {position:.1e} m, {velocity:.1e} m/s")
-print(f"most iterations of a step: {largest:.0f}")
+print(f"most iterations of a step: {largest}")

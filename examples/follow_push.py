@@ -9,8 +9,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from fivebar import Unit
 from fivebar.kinematics import Machine
-from unit import Unit
 
 STEP, COUNT = 1e-3, 2 * pi / 2**16
 MACHINE = {"base.distance": 0.1, "gravity.enabled": False, "init.theta[1]": 2.7567, "init.theta[2]": 1.345}
@@ -38,19 +38,18 @@ def reference(time: float) -> dict[str, float]:
 
 rows = []
 with Unit(**MACHINE, **PAYLOAD) as machine, Unit(**MACHINE, **ENCODERS) as twin:
-    machine.start({}), twin.start({})
     while machine.time < 1.6 - STEP / 2:
         drive = reference(machine.time + STEP / 2)
-        for i, angle in enumerate(machine.get("theta[1]", "theta[2]"), 1):
-            twin.set({f"measured.theta[{i}]": round(angle / COUNT) * COUNT, f"measured.time[{i}]": machine.time})
-        twin.set(drive)
+        twin["measured.theta"] = [round(angle / COUNT) * COUNT for angle in machine["theta"]]
+        twin["measured.time"] = machine.time, machine.time
+        twin.update(drive)
         force = PUSH if FROM <= machine.time < TO else 0.0
-        machine.set(drive | {"tip.fy": force})
+        machine.update(drive | {"tip.fy": force})
         machine.step(STEP), twin.step(STEP)
         tip = ("tip.x", "tip.y")
         names = (*tip, "estimated.tip.cov[3]", "estimated.tau[1]", "estimated.tau.sigma[1]", "estimated.alarm")
         # By virtual work the push is a torque of d tip.y / d theta[1] times its force.
-        lever = GEOMETRY.jacobian(GEOMETRY.forward(machine.get("theta[1]", "theta[2]")).theta)[1, 0]
+        lever = GEOMETRY.jacobian(GEOMETRY.forward(machine["theta"]).theta)[1, 0]
         rows.append((machine.time, *machine.get(*tip), *twin.get(*names), force * lever))
 
 time, x, y, ex, ey, variance, tau, sigma, alarm, push = (list(column) for column in zip(*rows))

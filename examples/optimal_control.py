@@ -14,7 +14,8 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 
-from unit import FMU, Unit
+import fivebar
+from fivebar import Unit
 
 SECONDS, PIECES, SUBSTEPS, MOST = 1.2, 24, 4, 0.01  # MOST: largest torque, N.m
 STATES = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
@@ -53,16 +54,16 @@ def swing(after: ca.Function) -> tuple[np.ndarray, np.ndarray]:
 def played_back(tau: np.ndarray) -> np.ndarray:
     """The states that co-simulation comes to by these torques."""
     with Unit(**START) as unit:
-        states = [unit.start({}).get(*STATES)]
-        for left, right in tau.T:
-            unit.set({"tau[1]": left, "tau[2]": right})
+        states = [unit.get(*STATES)]
+        for torques in tau.T:
+            unit["tau"] = torques
             unit.step(SECONDS / PIECES)
             states.append(unit.get(*STATES))
     return np.array(states).T
 
 
 if __name__ == "__main__":
-    dae = ca.DaeBuilder("five_bar", FMU)
+    dae = ca.DaeBuilder("five_bar", str(fivebar.unit()))
     [dae.set(name, value) for name, value in START.items()]
     f = dae.create("f", ["x", "u"], ["ode", "y"])
     planned, tau = swing(piece(f))

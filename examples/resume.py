@@ -1,7 +1,7 @@
 """A run that goes on in another process: the state as bytes in a file, to the same bits.
 
 Where `fivebar` is installed (in a checkout `target/venv`): python examples/resume.py
-The script calls itself for the second half, with the file and the time. The bytes belong to this FMU (they hold its GUID and a
+The script calls itself for the second half, with the file. The bytes belong to this FMU (they hold its GUID and a
 checksum), not to a machine or a process.
 """
 
@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from unit import Unit
+from fivebar import Unit
 
 START = {"init.theta[2]": 2.0944, "friction.enabled": True}
 OUTPUTS = ["theta[1]", "theta[2]", "tip.x", "tip.y", "energy.dissipated"]
@@ -23,19 +23,17 @@ def second_half(unit: Unit) -> str:
     return ", ".join(f"{name} = {value!r}" for name, value in zip(OUTPUTS, unit.get(*OUTPUTS)))
 
 
-if len(sys.argv) == 3:
+if len(sys.argv) == 2:
     with Unit() as unit:
-        unit.slave.setFMUstate(unit.slave.deSerializeFMUstate(Path(sys.argv[1]).read_bytes()))
-        unit.time = float(sys.argv[2])
+        unit.restore(Path(sys.argv[1]).read_bytes())
         print(second_half(unit))
 else:
     with Unit(**START) as unit, tempfile.TemporaryDirectory() as folder:
-        unit.start({}).step(0.5)
-        stored, file = unit.slave.getFMUstate(), Path(folder) / "state"
-        file.write_bytes(unit.slave.serializeFMUstate(stored))
-        unit.slave.freeFMUstate(stored)
+        unit.step(0.5)
+        file = Path(folder) / "state"
+        file.write_bytes(unit.state().to_bytes())
         print(f"stored {file.stat().st_size} bytes at {unit.time} s")
-        command = [sys.executable, __file__, str(file), repr(unit.time)]
+        command = [sys.executable, __file__, str(file)]
         other = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
         here = second_half(unit)
     print(f"this process:  {here}")

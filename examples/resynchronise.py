@@ -5,10 +5,11 @@ Here the machine is a second unit that carries a payload of which the twin knows
 The twin finds the forces that it does not know of and keeps them while it looks ahead; the bands are two standard deviations.
 """
 
+from collections.abc import Sequence
 from math import pi, sqrt
 from time import perf_counter
 
-from unit import Unit
+from fivebar import Unit
 
 MACHINE = {
     "servo.enabled": True,
@@ -27,35 +28,22 @@ ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "es
 """The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
 
 
-def measured(machine: Unit) -> dict[str, float]:
+def measured(machine: Unit) -> dict[str, Sequence[float]]:
     """Samples of the motors' encoders with their times."""
-    left, right = (round(angle / COUNT) * COUNT for angle in machine.get("theta[1]", "theta[2]"))
-    return {
-        "measured.theta[1]": left,
-        "measured.theta[2]": right,
-        "measured.time[1]": machine.time,
-        "measured.time[2]": machine.time,
-    }
+    angles = [round(angle / COUNT) * COUNT for angle in machine["theta"]]
+    return {"measured.theta": angles, "measured.time": (machine.time, machine.time)}
 
 
 with Unit(**MACHINE, **{"payload.enabled": True, "payload.mass": 0.02}) as machine, Unit(**MACHINE, **ENCODERS) as twin:
-    machine.start({})
-    twin.start({})
     predictions: dict[int, tuple[float, float]] = {}
     print(
         "time (s)  error now (mm)  band (mm)  error of the prediction made 0.5 s before (mm)  a corrected sample takes (us)"
     )
     for sample in range(11):
-        now = twin.slave.getFMUstate()
-        time = twin.time
-        # Without samples it warns that encoders are silent, which here is known.
-        twin.slave.setDebugLogging(False, [])
+        now = twin.state()
         twin.step(AHEAD)
-        predictions[sample + round(AHEAD / INTERVAL)] = tuple(twin.get("tip.x", "tip.y"))
-        twin.slave.setFMUstate(now)
-        twin.slave.freeFMUstate(now)
-        twin.time = time
-        twin.slave.setDebugLogging(True, ["logStatusWarning", "logStatusError"])
+        predictions[sample + round(AHEAD / INTERVAL)] = twin.get("tip.x", "tip.y")
+        twin.restore(now)
 
         x, y, xx, yy = twin.get("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[3]")
         tip = machine.get("tip.x", "tip.y")
@@ -66,7 +54,7 @@ with Unit(**MACHINE, **{"payload.enabled": True, "payload.mass": 0.02}) as machi
         spent = 0.0
         for _ in range(round(INTERVAL / SAMPLE)):
             values, begin = measured(machine), perf_counter()
-            twin.set(values)
+            twin.update(values)
             twin.step(SAMPLE)
             spent += perf_counter() - begin
             machine.step(SAMPLE)

@@ -5,7 +5,7 @@ Every millisecond the follower gets the leader's angles and rates as references,
 wall that the follower touches, one step late, as in any co-simulation whose units step at the same time.
 """
 
-from unit import Unit
+from fivebar import Unit
 
 STEP, SCALE = 1e-3, 0.2
 """Communication step, s; how much of the wall's force the operator feels."""
@@ -29,21 +29,17 @@ SERVO = {"servo.enabled": True} | {
 }
 
 with Unit(**SHARED, **DAMPED) as leader, Unit(**SHARED, **SERVO, **WALL) as follower:
-    leader.start({})
-    angles = dict(zip(["servo.theta[1]", "servo.theta[2]"], leader.get("theta[1]", "theta[2]")))
-    follower.start(angles)
+    follower["servo.theta"] = leader["theta"]
     print("time (s)  leader x (m)  follower x (m)  wall force (N)  apart (mrad)")
     for count in range(1001):
-        theta, omega = leader.get("theta[1]", "theta[2]"), leader.get("omega[1]", "omega[2]")
-        (force,) = follower.get("contact.fx")
+        theta, omega = leader.get("theta", "omega")
+        force = follower["contact.fx"]
         if count % 100 == 0:
-            apart = max(abs(a - b) for a, b in zip(theta, follower.get("theta[1]", "theta[2]")))
-            x, y = leader.get("tip.x")[0], follower.get("tip.x")[0]
+            apart = max(abs(theta - follower["theta"]))
+            x, y = leader["tip.x"], follower["tip.x"]
             print(f"{leader.time:8.1f}  {x:12.4f}  {y:14.4f}  {force:14.3f}  {1e3 * apart:12.2f}")
         # The operator pushes to the right with 0.5 N.
-        leader.set({"tip.fx": 0.5 + SCALE * force})
-        follower.set(
-            {f"servo.{name}[{i + 1}]": x[i] for i in (0, 1) for name, x in (("theta", theta), ("omega", omega))}
-        )
+        leader["tip.fx"] = 0.5 + SCALE * force
+        follower.update({"servo.theta": theta, "servo.omega": omega})
         leader.step(STEP)
         follower.step(STEP)
