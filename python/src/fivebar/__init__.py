@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from fivebar.errors import FiveBarError, StepFailed, UnitError
     from fivebar.instance import State, Unit
     from fivebar.own_unit import Naming
+    from fivebar.result import Result
     from fivebar.scene import Scene
-    from fivebar.simulate import Result
     from fivebar.variables import Value
 
     __version__: str

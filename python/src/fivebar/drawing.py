@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
+    from fivebar.plot import Plot
+
 # The page and the moving picture are made without matplotlib, whose import takes longer than most runs.
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
@@ -45,11 +47,11 @@ STYLE: Final["dict[RcKeyType, Any]"] = {
 }
 
 
-def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple["Figure", Any]:
+def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple["Plot", Any]:
     """A figure with panels in a grid, which pyplot does not keep."""
-    from matplotlib.figure import Figure
+    from fivebar.plot import Plot
 
-    figure = Figure(figsize=figsize)
+    figure = Plot(figsize=figsize)
     return figure, figure.subplots(rows, columns, **shared)
 
 
@@ -94,7 +96,8 @@ def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list
 def time_axis(axes: "Axes", runs: list[Run]) -> None:
     """Labels and limits the axis of time."""
     axes.set_xlabel("time  (s)")
-    axes.set_xlim(0, max(float(run.time[-1]) for run in runs) or runs[0].step_size)
+    begin, end = float(runs[0].time[0]), max(float(run.time[-1]) for run in runs)
+    axes.set_xlim(begin, end if end > begin else begin + runs[0].step_size)
 
 
 def drawing_order(runs: list[Run]) -> list[tuple[int, Run]]:

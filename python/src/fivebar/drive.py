@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Collection
 from ctypes import c_double, c_int
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TextIO
 
@@ -24,7 +24,7 @@ from fivebar.variables import unit
 class Run:
     """Results of one run: one row per communication point, the first at the start; the variables that were read, then the scene's signals.
 
-    `items` has the names of the values of each variable that is an enumeration.
+    `items` has the names of the values of each variable that is an enumeration, `descriptions` a sentence on each variable.
     """
 
     label: str
@@ -38,6 +38,7 @@ class Run:
     wall_seconds: float = 0.0
     failure: str | None = None
     warnings: list[str] | None = None
+    descriptions: dict[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -56,6 +57,14 @@ class Run:
     def failed(self) -> bool:
         """Whether the run ended before its time."""
         return self.failure is not None
+
+    def part(self, rows: slice) -> "Run":
+        """The run at some of its communication points. Times of calls are those of a whole run, and are left out."""
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        ends = len(columns["time"]) > 0 and columns["time"][-1] == self.time[-1]
+        return replace(
+            self, columns=columns, call_seconds=[], wall_seconds=0.0, failure=self.failure if ends else None
+        )
 
 
 class StartRefused(FiveBarError):
@@ -181,6 +190,7 @@ def drive(
         wall_seconds=time.perf_counter() - begin,
         failure=failure,
         warnings=log.warnings(),
+        descriptions={"time": "Time since the start"} | {v.name: v.description or "" for v in model.modelVariables},
     )
 
 

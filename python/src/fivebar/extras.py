@@ -7,9 +7,13 @@ from packaging.requirements import Requirement
 from fivebar.errors import FiveBarError
 
 
-def need(extra: str) -> None:
-    """Refuses with one sentence if packages that an extra needs are missing or too old."""
-    needed = [(requirement, _installed(requirement.name)) for requirement in requirements(extra)]
+def need(extra: str, *packages: str) -> None:
+    """Refuses with one sentence if packages that an extra needs are missing or too old; `packages` are those of them that count, all unless given."""
+    needed = [
+        (requirement, _installed(requirement.name))
+        for requirement in requirements(extra)
+        if not packages or requirement.name in packages
+    ]
     wrong = []
     if missing := [requirement.name for requirement, found in needed if found is None]:
         verb = "is" if len(missing) == 1 else "are"

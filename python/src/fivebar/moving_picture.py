@@ -47,7 +47,7 @@ JOINTS = ("tip", "elbow[1]", "elbow[2]")
 
 def wanted(run: Run) -> bool:
     """Whether the run is short enough, and something moves."""
-    return bool(0 < run.time[-1] <= LONGEST)
+    return bool(run.time[0] == 0 < run.time[-1] <= LONGEST)
 
 
 def write(path: Path, scene: Scene, run: Run, events: list[Event]) -> None:

@@ -20,8 +20,8 @@ from fivebar.demand import Demand
 from fivebar.errors import FiveBarError
 from fivebar.kinematics import SIDES, Machine, Working, mode_name
 from fivebar.pieces import Piece, Timing
+from fivebar.result import Result
 from fivebar.scene import MOST_POINTS, Scene
-from fivebar.simulate import Result
 from fivebar.strokes import Drawing
 from fivebar.variables import of_unit
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from fivebar.plot import Plot
+
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
 
 LONGEST_SVG = 5.0
@@ -71,7 +73,15 @@ def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events
                 figure.savefig(begin(f"{name}.svg"), metadata={"Date": None}, **crop)
 
 
-def curves(run: Run, names: Sequence[str]) -> "Figure":
+def path(scene: Scene, runs: list[Run], events: list[Event]) -> "Plot":
+    """Poses, and the path of the tip."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        return _path(scene, runs, events)
+
+
+def curves(run: Run, names: Sequence[str]) -> "Plot":
     """Columns over time; those of one unit share a picture."""
     import matplotlib
 
@@ -104,15 +114,15 @@ def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     return figure
 
 
-def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
+def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> "Plot":
     run = runs[0]
-    window = min(POSE_WINDOW, float(run.time[-1]))
+    until = min(float(run.time[0]) + POSE_WINDOW, float(run.time[-1]))
     x_limits, y_limits = extent(run, "x"), extent(run, "y")
     # Two panels of 4.4 in with equal scales on both axes, and room for titles and labels.
     height = 4.4 * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + 1.0
     figure, (left, right) = panels(1, 2, figsize=(10, min(max(height, 3), 8)), sharex=True, sharey=True)
-    _poses(left, run, window)
-    left.set_title(f"{scene.name}: poses up to {window:g} s")
+    _poses(left, run, until)
+    left.set_title(f"{scene.name}: poses up to {until:g} s")
     if len(runs) == 1:
         _path_over_time(figure, right, run)
     else:
@@ -252,9 +262,9 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure"
     return figure
 
 
-def _poses(axes: "Axes", run: Run, window: float) -> None:
-    """Stroboscopic poses: pale at the start, strong at the end of the window."""
-    last = int(np.searchsorted(run.time, window * (1 + 1e-9), side="right")) - 1
+def _poses(axes: "Axes", run: Run, until: float) -> None:
+    """Stroboscopic poses up to a time, s: pale at the start, strong at the end."""
+    last = int(np.searchsorted(run.time, until * (1 + 1e-9), side="right")) - 1
     chosen = np.unique(np.linspace(0, last, POSES).round().astype(int))
     base = run.parameters["base.distance"]
     for n, i in enumerate(chosen):

@@ -45,12 +45,15 @@ def lines(run: Run, events: list[Event]) -> list[str]:
     facts = [
         ("tip at the end", f"x = {run['tip.x'][-1]:.9f} m, y = {run['tip.y'][-1]:.9f} m (t = {end:g} s)"),
         ("solver", f"{steps} steps, {substeps} sub-steps, {iterations} iterations, {rejected} rejected"),
-        ("wall time", f"{run.step_seconds:.2f} s in fmi2DoStep, {run.wall_seconds:.2f} s with outputs read"),
-        (
-            "real-time factor",
-            f"{_factor(end, run.step_seconds)} in fmi2DoStep, {_factor(end, run.wall_seconds)} in all",
-        ),
     ]
+    if run.call_seconds:
+        facts += [
+            ("wall time", f"{run.step_seconds:.2f} s in fmi2DoStep, {run.wall_seconds:.2f} s with outputs read"),
+            (
+                "real-time factor",
+                f"{_factor(end, run.step_seconds)} in fmi2DoStep, {_factor(end, run.wall_seconds)} in all",
+            ),
+        ]
     facts += [("warning", text) for text in run.warnings or []]
     if run.failure is not None:
         facts.append(("ended early", f"after t = {end:g} s of {run.stop_time:g} s: {run.failure}"))

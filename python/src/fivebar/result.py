@@ -1,0 +1,309 @@
+"""`Result` of a run: columns by name, with units, tables, pictures and page."""
+
+import base64
+import html
+import re
+import tempfile
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fivebar import events, extras, singularities, summary, table
+from fivebar.drive import Run
+from fivebar.errors import FiveBarError
+from fivebar.scene import Scene
+from fivebar.singularities import Event
+from fivebar.variables import groups, similar
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+    from fivebar.plot import Plot
+
+ANIMATION = "animation.svg"
+"""Name of the picture that moves."""
+
+READ = (
+    "tip.x", "tip.y", "tip.v", "theta", "omega", "passive", "elbow", "energy", "singular", "solver", "servo.torque", "contact",
+)  # fmt: skip
+"""How the names begin of what summary, events, pictures and page are made from: all runs read these."""
+
+SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
+"""Variables that `plot` shows if none is named."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(dict[str, np.ndarray]):
+    """Result of a run: a dictionary of columns with a row at each communication point, for what was asked for and for what pictures show.
+
+    `result["tip.x"]` is a column, (n,); `pandas.DataFrame(result)` and `dict(result)` have all of them. Two results are equal only if they
+    are the same object.
+    """
+
+    scene: Scene
+    runs: list[Run]
+    """The scene's own run, then those of its overlays, if they were asked for."""
+
+    refused: list[str]
+    """Why overlays did not start."""
+
+    outputs: list[str]
+    """Names of the columns that tables have; the first is `time`."""
+
+    def __post_init__(self) -> None:
+        self.update(self.own.columns)
+
+    def __missing__(self, name: str) -> np.ndarray:
+        raise KeyError(f"there is no column {name!r}{similar(name, self)}")
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __ne__(self, other: object) -> bool:
+        return self is not other
+
+    def __hash__(self) -> int:  # type: ignore[override]  # a dictionary has none
+        return id(self)
+
+    def __repr__(self) -> str:
+        end = f", ended early of {self.own.stop_time:g} s" if self.failure else ""
+        return (
+            f"<fivebar.Result of {self.scene.name} by {self.own.label}: {len(self)} columns at {len(self.time)} communication points, "
+            f"{self.time[0]:g} to {self.time[-1]:g} s{end}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary, and the path of the tip."""
+        from fivebar import pictures
+
+        picture = pictures.path(self.scene, self.runs, self.singularities)._repr_png_()
+        return (
+            f'<pre>{html.escape(self.summary())}</pre><img style="max-width:100%" alt="Poses, and the path of the tip" '
+            f'src="data:image/png;base64,{base64.b64encode(picture).decode("ascii")}">'
+        )
+
+    @property
+    def own(self) -> Run:
+        """The scene's own run, with its parameters, times of calls, and warnings of the unit."""
+        return self.runs[0]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all columns; the first is `time`."""
+        return list(self.own.columns)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name, "1" where there is none."""
+        return self.own.units
+
+    @property
+    def descriptions(self) -> dict[str, str]:
+        """A sentence on each variable, by name."""
+        return self.own.descriptions
+
+    @property
+    def time(self) -> np.ndarray:
+        """Communication points, s: (n,)."""
+        return self.own.time
+
+    @property
+    def failure(self) -> str | None:
+        """The unit's sentence if the run ended before its time."""
+        return self.own.failure
+
+    @cached_property
+    def singularities(self) -> list[Event]:
+        """The singularities that the run met."""
+        return self._events[0]
+
+    @cached_property
+    def _events(self) -> list[list[Event]]:
+        return [singularities.find(run) for run in self.runs]
+
+    @cached_property
+    def events(self) -> list[events.Row]:
+        """Table of all that the run met, with `time`, `event` and `where`: singularities, stops, the plane, what sticks and slips.
+
+        `pandas.DataFrame(result.events)` is a frame of it.
+        """
+        return events.find(self.own, self.singularities)
+
+    def between(self, begin: float, end: float) -> "Result":
+        """The result from `begin` to `end`, s, both included, at the communication points that there are.
+
+        Raises FiveBarError if there are none.
+        """
+        # Times are multiples of the step, as numbers in a call are not always.
+        margin = 1e-9 * self.own.step_size
+        runs = []
+        for run in self.runs:
+            first, last = np.searchsorted(run.time, (begin - margin, end + margin))
+            if last > first:
+                runs.append(run.part(slice(int(first), int(last))))
+            elif run is self.own:
+                raise FiveBarError(
+                    f"no communication point is between {begin:g} and {end:g} s: the run has those from {run.time[0]:g} to {run.time[-1]:g} s"
+                )
+        return replace(self, runs=runs)
+
+    def summary(self) -> str:
+        """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
+        blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.stop_note(self.scene)])]
+        for i, run in enumerate(self.runs):
+            values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
+            lines = [run.label, *summary.lines(run, self._events[i]), *summary.servo_note(run, values)]
+            blocks.append("\n".join(lines + ([summary.difference(self.own, run)] if i > 0 else [])))
+        return "\n\n".join(blocks + self.refused)
+
+    def plot(self, *names: str) -> "Plot":
+        """Columns over time, those of one unit in one picture; without names tip, motor angles and rates.
+
+        A notebook shows the figure; elsewhere `result.plot().show()` opens a window, and `.savefig(file)` writes it.
+        """
+        from fivebar import pictures
+
+        shown = names or SHOWN
+        for name in shown:
+            if name not in self.own.columns:
+                raise FiveBarError(f"there is no column {name!r}{similar(name, self.own.columns)}")
+        return pictures.curves(self.own, shown)
+
+    def animate(self, file: str | Path | None = None) -> Path:
+        """Writes a page that animates the mechanism in any browser; without a file into the temporary folder, and opens it."""
+        from fivebar import animated_page
+
+        path = Path(tempfile.mkdtemp(prefix="fivebar-")) / f"{self.scene.name}.html" if file is None else Path(file)
+        animated_page.write(path, self.scene, self.runs, self.singularities)
+        if file is None:
+            webbrowser.open(path.as_uri())
+        return path
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """The columns `outputs` as a frame whose index is the time, s; `attrs` has `units` and `descriptions` by name.
+
+        Needs pandas, of the extra `data`.
+        """
+        extras.need("data", "pandas")
+        import pandas
+
+        names = self.outputs[1:]
+        frame = pandas.DataFrame(
+            {name: self.own[name] for name in names}, index=pandas.Index(self.time, name=self.outputs[0])
+        )
+        frame.attrs["units"] = {name: self.units[name] for name in self.outputs}
+        frame.attrs["descriptions"] = {name: self.descriptions[name] for name in self.outputs}
+        return frame
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """The columns `outputs` over the time, each with `units` and `description`; an enumeration also with its items, as CF has them.
+
+        Needs xarray, of the extra `data`.
+        """
+        extras.need("data", "xarray")
+        import xarray
+
+        time, *names = self.outputs
+        return xarray.Dataset(
+            {name: (time, self.own[name], self._attributes(name)) for name in names},
+            coords={time: (time, self.time, self._attributes(time))},
+            attrs={"title": self.scene.name, "description": self.scene.description},
+        )
+
+    def _attributes(self, name: str) -> dict[str, Any]:
+        """Attributes of a variable; units and items of an enumeration by the CF conventions (1.11, sections 3.1 and 3.5)."""
+        items = self.own.items.get(name, {})
+        flags = {"flag_values": list(items), "flag_meanings": " ".join(items.values())} if items else {}
+        return {"units": self.units[name], "description": self.descriptions[name], **flags}
+
+    def to_csv(self, file: str | Path) -> Path:
+        """Writes the columns `outputs`, one row per communication point, in full precision; `units` has their units."""
+        self._write(Path(file), self.own)
+        return Path(file)
+
+    def to_parquet(self, file: str | Path) -> Path:
+        """Writes the columns `outputs`, each with its unit and description as metadata of its field.
+
+        Needs pyarrow, of the extra `data`.
+        """
+        extras.need("data", "pyarrow")
+        import pyarrow
+        from pyarrow import parquet
+
+        columns = [pyarrow.array(self.own[name]) for name in self.outputs]
+        fields = [
+            pyarrow.field(
+                name, column.type, metadata={"unit": self.units[name], "description": self.descriptions[name]}
+            )
+            for name, column in zip(self.outputs, columns)
+        ]
+        parquet.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields)), file)
+        return Path(file)
+
+    def _write(self, file: Path, run: Run) -> None:
+        table.write_columns(file, {name: run[name] for name in self.outputs})
+
+    def columns(self) -> str:
+        """Sentence about the columns of the table: how their names begin, which are inputs."""
+        inputs = [name for name in self.outputs if name in self.scene.signals]
+        computed = groups(name for name in self.outputs[1:] if name not in inputs)
+        parts = ["time", *(f"{group} ({count})" for group, count in computed.items())]
+        return f"Columns: {', '.join(parts)}" + (f"; inputs: {', '.join(inputs)}" if inputs else "")
+
+    def save(
+        self,
+        folder: str | Path,
+        draw: bool = True,
+        show: bool = False,
+        progress: Callable[[str], None] = lambda _text: None,
+    ) -> list[Path]:
+        """Writes page, tables and, if told to draw, pictures to a folder, and removes what an earlier run of the scene has left there.
+
+        The page is first, for the others take longer; `show` opens it in the browser as soon as it is there. Returns the files written; each
+        is named to `progress` before.
+        """
+        from fivebar import moving_picture, pictures
+
+        out, name = Path(folder), self.scene.name
+        out.mkdir(parents=True, exist_ok=True)
+        _remove_earlier(out, name)
+        files: list[Path] = []
+
+        def begin(file: str) -> Path:
+            progress(f"{name}: writing {file}")
+            files.append(out / file)
+            return files[-1]
+
+        page = self.animate(begin(f"{name}.html"))
+        if show:
+            webbrowser.open(page.resolve().as_uri())
+        for i, run in enumerate(self.runs):
+            self._write(begin(f"{name}.csv" if i == 0 else f"{name}.{_slug(run.label)}.csv"), run)
+        singularities.write(begin("singularities.csv"), self.singularities)
+        if draw:
+            pictures.draw_all(begin, self.scene, self.runs, self.singularities)
+            if moving_picture.wanted(self.own):
+                moving_picture.write(begin(ANIMATION), self.scene, self.own, self.singularities)
+        return files
+
+
+def _remove_earlier(out: Path, name: str) -> None:
+    """Removes the files that an earlier run of the scene `name` wrote to `out`, and nothing else."""
+    from fivebar import pictures
+
+    own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
+    fixed = {"singularities.csv", f"{name}.html", ANIMATION, *pictures.FILES}
+    for file in out.iterdir():
+        if file.is_file() and (file.name in fixed or own_table.fullmatch(file.name)):
+            file.unlink()
+
+
+def _slug(label: str) -> str:
+    """`label` as a part of a file name."""
+    return re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
