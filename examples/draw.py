@@ -8,13 +8,12 @@ from pathlib import Path
 
 from fivebar import path_pictures, paths, scene, simulate, strokes
 from fivebar.pieces import Timing
-from fivebar.variables import of_unit
 
 FOLDER = Path("target/draw")
 FOLDER.mkdir(parents=True, exist_ok=True)
 
 # The table-top robot of the scene pick_and_place, its 50 g payload for a pen, with dry and viscous friction in all joints.
-robot = scene.read("pick_and_place").changed({"friction.enabled": True, "viscous.enabled": True}, of_unit())
+robot = scene.read("pick_and_place").replace({"friction.enabled": True, "viscous.enabled": True})
 limits = paths.Limits(torques=paths.servo_limits(robot))
 
 # The drawing, 180 mm wide, in front of the motors; lines at 0.1 m/s, rests at corners.

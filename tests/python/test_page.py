@@ -10,7 +10,6 @@ import pytest
 from browser import open_browser
 from conftest import wait_until
 from fivebar import simulate
-from fivebar.variables import of_unit
 from made_scene import made_scene, write
 
 pytestmark = pytest.mark.full
@@ -212,7 +211,7 @@ def map_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of a robot with stops and servos."""
     from fivebar import map_page, scene, workspace
 
-    table = scene.read("pick_and_place").changed({"stop.enabled": True, "stop.upper[1]": 2.8}, of_unit())
+    table = scene.read("pick_and_place").replace({"stop.enabled": True, "stop.upper[1]": 2.8})
     return map_page.write(
         workspace.compute(table, path=workspace.follow(table)), tmp_path_factory.mktemp("map") / "map.html"
     )

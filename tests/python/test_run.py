@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import pickle
 import re
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from PIL import Image
 
 import fivebar
 from conftest import REPOSITORY
+from fivebar import scene as scene_of
 from fivebar import summary
 from fivebar.drive import Run
 from fivebar.errors import FiveBarError
@@ -274,6 +276,46 @@ def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path)
     assert "ended early" in process.stdout and "unreachable did not start" in process.stdout
 
 
+def test_a_step_that_fails_raises_what_there_is(fmu: Path) -> None:
+    """A short result is never returned in silence."""
+    hopeless = made_scene(HOPELESS | {"solver.maxIterations": 3}, 0.2)
+    with pytest.raises(fivebar.StepFailed) as failure:
+        fivebar.run(hopeless)
+    result = failure.value.result
+    assert result is not None and 2 < len(result.time) < 200 and result.failure is not None
+    assert str(failure.value) == (
+        f"trial ended early, after t = {result.time[-1]:g} s of 0.2 s: {result.failure}"
+    ) and isinstance(failure.value, FiveBarError)
+    again = pickle.loads(pickle.dumps(failure.value))
+    assert str(again) == str(failure.value) and again.result["tip.x"].tolist() == result["tip.x"].tolist()
+    short = fivebar.run(hopeless, on_failure="return")
+    assert short.failure == result.failure and short["tip.x"].tolist() == result["tip.x"].tolist()
+
+
+def test_another_stop_time_and_step(fmu: Path) -> None:
+    """Signals are sampled where the run now has its communication points, from their knots."""
+    fine = fivebar.run("servo_step", stop_time=0.05, step_size=5e-4, outputs="tip")
+    assert (len(fine.time), fine.time[-1]) == (101, 0.05)
+    swing = scene_of.read("pick_and_place")
+    finer = swing.replace(stop_time=0.7, step_size=5e-4)
+    name = next(name for name in swing.signals if name.startswith("servo.theta"))
+    course = finer.signals[name]
+    assert course[::2].tolist() == pytest.approx(swing.signals[name][:701], abs=1e-12)
+    # Half way between two of the scene's own points the path goes on: it is no stair.
+    moving = 2 * np.flatnonzero(np.diff(course[::2]))
+    assert len(moving) > 100 and np.all(course[moving + 1] != course[moving])
+    assert swing.replace(stop_time=1.0).stop_time == 1.0 and swing.replace() == swing.replace({})
+
+
+def test_a_scene_as_a_dict(fmu: Path) -> None:
+    """The content of a file, with numbers of NumPy; the description may be missing."""
+    content = {"experiment": {"stopTime": 0.1}, "tau[1]": np.float64(0.01), "friction.enabled": np.True_}
+    knots = np.array([[0, 0], [0.1, 0.02]])
+    result = fivebar.run(content | {"signals": {"tau[2]": {"linear": knots}}}, **{"link[1].mass": np.float32(0.02)})
+    assert result.scene.name == "scene" and result.time[-1] == 0.1 and result["tau[2]"][50] == pytest.approx(0.01)
+    assert result.own.parameters["link[1].mass"] == np.float32(0.02) and result.own.parameters["friction.enabled"]
+
+
 def test_refused(fmu: Path, tmp_path: Path) -> None:
     """A scene that cannot be started: one sentence, exit code 2, no traceback, nothing written."""
     process = run(fmu, tmp_path, made_scene(UNREACHABLE, 0.2))
@@ -308,13 +350,18 @@ def test_what_python_gets_is_a_mapping_of_columns(fmu: Path) -> None:
     ("call", "sentence"),
     [
         (
-            lambda: fivebar.run("swing", stop_time=1),
-            "'stop_time' is no variable: stopTime and stepSize, s, stand in the key 'experiment'",
+            lambda: fivebar.run("swing", stopTime=1),
+            "'stopTime' is no variable: stop_time and step_size, s, are arguments of their own, and stopTime and stepSize stand in the key 'experiment'",
         ),
         (
-            lambda: fivebar.run({"tau[1]": 0.1}),
-            "a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {",
+            lambda: fivebar.run(["swing"]),  # type: ignore[arg-type]
+            "a scene is a name, a file that ends in .json, the content of one as a dict, or a fivebar.Scene, not [",
         ),
+        (lambda: fivebar.run({"tau": 0.1}), "there is no variable 'tau'; did you mean 'tau[2]' or 'tau[1]'"),
+        (lambda: fivebar.run({"tau[1]": {1}}), "a scene has numbers, texts, lists and dicts, not "),
+        (lambda: fivebar.run("swing", stop_time=-1), "'stop_time' must be a positive number of seconds, not -1"),
+        (lambda: fivebar.run("swing", step_size="1"), "'step_size' must be a positive number of seconds, not \"1\""),  # type: ignore[arg-type]
+        (lambda: fivebar.run("swing", on_failure="stop"), "'on_failure' must be one of raise, return, not \"stop\""),  # type: ignore[arg-type]
         (lambda: Machine.from_scene("swing").inverse("abc"), "tip = 'abc': 2 numbers in m are expected"),
     ],
 )

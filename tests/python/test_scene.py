@@ -13,7 +13,7 @@ import fivebar
 from fivebar import scene, shipped
 from fivebar.drive import Run, drive
 from fivebar.errors import FiveBarError, MachineWarning
-from fivebar.variables import Variables, of_unit
+from fivebar.variables import Variables
 from made_scene import METHODS, made_scene, write
 
 
@@ -43,7 +43,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> None:
     fine = scene.Variant("fine", {"tau[1]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]})
     made = made_scene({"tau[1]": 1.0, "gravity.g": 9.0}, 0.1, 0.05, fine)
-    changed = made.changed({"gravity.g": 5.0, "tau[2]": 1, "solver.method": "automatic"}, of_unit())
+    changed = made.replace({"gravity.g": 5.0, "tau[2]": 1, "solver.method": "automatic"})
     own, overlay = changed.variants
     assert (own.label, own.values) == (
         "automatic",
@@ -51,7 +51,7 @@ def test_other_start_values_go_to_all_runs_but_where_they_have_their_own() -> No
     )
     assert overlay.values == {"tau[1]": 1.0, "tau[2]": 1.0, "gravity.g": 3.0, "solver.method": METHODS["rk4"]}
     with pytest.raises(FiveBarError, match="'tip.fx' is given a signal and a value"):
-        replace(made, signals={"tip.fx": np.zeros(3)}).changed({"tip.fx": 1.0}, of_unit())
+        replace(made, signals={"tip.fx": np.zeros(3)}).replace({"tip.fx": 1.0})
 
 
 @pytest.mark.parametrize(

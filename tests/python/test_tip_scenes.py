@@ -141,7 +141,7 @@ def test_overlays_and_changes_start_there_too() -> None:
         for lengths in ({"base.distance": 0.1}, {"base.distance": 0.1, "link[1].length": 0.25})
     ]
     assert [variant.values["init.theta[1]"] for variant in scene.variants] == [*begun, 2.0]
-    changed = scene.changed({"link[2].length": 0.3}, scenes.of_unit())
+    changed = scene.replace({"link[2].length": 0.3})
     machine = Machine.from_scene(changed)
     assert changed.values["init.theta[1]"] == machine.inverse((-0.06, 0.24)).motors[0]
     assert (
@@ -149,7 +149,7 @@ def test_overlays_and_changes_start_there_too() -> None:
     )
     motors = np.stack([changed.signals[f"servo.theta[{i}]"] for i in (1, 2)], axis=-1)
     assert machine.forward(motors[-1]).tip == pytest.approx([0.16, 0.24], abs=1e-14)
-    assert scene.coarser(0.01).changed({"payload.mass": 0.02}, scenes.of_unit()).signals["servo.theta[1]"].shape == (
+    assert scene.coarser(0.01).replace({"payload.mass": 0.02}).signals["servo.theta[1]"].shape == (
         71,
     )
 

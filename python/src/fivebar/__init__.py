@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from fivebar.errors import FiveBarError, StepFailed, UnitError
+    from fivebar.inputs import Inputs
     from fivebar.instance import State, Unit
     from fivebar.own_unit import Naming
     from fivebar.result import Result
     from fivebar.scene import Scene
+    from fivebar.simulate import OnFailure
     from fivebar.variables import Value
 
     __version__: str
@@ -47,7 +49,7 @@ def __getattr__(name: str) -> Any:
 
 
 def unit(
-    scene: "str | Path | Scene | None" = None,
+    scene: "str | Path | Mapping[str, Any] | Scene | None" = None,
     name: str | None = None,
     naming: "Naming" = "structured",
     folder: str | Path | None = None,
@@ -66,9 +68,9 @@ def unit(
     if scene is None and name is None and naming == "structured" and folder is None:
         return shipped.unit()
     from fivebar import own_unit
-    from fivebar.scene import Scene, read
+    from fivebar.scene import read
 
-    known = scene if scene is None or isinstance(scene, Scene) else read(scene)
+    known = None if scene is None else read(scene)
     return own_unit.write_unit(Path(folder or ""), known, name, naming=naming).file
 
 
@@ -80,18 +82,52 @@ def scenes() -> dict[str, str]:
 
 
 def run(
-    scene: "str | Path | Scene", method: str | None = None, outputs: "Iterable[str]" = (), **values: "Value | str"
+    scene: "str | Path | Mapping[str, Any] | Scene",
+    method: str | None = None,
+    stop_time: float | None = None,
+    step_size: float | None = None,
+    outputs: "str | Iterable[str] | None" = None,
+    inputs: "Inputs | None" = None,
+    on_failure: "OnFailure" = "raise",
+    **values: "Value | str",
 ) -> "Result":
     """Runs a scene and returns what the unit computes at every communication point.
 
-    `scene` is the name of a shipped scene, a file, or a `fivebar.scene.Scene`; `method` an item of `solver.method` in the place of the
-    scene's own; `outputs` what tables have, by names or how these begin, such as `("tip", "energy.error")`, all unless told; to read
-    all takes several times as long as the steps; `values` are start values by variable, in the variable's unit, enumerations by the names of their items:
-    `run("swing", **{"link[1].mass": 0.02, "viscous.enabled": True})`.
+    Parameters
+    ----------
+    scene
+        The name of a shipped scene, a file that ends in .json, the content of such a file as a dict, or a `fivebar.Scene`.
+    method
+        An item of `solver.method` in the place of the scene's own.
+    stop_time, step_size
+        How long the scene is followed, and from one communication point to the next, s; the scene's own unless given.
+    outputs
+        Columns of the tables, by names or how these begin, such as `("tip", "energy.error")`; all unless given. To read all takes several
+        times as long as the steps.
+    inputs
+        Inputs that change, each held over the step that follows: a dict of name and number, values at the communication points, or a pair
+        (times, values) that straight lines join; a frame of pandas with a column or index `time`; or a function of time that returns a dict.
+    on_failure
+        `"raise"`: a step that fails raises `StepFailed`, whose `result` is that of the run up to then. `"return"`: this short result is
+        returned, and its `failure` says why.
+    **values
+        Start values by variable, in the variable's unit, enumerations by the names of their items.
 
-    A step that fails ends the run, and `Result.failure` says why. Raises FiveBarError, a ValueError of one sentence, if the scene, the method
-    or a value is refused.
+    Raises
+    ------
+    FiveBarError
+        A ValueError of one sentence, if the scene, the method, an input or a value is refused; `StepFailed` is one.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> heavy = fivebar.run("swing", stop_time=0.5, **{"link[1].mass": 0.02, "viscous.enabled": True})
+    >>> pushed = fivebar.run("flat_table", stop_time=1, inputs={"tau[1]": ([0, 1], [0, 0.01])})
     """
+    from fivebar import scene as scenes
     from fivebar import simulate
 
-    return simulate.run(scene, method, values, outputs=outputs)
+    ready = scenes.read(scene).replace(
+        values, method=method, stop_time=stop_time, step_size=step_size, inputs=inputs
+    )
+    return simulate.run(ready, outputs=outputs or (), on_failure=on_failure)

@@ -1,6 +1,9 @@
 """Errors and warnings that the caller can mend: one sentence that names the object, its value, and the allowed ones."""
 
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fivebar.result import Result
 
 
 class FiveBarError(ValueError):
@@ -12,10 +15,11 @@ class UnitError(FiveBarError):
 
 
 class StepFailed(UnitError):
-    """A step that the unit could not do: it is discarded, and the unit is as before it."""
+    """A step that the unit could not make: it is discarded, and the unit is as before. `result` is that of the run up to then, if there is a run."""
 
-    result: Any = None
-    """Of a run: what was computed before that step."""
+    def __init__(self, sentence: str, result: "Result | None" = None):
+        super().__init__(sentence)
+        self.result = result
 
 
 class MachineWarning(UserWarning):

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from fivebar import links, scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError, MachineWarning
+from fivebar.inputs import Inputs, sampled
 from fivebar.kinematics import Working
-from fivebar.signals import TIP
-from fivebar.variables import Value, Values, Variables, meant, of_unit, shown
+from fivebar.signals import TIP, Signal
+from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit, shown
 
 MOST_POINTS = 1_000_000
 """Communication points of a run, at most: each has a row of some 150 numbers."""
@@ -49,8 +50,8 @@ class Scene:
 
     variants: list[Variant]
     signals: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    start: Mapping[str, Value] = field(default_factory=lambda: of_unit().start, repr=False, compare=False)
-    """The unit's own start values."""
+    variables: Variables = field(default_factory=of_unit, repr=False, compare=False)
+    """Those of the unit that the scene is for."""
 
     offsets: Mapping[str, float] = field(default_factory=dict)
     """Mounting angles of the machine's encoders that are not 0, rad, by key: known to those who feed a unit with samples, not to the unit."""
@@ -60,6 +61,14 @@ class Scene:
 
     assumed: str = field(default="", repr=False, compare=False)
     """Why the stop time is what it is, where the scene's file has none."""
+
+    knots: Mapping[str, Signal] = field(default_factory=dict, repr=False, compare=False)
+    """Signals as the scene's file has them, by name: from these come the samples at other communication points."""
+
+    @property
+    def start(self) -> Mapping[str, Value]:
+        """The unit's own start values."""
+        return self.variables.start
 
     @property
     def values(self) -> Values:
@@ -84,19 +93,66 @@ class Scene:
             short, signals={name: values[np.minimum(rows, len(values) - 1)] for name, values in self.signals.items()}
         )
 
-    def changed(self, given: Mapping[str, Any], variables: Variables) -> "Scene":
-        """The scene with other start values, enumerations by the names of their items; an overlay keeps what it changes itself."""
-        new = {name: variables.settable(name).value(value) for name, value in given.items()}
+    def replace(
+        self,
+        values: Mapping[str, Any] | None = None,
+        /,
+        *,
+        method: str | None = None,
+        stop_time: float | None = None,
+        step_size: float | None = None,
+        inputs: Inputs | None = None,
+        **more: Any,
+    ) -> "Scene":
+        """The scene with another method, stop time, step, s, inputs or start values, which are checked as those of a file are.
+
+        Start values go by the variable's name, as a dictionary or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items.
+        `inputs` stand in the place of signals and values that the scene gives them (`fivebar.inputs.Inputs`). A run that the scene is
+        compared with keeps what it changes itself.
+        """
+        given = {**(values or {}), **more} | ({} if method is None else {"solver.method": method})
+        new = {name: self._settable(name).value(value) for name, value in given.items()}
+        stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
+        step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
+        points = communication_points(stop, step)
+        moved = sampled(inputs, points, self.variables)
+        signals = {name: self._signal(name, points) for name in self.signals if name not in moved} | moved
         before = self._unplaced(self.values)
-        own = before | new
-        runs = [(scene_file.method(own, variables), own)]
+        own = {name: value for name, value in before.items() if name not in moved} | new
+        runs = [(scene_file.method(own, self.variables), own)]
         for overlay in self.variants[1:]:
             kept = {name: value for name, value in self._unplaced(overlay.values).items() if before.get(name) != value}
-            runs.append((overlay.label, own | kept))
+            runs.append((overlay.label, own | {name: value for name, value in kept.items() if name not in moved}))
         scene_file.check_labels([label for label, _ in runs])
-        scene_file.check_signals([values for _, values in runs], self.signals)
-        variants, commands = _resolved(runs, self.tip, self.start, self.time)
-        return replace(self, variants=variants, signals=self.signals | commands)
+        scene_file.check_signals([each for _, each in runs], signals)
+        variants, commands = _resolved(runs, self.tip, self.start, points)
+        return replace(
+            self,
+            stop_time=stop,
+            step_size=step,
+            variants=variants,
+            signals=signals | commands | moved,
+            knots={name: signal for name, signal in self.knots.items() if name not in moved},
+            assumed=self.assumed if stop_time is None else "",
+        )
+
+    def _settable(self, name: str) -> Variable:
+        """The parameter or input of that name."""
+        if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
+            raise FiveBarError(
+                f"{name!r} is no variable: stop_time and step_size, s, are arguments of their own, and stopTime and stepSize stand in the key "
+                f"'{scene_file.EXPERIMENT}' of a scene's file"
+            )
+        return self.variables.settable(name)
+
+    def _signal(self, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A signal at other communication points; without knots each sample holds until the next."""
+        if np.array_equal(points, self.time):
+            return self.signals[name]
+        if name in self.knots:
+            return np.array([self.knots[name].at(time) for time in points.tolist()])
+        rows = np.searchsorted(self.time, points + 1e-9 * self.step_size, side="right") - 1
+        return self.signals[name][rows]
 
     def _unplaced(self, values: Values) -> Values:
         """The values of a run without a start that follows from the tip's place."""
@@ -129,15 +185,31 @@ def communication_points(stop_time: float, step_size: float) -> NDArray[np.float
     return points
 
 
-def read(name: str | Path, variables: Variables | None = None) -> Scene:
-    """The shipped scene of that name, or the scene in that file, which ends in .json, for the unit whose variables are given."""
-    return of_file(found(name), variables)
+def read(given: "str | Path | Mapping[str, Any] | Scene", variables: Variables | None = None) -> Scene:
+    """A scene for the unit whose variables are given: the shipped one of a name, one in a file that ends in .json, or the content of such a
+    file, in which the description may be missing. A `Scene` is one already.
+    """
+    if isinstance(given, Scene):
+        return given
+    if isinstance(given, Mapping):
+        content = {scene_file.DESCRIPTION: "A scene given in Python."} | dict(given)
+        return parse("scene", json.dumps(content, default=_plain), variables)
+    return of_file(found(given), variables)
+
+
+def _plain(given: Any) -> Any:
+    """Numbers of NumPy as JSON has them."""
+    if not isinstance(given, (np.generic, np.ndarray)):
+        raise FiveBarError(f"a scene has numbers, texts, lists and dicts, not {shown(given)}")
+    return given.tolist()
 
 
 def found(name: str | Path) -> Path:
     """The file of a scene."""
     if not isinstance(name, (str, Path)):
-        raise FiveBarError(f"a scene is a name, a file that ends in .json, or a fivebar.scene.Scene, not {shown(name)}")
+        raise FiveBarError(
+            f"a scene is a name, a file that ends in .json, the content of one as a dict, or a fivebar.Scene, not {shown(name)}"
+        )
     path = Path(name)
     if path.suffix == ".json":
         return path
@@ -168,11 +240,11 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
     """A scene from the text of its file; a MachineWarning says if no machine has its links."""
     variables = variables or of_unit()
     content = scene_file.Content(scene_file.parse(text), variables)
-    sampled, points = {}, np.zeros(0)
+    courses, points = {}, np.zeros(0)
     if content.signals:
         points = communication_points(content.stop_time, content.step_size)
         own = [signal for signal in content.signals if signal.variable.name not in TIP]
-        sampled = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
+        courses = {signal.variable.name: np.array([signal.at(time) for time in points.tolist()]) for signal in own}
     runs = [(scene_file.method(content.values, variables), content.values), *content.overlays]
     variants, commands = _resolved(runs, content.tip, variables.start, points)
     for sentence in links.doubts({**variables.start, **content.values}):
@@ -183,11 +255,12 @@ def parse(name: str, text: str, variables: Variables | None = None) -> Scene:
         stop_time=content.stop_time,
         step_size=content.step_size,
         variants=variants,
-        signals=sampled | commands,
-        start=variables.start,
+        signals=courses | commands,
+        variables=variables,
         offsets={name: offset for name, offset in content.offsets.items() if offset != 0.0},
         tip=content.tip,
         assumed=content.assumed,
+        knots={signal.variable.name: signal for signal in content.signals if signal.variable.name not in TIP},
     )
 
 

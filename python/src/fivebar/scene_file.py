@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fivebar import encoding, signals, tip_scenes
 from fivebar.errors import FiveBarError
 from fivebar.signals import Signal
@@ -181,11 +183,15 @@ def _experiment(content: Mapping[str, Any], variables: Variables) -> tuple[float
     for key in SECONDS:
         if key not in given:
             continue
-        value = given[key]
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or not value > 0:
-            raise FiveBarError(f"'{EXPERIMENT}.{key}' must be a positive number of seconds, not {shown(value)}")
-        found[key] = float(value)
+        found[key] = seconds(f"{EXPERIMENT}.{key}", given[key])
     return found.get("stopTime"), found.get("stepSize", variables.step_size)
+
+
+def seconds(key: str, given: Any) -> float:
+    """A stop time or a step, s."""
+    if not isinstance(given, (int, float, np.number)) or isinstance(given, bool) or not given > 0:
+        raise FiveBarError(f"'{key}' must be a positive number of seconds, not {shown(given)}")
+    return float(given)
 
 
 def _end(own: list[Signal], variables: Variables) -> tuple[float, str]:

@@ -1,47 +1,42 @@
 """Runs a scene through FMPy."""
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import fmpy
 
 from fivebar import scene as scenes
-from fivebar import scene_file, shipped
+from fivebar import shipped
 from fivebar.drive import Progress, Run, StartRefused, drive
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, StepFailed
 from fivebar.result import READ, Result
 from fivebar.scene import Scene
 from fivebar.slave import computed
-from fivebar.variables import chosen, of_unit
+from fivebar.variables import chosen, of_unit, shown
+
+OnFailure = Literal["raise", "return"]
+"""What becomes of a run that ends early: a StepFailed, or its short result."""
 
 
 def run(
     scene: str | Path | Scene,
-    method: str | None = None,
-    values: Mapping[str, Any] | None = None,
     fmu: Path | None = None,
     overlays: bool = False,
     progress: Callable[[str, float], Progress] | None = None,
-    outputs: Iterable[str] = (),
+    outputs: str | Iterable[str] = (),
+    on_failure: OnFailure = "raise",
 ) -> Result:
-    """Runs a scene, by another method or with other start values if they are given; `progress` makes a line for a label and a stop time, s.
+    """Runs a scene; `progress` makes a line for a label and a stop time, s.
 
     `outputs` are the columns of the tables, by their names or how these begin; without them there are all.
-    Raises FiveBarError if the scene, the method, a value or an output is refused.
+    Raises FiveBarError if the scene or an output is refused, and StepFailed if the scene's own run ends early, unless the short result is
+    wanted.
     """
+    check(on_failure)
     unit = shipped.unit() if fmu is None else fmu
-    variables = of_unit(unit)
-    for name in values or {}:
-        if name.replace("_", "").lower() in (key.lower() for key in scene_file.SECONDS):
-            raise FiveBarError(
-                f"{name!r} is no variable: stopTime and stepSize, s, stand in the key 'experiment' of a scene's file"
-            )
-    ready = scene if isinstance(scene, Scene) else scenes.read(scene, variables)
-    given = dict(values or {}) | ({} if method is None else {"solver.method": method})
-    if given:
-        ready = ready.changed(given, variables)
+    ready = scenes.read(scene, of_unit(unit))
     directory = fmpy.extract(str(unit))
     runs: list[Run] = []
     refused = []
@@ -61,4 +56,15 @@ def run(
                 refused.append(f"{variant.label} did not start: {sentence}")
     finally:
         shutil.rmtree(directory, ignore_errors=True)
-    return Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
+    result = Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
+    if result.failure is not None and on_failure == "raise":
+        raise StepFailed(
+            f"{ready.name} ended early, after t = {result.time[-1]:g} s of {ready.stop_time:g} s: {result.failure}", result
+        )
+    return result
+
+
+def check(on_failure: str) -> None:
+    """Refuses a word for what becomes of a run that ends early."""
+    if on_failure not in ("raise", "return"):
+        raise FiveBarError(f"'on_failure' must be one of raise, return, not {shown(on_failure)}")

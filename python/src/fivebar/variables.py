@@ -11,6 +11,8 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fivebar import shipped
 from fivebar.errors import FiveBarError
 
@@ -56,7 +58,8 @@ class Variable:
         return self.causality in ("parameter", "input")
 
     def value(self, given: Any) -> Value:
-        """The value as calls carry it, from a number, True or False, or the name of an item."""
+        """The value as calls carry it, from a number, True or False, or the name of an item; from NumPy as well."""
+        given = given.item() if isinstance(given, np.generic) else given
         is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
         if self.type == "Real":
             wanted = f"a number in {self.unit}{self._limits(self.least, self.most)}"

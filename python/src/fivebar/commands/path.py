@@ -110,7 +110,7 @@ def path(
     files = [written]
     outcome = None
     if not no_run:
-        outcome = paths.compare(made, simulate.run(written, progress=Progress))
+        outcome = paths.compare(made, simulate.run(written, progress=Progress, on_failure="return"))
         click.echo(outcome.words())
         files += path_pictures.draw(outcome, drawing.name, limits, folder)
     files.append(paths.write_table(made, outcome, folder / f"{drawing.stem}.csv"))

@@ -54,11 +54,10 @@ def run(
     from fivebar.progress import Line
     from fivebar.variables import of_unit
 
-    ready = scenes.read(scene, of_unit(fmu))
+    ready = scenes.read(scene, of_unit(fmu)).replace(options.assignments(changes), method=method)
     folder = Path(ready.name) if out is None else out
     options.check_folder(folder)
-    values = options.assignments(changes)
-    result = simulate.run(ready, method, values, fmu, overlays=True, progress=Progress, outputs=outputs)
+    result = simulate.run(ready, fmu, overlays=True, progress=Progress, outputs=outputs, on_failure="return")
     click.echo(result.summary())
     line = Line()
     try:

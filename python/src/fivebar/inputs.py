@@ -1,0 +1,96 @@
+"""Inputs that change with time, as callers in Python give them, at the communication points of a run."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fivebar.errors import FiveBarError
+from fivebar.variables import Variables, shown
+
+Floats = NDArray[np.float64]
+
+Inputs = Mapping[str, Any] | Callable[[float], Mapping[str, float]] | Any
+"""By name a number, values at the communication points, or a pair (times, values) that straight lines join; with a key `time` all other
+values are at those times, s; also a frame of pandas with a column or index `time`, or a function of time that returns values by name."""
+
+TIME = "time"
+
+
+def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[str, Floats]:
+    """Values at the communication points, s, each held over the step that follows."""
+    if given is None:
+        return {}
+    courses = _of_function(given, points) if callable(given) else _of_table(_columns(given), points)
+    for name, values in courses.items():
+        variable = variables.get(name)
+        if variable is None or variable.type != "Real" or variable.variability != "tunable":
+            variable = variables.input(name)
+        for row in np.flatnonzero(~np.isfinite(values)):
+            raise FiveBarError(f"the input '{name}' must be finite, and is {values[row]} at {points[row]:g} s")
+        for extreme in (np.min(values), np.max(values)):
+            variable.value(float(extreme))
+    return courses
+
+
+def _columns(given: Any) -> Mapping[str, Any]:
+    """A mapping, or a frame as one."""
+    if isinstance(given, Mapping):
+        return given
+    if not (hasattr(given, "columns") and hasattr(given, "index")):
+        raise FiveBarError(f"inputs are a dict, a frame of pandas or a function of time, not {shown(given)}")
+    columns = {str(name): given[name] for name in given.columns}
+    if TIME not in columns:
+        if given.index.name != TIME:
+            raise FiveBarError(f"a frame of inputs needs a column or an index '{TIME}', s")
+        columns[TIME] = given.index
+    return columns
+
+
+def _of_function(function: Callable[[float], Mapping[str, float]], points: Floats) -> dict[str, Floats]:
+    rows = [function(time) for time in points.tolist()]
+    for time, row in zip(points.tolist(), rows):
+        if not isinstance(row, Mapping) or row.keys() != rows[0].keys():
+            raise FiveBarError(
+                f"the function of inputs must return a dict with the same names at all times, and returned {shown(row)} at {time:g} s"
+            )
+    return {name: _numbers(name, [row[name] for row in rows]) for name in rows[0]}
+
+
+def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
+    shared = given.get(TIME)
+    courses = {}
+    for name, value in given.items():
+        if name == TIME:
+            continue
+        if shared is not None:
+            value = (shared, value)
+        if isinstance(value, tuple) and len(value) == 2:
+            courses[name] = _joined(name, *value, points)
+            continue
+        values = _numbers(name, value)
+        if values.shape not in ((), points.shape):
+            raise FiveBarError(
+                f"the input '{name}' has {values.size} values, and the run {len(points)} communication points: as many, or a pair "
+                "(times, values), are needed"
+            )
+        courses[name] = np.full(len(points), values) if values.shape == () else values
+    return courses
+
+
+def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
+    """Straight lines through values at times, constant before and after them."""
+    at, course = _numbers(f"time of {name}", times), _numbers(name, values)
+    if at.ndim != 1 or at.shape != course.shape or not len(at):
+        raise FiveBarError(f"the input '{name}' has {at.size} times and {course.size} values: as many of both are needed")
+    for row in np.flatnonzero(~(np.diff(at) > 0)):
+        raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")
+    return np.interp(points, at, course)
+
+
+def _numbers(name: str, given: Any) -> Floats:
+    values = np.asarray(given)
+    if values.dtype.kind not in "iuf" or values.ndim > 1:
+        raise FiveBarError(f"the input '{name}' must have one number for each time, not {shown(given)}")
+    return values.astype(np.float64)

@@ -1,0 +1,86 @@
+"""Inputs of a run as callers in Python give them: the same course in every form, and refusals of one sentence."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+import pytest
+
+import fivebar
+from fivebar.errors import FiveBarError
+from fivebar.inputs import sampled
+from fivebar.scene import read
+from fivebar.variables import of_unit
+
+POINTS = np.linspace(0, 0.1, 101)
+RAMP = 0.2 * POINTS
+TABLE = pandas.DataFrame({"time": [0, 0.1], "tau[1]": [0, 0.02]})
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"tau[1]": RAMP},
+        {"tau[1]": RAMP.tolist()},
+        {"tau[1]": ([0, 0.1], [0, 0.02])},
+        {"time": [0, 0.1], "tau[1]": [0, 0.02]},
+        TABLE,
+        TABLE.set_index("time"),
+        lambda time: {"tau[1]": 0.2 * time},
+    ],
+    ids=["values", "list", "pair", "times", "frame", "frame by time", "function"],
+)
+def test_every_form_gives_the_same_course(given: Any, fmu: Path) -> None:
+    """As the file of a scene with these knots has it, up to round-off of a straight line."""
+    content = {"description": "a", "experiment": {"stopTime": 0.1}, "gravity.enabled": False}
+    knots = {"signals": {"tau[1]": {"linear": [[0, 0], [0.1, 0.02]]}}}
+    by_file = fivebar.run(content | knots, outputs="tip")
+    result = fivebar.run(content, inputs=given, outputs="tip")
+    assert result["tau[1]"] == pytest.approx(RAMP, abs=1e-16)
+    assert result["tip.x"] == pytest.approx(by_file["tip.x"], abs=1e-12)
+    assert result.scene.signals.keys() == {"tau[1]"} and np.ptp(result["tip.x"]) > 1e-4
+
+
+def test_inputs_take_the_place_of_what_a_scene_says(fmu: Path) -> None:
+    """Signals and start values; a constant is one number, and a tunable parameter is an input too."""
+    pushed = read("paper_torque").replace(stop_time=0.01, inputs={"tau[1]": 0.1, "payload.mass": np.linspace(0, 1, 11)})
+    assert "tau[1]" not in pushed.values and pushed.signals["tau[1]"].tolist() == [0.1] * 11
+    assert all("tau[1]" not in variant.values for variant in pushed.variants)
+    path = read("pick_and_place")
+    still = path.replace(inputs={"servo.omega[1]": 0.0})
+    assert not still.signals["servo.omega[1]"].any() and still.signals.keys() == path.signals.keys()
+    # Other points of the run keep it: each sample holds until the next.
+    assert pushed.replace(step_size=5e-4).signals["payload.mass"].tolist() == [
+        *np.repeat(np.linspace(0, 0.9, 10), 2).tolist(), 1.0
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"tau[1]": [0, 1]}, "the input 'tau[1]' has 2 values, and the run 101 communication points: as many, or a pair (times, values), are needed"),
+        ({"tau[1]": ([0, 1], [0, 1, 2])}, "the input 'tau[1]' has 2 times and 3 values: as many of both are needed"),
+        ({"tau[1]": ([0, 1, 1], [0, 1, 2])}, "the times of input 'tau[1]' must increase, but 1.0 s follows 1.0 s"),
+        ({"tau[1]": np.where(POINTS == POINTS[3], np.nan, 0)}, "the input 'tau[1]' must be finite, and is nan at 0.003 s"),
+        ({"payload.mass": -1}, "'payload.mass' must be a number in kg from 0 to 1000000000, not -1.0"),
+        ({"tau[1]": ["a"]}, "the input 'tau[1]' must have one number for each time, not [\"a\"]"),
+        ({"tau": 1}, "'tau' is not an input of the FMU; did you mean 'tau[2]' or 'tau[1]'?"),
+        ({"link[1].mass": 1}, "'link[1].mass' is a fixed parameter: it keeps its start value"),
+        ({"tip.x": 1}, "'tip.x' is not an input of the FMU"),
+        (7, "inputs are a dict, a frame of pandas or a function of time, not 7"),
+        (pandas.DataFrame({"tau[1]": RAMP}), "a frame of inputs needs a column or an index 'time', s"),
+        (lambda _time: 3, "the function of inputs must return a dict with the same names at all times, and returned 3 at 0 s"),
+        (lambda time: {"tau[1]": 1} | ({"tau[2]": 1} if time > 0.05 else {}), "the function of inputs must return a dict with the same names at all times"),
+    ],
+)  # fmt: skip
+def test_inputs_that_cannot_be_are_one_sentence(given: Any, sentence: str, fmu: Path) -> None:
+    with pytest.raises(FiveBarError) as refusal:
+        sampled(given, POINTS, of_unit())
+    assert str(refusal.value).startswith(sentence) and "\n" not in str(refusal.value)
+
+
+def test_an_input_and_a_value_in_one_call_are_refused(fmu: Path) -> None:
+
+    with pytest.raises(FiveBarError, match=r"^'tau\[1\]' is given a signal and a value, but only one of them can hold$"):
+        fivebar.run("swing", inputs={"tau[1]": 0.1}, **{"tau[1]": 0.2})
