@@ -47,20 +47,24 @@ class Table:
     """Names of all other columns."""
 
 
-def read(file: Path, wanted: Collection[str], counted: str) -> Table:
+def read(file: Path, wanted: Collection[str], counted: str, *, numbered: bool = False) -> Table:
     """Reads the columns `wanted` and `counted`, as far as a table has them. Raises FiveBarError, with one sentence that names the file.
 
     The column `counted` counts from its first number, which is subtracted as a decimal: beyond 1e9, as times since 1970 are, floats have steps of 1e-7.
+    With `numbered`, a first row of numbers is no head: the columns are then called 1, 2, 3, ….
     """
     try:
-        return _parse(encoding.read(file, LARGEST), wanted, counted)
+        return _parse(encoding.read(file, LARGEST), wanted, counted, numbered)
     except FiveBarError as error:
         raise FiveBarError(f"{file}: {error}") from None
 
 
-def _parse(text: str, wanted: Collection[str], counted: str) -> Table:
+def _parse(text: str, wanted: Collection[str], counted: str, numbered: bool) -> Table:
     lines = rows(text)
-    head = [named(cell) for cell in next(lines, [])]
+    first = next(lines, [])
+    head = [named(cell) for cell in first]
+    if numbered and all(map(_is_number, first)):
+        head, lines = [(str(place), "") for place in range(1, len(first) + 1)], chain([first], lines)
     names = [name for name, _ in head]
     for name, count in Counter(filter(None, names)).items():
         if count > 1:
@@ -119,6 +123,15 @@ def number(cell: str) -> float:
         return float(cell)
     except ValueError:
         return float(_pointed(cell))
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell has a number or is empty."""
+    try:
+        number(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _decimal(cell: str) -> Decimal:

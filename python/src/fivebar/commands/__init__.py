@@ -14,7 +14,22 @@ from typing import Any
 
 import click
 
-from fivebar.commands import calibrate, ensemble, load, map, page, path, replay, run, scenes, soak, twin, unit, what_if
+from fivebar.commands import (
+    calibrate,
+    ensemble,
+    import_,
+    load,
+    map,
+    page,
+    path,
+    replay,
+    run,
+    scenes,
+    soak,
+    twin,
+    unit,
+    what_if,
+)
 from fivebar.errors import FiveBarError, MachineWarning
 
 COMMANDS = (
@@ -26,6 +41,7 @@ COMMANDS = (
     page.page,
     twin.twin,
     replay.replay,
+    import_.import_,
     calibrate.calibrate,
     ensemble.ensemble,
     what_if.what_if,

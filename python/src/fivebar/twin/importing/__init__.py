@@ -1,0 +1,1 @@
+"""`fivebar import`: recordings of real machines as tables that calibration, validation and twin read."""

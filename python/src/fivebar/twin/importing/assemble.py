@@ -1,0 +1,142 @@
+"""From columns of files and a map to a recording: units, signs and offsets, and rows for clocks that differ."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fivebar import table
+from fivebar.errors import FiveBarError
+from fivebar.twin import recording
+from fivebar.twin.importing import sources
+from fivebar.twin.importing.maps import PASSIVE, VARIABLES, Entry, Map
+from fivebar.twin.importing.sources import Stream
+from fivebar.twin.messages import INPUTS, MEASURED
+from fivebar.twin.recording import TIME, Array, Recording
+
+TOGETHER: Final = 0.25
+"""Share of the usual step within which samples of two encoders become one row: rows that lie closer would make the usual step of the recording."""
+
+
+def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
+    """The recording in files, each a series or more of its own, and the map that was used. Raises FiveBarError."""
+    clocks, tables, notes, used, last = [], [], [], given, 0.0
+    for file in files:
+        used = given if given.entries else _named(file, given)
+        clock, columns, own = _rows(file, used)
+        known = clock[np.isfinite(clock)]
+        if not len(known):
+            raise FiveBarError(f"{file} has no row with a time")
+        # A clock that falls back has restarted, and begins a series.
+        clocks.append(clock - known[0] + last - 1.0)
+        last = clocks[-1][np.isfinite(clock)][-1]
+        tables.append(columns)
+        notes += own
+    names = [name for name in VARIABLES if any(name in columns for columns in tables)]
+    joined = {
+        name: np.concatenate(
+            [columns.get(name, np.full(len(clock), np.nan)) for clock, columns in zip(clocks, tables, strict=True)]
+        )
+        for name in names
+    }
+    source = " and ".join(str(file) for file in files)
+    if not any(np.isfinite(joined[name]).any() for name in MEASURED if name in joined):
+        raise FiveBarError(f"{source} has no number in the column of {MEASURED[0]} or {MEASURED[1]}")
+    return recording.of(source, np.concatenate(clocks), joined, list(dict.fromkeys(notes))), used
+
+
+def write(given: Recording, file: Path) -> None:
+    """Writes the table that calibration, validation and twin read; the clock of each series begins at 0."""
+    begins = np.array([0, *given.begins])
+    first = begins[np.searchsorted(begins, np.arange(len(given.time)), side="right") - 1]
+    table.write_columns(file, {TIME: given.time - given.time[first], **given.columns})
+
+
+def _named(file: Path, given: Map) -> Map:
+    """The map of a table whose columns have the names of the variables."""
+    columns = sources.names(file, given.time.column)
+    others = {name.removeprefix("measured."): name for name in MEASURED}
+    found = {others.get(name, name): Entry(name) for name in columns if name in VARIABLES or name in others}
+    found |= {name: Entry(name) for name in MEASURED if name in columns}
+    if not any(name in found for name in MEASURED):
+        raise FiveBarError(
+            f"{file} has no column {MEASURED[0]} or {MEASURED[1]}, and no --map says which they are; its columns are {sources.listed(columns)}"
+        )
+    return given.exchanged(found)
+
+
+def _rows(file: Path, given: Map) -> tuple[Array, dict[str, Array], list[str]]:
+    """Clock in s, variables and notes of a file."""
+    streams = sources.read(file, {entry.column: None for entry in given.entries.values()}, given.time.column)
+    head = next((stream.units[given.time.column] for stream in streams if given.time.column in stream.units), "")
+    factor = given.time.factor(TIME, head)
+    if len(streams) == 1:
+        clock = factor * streams[0].clock
+        raw = {name: streams[0].columns[entry.column] for name, entry in given.entries.items()}
+        notes: list[str] = []
+    else:
+        clock, raw, notes = _together(file, streams, given)
+    columns = {
+        name: entry.factor(name, next((s.units[entry.column] for s in streams if entry.column in s.units), ""))
+        * raw[name]
+        + entry.offset
+        for name, entry in given.entries.items()
+    }
+    for passive, proximal in zip(PASSIVE, MEASURED, strict=True):
+        if passive in columns and given.entries[passive].relative:
+            columns[passive] = columns[passive] + columns[proximal]
+    return clock, columns, notes
+
+
+def _together(file: Path, streams: list[Stream], given: Map) -> tuple[Array, dict[str, Array], list[str]]:
+    """Rows of streams with clocks of their own: samples of the encoders stay where they are, commands hold until the next one."""
+    for stream in streams:
+        if np.any(back := np.diff(stream.clock) < 0):
+            raise FiveBarError(
+                f"{file}: {stream.name} falls back at {stream.clock[np.argmax(back)]:.3f} s, so that several topics cannot be put together; "
+                f'a map with "{TIME}": {{"column": "{sources.RECEIVED}"}} takes the recorder\'s clock'
+            )
+    by_name = {name: next(s for s in streams if entry.column in s.columns) for name, entry in given.entries.items()}
+    main, *others = sorted((by_name[name] for name in MEASURED if name in by_name), key=lambda s: -len(s.clock))
+    rows, period = main.clock, float(np.median(np.diff(main.clock))) if len(main.clock) > 1 else 0.0
+    for stream in others:
+        apart = np.abs(stream.clock - rows[_nearest(rows, stream.clock)])
+        rows = np.union1d(rows, stream.clock[apart > TOGETHER * period])
+    columns, notes = {}, []
+    for name, stream in by_name.items():
+        place = _holding if name in INPUTS else _placed
+        columns[name], note = place(rows, stream.clock, stream.columns[given.entries[name].column], 0.5 * period)
+        if stream is not main:
+            notes.append(f"{name} is from {stream.name}, {len(stream.clock)} values: {note}")
+    return rows, columns, notes
+
+
+def _holding(rows: Array, times: Array, values: Array, most: float) -> tuple[Array, str]:
+    """Values in rows, each until the next one, and what was done."""
+    before = np.searchsorted(times, rows, side="right") - 1
+    after = np.searchsorted(rows, times)
+    late = rows[after[after < len(rows)]] - times[after < len(rows)]
+    return (
+        np.where(before >= 0, values[before], np.nan),
+        f"each holds until the next one, and stands from the encoders' next sample on, up to {1e3 * late.max(initial=0.0):.3g} ms later",
+    )
+
+
+def _placed(rows: Array, times: Array, values: Array, most: float) -> tuple[Array, str]:
+    """Values in the rows nearest to them, at most `most` s away, and what was done."""
+    nearest = _nearest(rows, times)
+    apart = np.abs(rows[nearest] - times)
+    near = apart <= most
+    column = np.full(len(rows), np.nan)
+    column[nearest[near]] = values[near]
+    lost = len(values) - len(np.unique(nearest[near]))
+    left = f"; {lost} have no row of their own and are left out" if lost else ""
+    return column, f"each stands in the nearest row, up to {1e3 * apart[near].max(initial=0.0):.3g} ms away{left}"
+
+
+def _nearest(rows: Array, times: Array) -> Array:
+    """Index of the row nearest to each time."""
+    after = np.minimum(np.searchsorted(rows, times), len(rows) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(rows[after] - times) < np.abs(rows[before] - times), after, before)

@@ -1,0 +1,46 @@
+"""`fivebar import FILE...`: reads, measures, and writes a record."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from fivebar.errors import FiveBarError
+from fivebar.twin.calibrate import data
+from fivebar.twin.importing import assemble, maps, quality
+from fivebar.twin.recording import Recording
+
+SHOWN: Final = 5
+"""Gaps that are listed, at most."""
+
+
+def run(files: Sequence[Path], map_file: Path | None, record: Path) -> int:
+    """Writes the record and prints what it has; 0."""
+    if record.suffix.lower() != ".csv":
+        raise FiveBarError(
+            f"the record is {record}; a name that ends in .csv is needed, a table that all commands read"
+        )
+    given = maps.read(map_file) if map_file else maps.Map()
+    found, used = assemble.recorded(files, given)
+    figures = quality.measure(found)
+    record.parent.mkdir(parents=True, exist_ok=True)
+    assemble.write(found, record)
+    print("\n".join(_summary(found, used, figures)))
+    print(f"\nwritten: {record}")
+    return 0
+
+
+def _summary(found: Recording, used: maps.Map, figures: list[quality.Quality]) -> list[str]:
+    """What the record has."""
+    lines = [f"{len(found.time)} rows, {found.time[-1]:.4g} s, {len(found.begins) + 1} series of {found.source}"]
+    lines += [f"  {name} from {entry.column}" for name, entry in used.entries.items()]
+    lines += [f"  {note}" for note in found.notes]
+    lines += [each.sentence() for each in figures]
+    for each in figures:
+        long = [(at, length) for at, length in each.gaps if length > data.GAP * each.period]
+        for at, length in long[:SHOWN]:
+            lines.append(f"  no {each.name} from {at:.3f} s on for {length:.3g} s: another series")
+        if len(long) > SHOWN:
+            lines.append(f"  and {len(long) - SHOWN} more")
+    lines.append("for a scene of this machine:")
+    lines += [f"  {each.lines()}," for each in figures]
+    return lines

@@ -1,0 +1,206 @@
+"""The map of a recording: which column is which variable, and how its numbers become rad, rad/s, N.m and m.
+
+    {
+      "time": {"column": "t", "unit": "ms"},
+      "measured.theta[1]": {"column": "enc_left", "unit": "counts", "steps": 8192, "sign": -1, "offset": "90 deg"},
+      "measured.theta[2]": {"column": "enc_right", "unit": "deg"}
+    }
+
+A value is sign x scale x number in its unit + offset. Without a map, columns have the names of the variables.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from fivebar import scene_file
+from fivebar.errors import FiveBarError
+from fivebar.twin.messages import MEAS_FIELDS, MEASURED
+from fivebar.twin.recording import TIME
+from fivebar.variables import shown, similar
+
+PASSIVE: Final = ("passive.theta[1]", "passive.theta[2]")
+"""Angles of the distal links: no field of `meas`, kept because they tell how the machine is assembled and which encoder is which."""
+
+VARIABLES: Final = (*MEAS_FIELDS, *PASSIVE)
+
+ANGLES: Final = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turns": 2 * math.pi}
+LENGTHS: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+COUNTS: Final = "counts"
+UNITS: Final[dict[str, dict[str, float]]] = {
+    TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "theta": ANGLES,
+    "omega": {f"{name}/s": factor for name, factor in ANGLES.items()} | {"rpm": 2 * math.pi / 60},
+    "tau": {"N.m": 1.0, "mN.m": 1e-3},
+    "tip.x": LENGTHS,
+    "tip.y": LENGTHS,
+}
+"""Units and their factors by the last words of a variable's name; the first one is that of the variable."""
+
+KEYS: Final = ("column", "unit", "steps", "sign", "scale", "offset", "relative")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """How a variable comes from a column."""
+
+    column: str
+    unit: str = ""
+    """"" takes the one in the table's head, or else that of the variable."""
+
+    steps: float = 0.0
+    """Steps of an encoder in a turn, for the unit `counts`."""
+
+    sign: int = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    """In the unit of the variable."""
+
+    relative: bool = False
+    """Whether a distal link's angle counts from its proximal link."""
+
+    def content(self, name: str) -> dict[str, Any]:
+        """As a map has it: what differs from what is taken without it."""
+        found: dict[str, Any] = {"column": self.column}
+        for key in KEYS[1:]:
+            if (value := getattr(self, key)) != Entry.__dataclass_fields__[key].default:
+                found[key] = round(value, 6) if key == "offset" else value
+        return found
+
+    def factor(self, name: str, head: str) -> float:
+        """What a number of the column is multiplied by; `head` is the unit in the table's head. Raises FiveBarError."""
+        known = units_of(name)
+        unit, in_head = self.unit, _plain(head)
+        if in_head and unit and in_head != unit:
+            raise FiveBarError(
+                f"'{name}.unit' is '{unit}', but the head of the table says that {self.column} is in {head:.20}"
+            )
+        unit = unit or in_head or next(iter(known))
+        if unit == COUNTS and self.steps and "theta" in name:
+            return self.sign * self.scale * 2 * math.pi / self.steps
+        if unit not in known:
+            raise FiveBarError(f"{self.column} is in {head:.20}; {', '.join(known)} is allowed for {name}")
+        return self.sign * self.scale * known[unit]
+
+
+@dataclass(frozen=True)
+class Map:
+    """A map: the entry of the clock, and those of variables by name."""
+
+    time: Entry = Entry(TIME)
+    entries: Mapping[str, Entry] = field(default_factory=dict)
+    """None: columns have the names of the variables."""
+
+    def content(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {name: entry.content(name) for name, entry in {TIME: self.time, **self.entries}.items()}
+
+    def text(self) -> str:
+        """The JSON, with a line for each variable."""
+        lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(entry)}" for name, entry in self.content().items())
+        return "{\n" + lines + "\n}"
+
+    def exchanged(self, entries: Mapping[str, Entry]) -> "Map":
+        """The map with other entries for some variables."""
+        return replace(self, entries={**self.entries, **entries})
+
+
+def read(file: Path) -> Map:
+    """The map in a file. Raises FiveBarError with one sentence that names the file."""
+    try:
+        return parse(scene_file.parse(scene_file.text(file)))
+    except FiveBarError as error:
+        raise FiveBarError(f"{file}: {error}") from None
+
+
+def parse(content: Any) -> Map:
+    """The map of a file's content. Raises FiveBarError with one sentence that names key and value."""
+    if not isinstance(content, dict):
+        raise FiveBarError("a map must be an object of variables and their columns")
+    known = (scene_file.DESCRIPTION, TIME, *VARIABLES)
+    for name in content:
+        if name not in known:
+            raise FiveBarError(f"'{name}' is no variable of a recording{similar(name, known)}")
+    entries = {name: _entry(name, given) for name, given in content.items() if name != scene_file.DESCRIPTION}
+    time = entries.pop(TIME, Entry(TIME))
+    if not any(name in entries for name in MEASURED):
+        raise FiveBarError(f"it has neither {MEASURED[0]} nor {MEASURED[1]}")
+    for i, name in enumerate(PASSIVE):
+        if name in entries and entries[name].relative and MEASURED[i] not in entries:
+            raise FiveBarError(f"'{name}.relative' needs {MEASURED[i]}, from which it counts")
+    return Map(time, entries)
+
+
+def units_of(name: str) -> dict[str, float]:
+    """Units that a variable's column may have, with their factors."""
+    return next(units for last, units in UNITS.items() if name.partition("[")[0].endswith(last))
+
+
+def _entry(name: str, given: Any) -> Entry:
+    if not isinstance(given, dict):
+        raise FiveBarError(f'\'{name}\' must be an object such as {{"column": "q1"}}, not {shown(given)}')
+    keys = ("column", "unit") if name == TIME else KEYS if name in PASSIVE else KEYS[:-1]
+    for key in given:
+        if key not in keys:
+            raise FiveBarError(f"'{name}' has no key '{key}'{similar(key, keys)}")
+    column = given.get("column")
+    # Tables without a head have numbers for names.
+    if isinstance(column, int) and not isinstance(column, bool) and column > 0:
+        column = str(column)
+    if not isinstance(column, str) or not column.strip():
+        raise FiveBarError(
+            f"'{name}.column' must be the name of a column, or its number from 1 on, not {shown(column)}"
+        )
+    allowed = [*units_of(name), *([COUNTS] if "theta" in name else [])]
+    unit = given.get("unit", "")
+    if "unit" in given and unit not in allowed:
+        raise FiveBarError(f"'{name}.unit' must be one of {', '.join(allowed)}, not {shown(unit)}")
+    steps = _number(f"{name}.steps", given.get("steps", 0.0))
+    if (unit == COUNTS) != ("steps" in given) or steps < 0 or (unit == COUNTS and steps == 0):
+        raise FiveBarError(
+            f"'{name}.steps' must be the steps of a turn, more than 0, for the unit {COUNTS} and for no other one, not {shown(given.get('steps'))} with the unit "
+            f"{shown(unit)}"
+        )
+    sign = given.get("sign", 1)
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise FiveBarError(f"'{name}.sign' must be 1 or -1, not {shown(sign)}")
+    scale = _number(f"{name}.scale", given.get("scale", 1.0))
+    if scale == 0:
+        raise FiveBarError(f"'{name}.scale' must be a number other than 0, not {shown(given['scale'])}")
+    relative = given.get("relative", False)
+    if not isinstance(relative, bool):
+        raise FiveBarError(f"'{name}.relative' must be true or false, not {shown(relative)}")
+    return Entry(column.strip(), unit, steps, int(sign), scale, _offset(name, given.get("offset", 0.0)), relative)
+
+
+def _offset(name: str, given: Any) -> float:
+    """A number in the variable's unit, or a text with number and unit such as "147 deg"."""
+    if not isinstance(given, str):
+        return _number(f"{name}.offset", given)
+    units = units_of(name)
+    number, _, unit = given.strip().partition(" ")
+    try:
+        value = float(number) * units[unit.strip()]
+    except (ValueError, KeyError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise FiveBarError(
+            f"'{name}.offset' must be a number in {next(iter(units))}, or a text such as \"90 {list(units)[-1]}\" with one of {', '.join(units)}, not {shown(given)}"
+        )
+    return value
+
+
+def _number(key: str, given: Any) -> float:
+    if not isinstance(given, (int, float)) or isinstance(given, bool):
+        raise FiveBarError(f"'{key}' must be a number, not {shown(given)}")
+    return float(given)
+
+
+def _plain(unit: str) -> str:
+    """A unit of a head in the spelling of a map."""
+    plain = "".join(c for c in unit if c not in " ·*.")
+    spelled = {"Nm": "N.m", "mNm": "mN.m", "°": "deg", "degree": "deg", "degrees": "deg", "µs": "us", "μs": "us"}
+    return spelled.get(plain, plain)

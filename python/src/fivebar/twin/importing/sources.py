@@ -1,0 +1,207 @@
+"""Columns of a recording's file with their clocks: tables as CSV, with or without a head, tables as Parquet, and bags of ROS.
+
+Columns of a bag are called by topic and field, as `/joint_states/JOINT/position` or `/desired/data[0]`.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fivebar import extras, table
+from fivebar.errors import FiveBarError
+from fivebar.twin.record import SCHEMA, is_record
+from fivebar.twin.recording import TIME, Array
+
+BAGS: Final = (".db3", ".mcap", ".bag")
+"""Endings of bags in one file; a folder is a bag, too."""
+
+STAMP, RECEIVED = "stamp", "received"
+"""Clocks of a bag: the stamp in a message's header, or when the recorder received the message."""
+
+LISTED: Final = 40
+"""Columns that a sentence names at most."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Columns that are read at the same times: those of a table, or of a topic."""
+
+    name: str
+    clock: Array
+    """(n), in the clock's unit from an origin that all streams of a file share."""
+
+    columns: dict[str, Array]
+    """(n) each; NaN if there is no number."""
+
+    units: dict[str, str]
+    """Units in a table's head, by column."""
+
+
+def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
+    """The columns `wanted` of a file. Raises FiveBarError with one sentence that names the file, and columns that it lacks."""
+    if _is_bag(file):
+        return _bag(file, wanted, clock)
+    found = _table(file, wanted, clock)
+    for name in (clock, *wanted):
+        if name not in found.columns:
+            raise FiveBarError(
+                f"{file} has no column {name}; its columns are {listed([*found.columns, *found.others])}"
+            )
+    columns = dict(found.columns)
+    return [Stream(file.name, columns.pop(clock), columns, found.units)]
+
+
+def names(file: Path, clock: str) -> list[str]:
+    """Names of the columns of a file that may be asked for."""
+    if _is_bag(file):
+        return sorted({name for message in _messages(file, None) for name in message.numbers})
+    found = _table(file, (), clock)
+    return [*found.columns, *found.others]
+
+
+def _is_bag(file: Path) -> bool:
+    if not file.exists():
+        raise FiveBarError(f"{file}: it cannot be read: No such file or directory")
+    return file.suffix.lower() in BAGS or (file / "metadata.yaml").is_file()
+
+
+def _table(file: Path, wanted: Collection[str], clock: str) -> table.Table:
+    if not is_record(file):
+        return table.read(file, {clock, *wanted}, clock, numbered=True)
+    if file.is_dir():
+        raise FiveBarError(f"{file} is a folder: a table, or a bag of ROS with its metadata.yaml, is expected")
+    try:
+        known = pq.read_schema(file).names
+        if set(SCHEMA.names) <= set(known):
+            raise FiveBarError(f"{file} is a record of `fivebar twin`, which needs no import")
+        content = pq.read_table(file, columns=[name for name in known if name in {clock, *wanted}])
+    except (OSError, pa.ArrowException) as error:
+        raise FiveBarError(f"{file} is not a file of Parquet: {str(error)[:120]}") from None
+    columns = {name: _numbers(file, name, content[name], name == clock) for name in content.column_names}
+    stamped = [name for name in columns if pa.types.is_timestamp(content[name].type)]
+    return table.Table(columns, dict.fromkeys(stamped, "ns"), [name for name in known if name not in columns])
+
+
+def _numbers(file: Path, name: str, column: "pa.ChunkedArray[Any]", counted: bool) -> Array:
+    """A column as floats; a clock from its first reading, in its own precision."""
+    kind = column.type
+    if pa.types.is_timestamp(kind):
+        column, kind = column.cast(pa.timestamp("ns")).cast(pa.int64()), pa.int64()
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        raise FiveBarError(f"{file}: {name} has the type {kind}, and numbers are expected")
+    known = np.asarray(column.is_valid())
+    origin = column[int(np.argmax(known))].as_py() if counted and known.any() else 0
+    found = np.full(len(known), np.nan)
+    found[known] = np.asarray(column.drop_null()) - origin
+    found[~np.isfinite(found)] = np.nan
+    return found
+
+
+@dataclass(frozen=True)
+class _Message:
+    """A message of a bag."""
+
+    topic: str
+    stamp: int | None
+    """ns, by its header."""
+
+    received: int
+    """ns, by the recorder."""
+
+    numbers: dict[str, float]
+    """By column."""
+
+
+def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
+    if clock not in (TIME, STAMP, RECEIVED):
+        raise FiveBarError(f"{file} is a bag of ROS, whose clocks are {STAMP} and {RECEIVED}, not {clock}")
+    by_topic: dict[str, list[_Message]] = {}
+    for message in _messages(file, wanted):
+        if any(name in message.numbers for name in wanted):
+            by_topic.setdefault(message.topic, []).append(message)
+    found = {name for messages in by_topic.values() for message in messages for name in message.numbers}
+    if missing := [name for name in wanted if name not in found]:
+        raise FiveBarError(f"{file} has no column {missing[0]}; its columns are {listed(names(file, clock))}")
+    unstamped = [topic for topic, messages in by_topic.items() if any(not message.stamp for message in messages)]
+    if unstamped and clock == STAMP:
+        raise FiveBarError(f"{file} has messages without a stamp in {unstamped[0]}: the clock {RECEIVED} is needed")
+    # Both clocks together would be none.
+    received = clock == RECEIVED or bool(unstamped)
+    times = {
+        topic: [message.received if received else message.stamp or 0 for message in messages]
+        for topic, messages in by_topic.items()
+    }
+    origin = min(min(each) for each in times.values())
+    return [
+        Stream(
+            f"{topic} by the clock {RECEIVED if received else STAMP}",
+            1e-9 * np.array([time - origin for time in times[topic]], dtype=np.float64),
+            {
+                name: np.array([message.numbers.get(name, np.nan) for message in messages])
+                for name in wanted
+                if any(name in message.numbers for message in messages)
+            },
+            {},
+        )
+        for topic, messages in by_topic.items()
+    ]
+
+
+def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
+    """Messages of the topics that may have the columns `wanted`; without `wanted`, the first message of each topic that has numbers."""
+    extras.need("ros")
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
+        # Bags of older versions of ROS do not say what their types are.
+        with AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            for connection in bag.connections:
+                if wanted is not None and not any(name.startswith(f"{connection.topic}/") for name in wanted):
+                    continue
+                if connection.msgtype not in bag.typestore.fielddefs:
+                    if wanted is not None:
+                        raise FiveBarError(
+                            f"{file} does not say what its type {connection.msgtype} of {connection.topic} is"
+                        )
+                    continue
+                # Logs and settings of nodes are nobody's angles.
+                if wanted is None and connection.msgtype.startswith("rcl_interfaces/"):
+                    continue
+                for _, received, content in bag.messages(connections=[connection]):
+                    message = bag.deserialize(content, connection.msgtype)
+                    stamp = getattr(getattr(message, "header", None), "stamp", None)
+                    time = None if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+                    yield _Message(connection.topic, time, received, dict(_fields(connection.topic, message)))
+                    if wanted is None:
+                        break
+    except (AnyReaderError, OSError) as error:
+        raise FiveBarError(f"{file} is no bag of ROS that can be read: {str(error)[:120]}") from None
+
+
+def _fields(path: str, value: Any) -> Iterator[tuple[str, float]]:
+    """Numbers in a field of a message, by path. Fields of a JointState lie below the names of its joints."""
+    if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
+        yield path, float(value)
+    elif type(value).__name__ == "sensor_msgs__msg__JointState":
+        for what in ("position", "velocity", "effort"):
+            for name, number in zip(value.name, getattr(value, what), strict=False):
+                yield f"{path}/{name}/{what}", float(number)
+    elif is_dataclass(value):
+        for each in fields(value):
+            if each.name not in ("header", "layout"):
+                yield from _fields(f"{path}/{each.name}", getattr(value, each.name))
+    elif isinstance(value, (list, np.ndarray)):
+        for place, item in enumerate(value):
+            yield from _fields(f"{path}[{place}]", item)
+
+
+def listed(found: list[str]) -> str:
+    """Names in a sentence."""
+    more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+    return (", ".join(found[:LISTED]) or "none") + more

@@ -1,0 +1,385 @@
+"""`fivebar import`: tables, bags of ROS and maps; what is measured of the encoders; records that calibration and twin read."""
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fivebar import simulate
+from fivebar.commands import main
+from fivebar.twin import recording
+from fivebar.twin.calibrate import data
+from fivebar.twin.config import Config, Machine
+from fivebar.twin.importing import assemble, maps, quality
+from fivebar.twin.machine import Player
+from fivebar.twin.starter import sampling
+
+GRID = 0.005 * np.arange(400)
+LEFT, RIGHT = 1.2 + 0.3 * np.sin(3 * GRID), 0.7 - 0.2 * np.sin(5 * GRID)
+ROUND = 1e-12
+"""Factors of units and offsets leave round-off of some 1e-16; tables of the tests have all digits."""
+
+
+def write_csv(file: Path, head: str, *columns: Any) -> Path:
+    """A table; without a head if it is empty."""
+    rows = [",".join("" if math.isnan(x) else repr(float(x)) for x in row) for row in zip(*columns, strict=True)]
+    file.write_text("\n".join([*([head] if head else []), *rows]) + "\n", encoding="utf-8")
+    return file
+
+
+def write_map(folder: Path, **entries: Any) -> Path:
+    """A map of short names: t1 and t2 are the encoders."""
+    names = {"t1": "measured.theta[1]", "t2": "measured.theta[2]", "s1": "servo.theta[1]", "p1": "passive.theta[1]"}
+    file = folder / "map.json"
+    file.write_text(json.dumps({names.get(name, name): entry for name, entry in entries.items()}), encoding="utf-8")
+    return file
+
+
+def write_bag(folder: Path, *topics: tuple[str, list[str], Any, Any]) -> Path:
+    """A bag of JointStates, received every 5 ms: topic, names of joints, stamps in s, positions (n, joints)."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    with Writer(folder / "bag", version=8) as bag:
+        for topic, names, times, positions in topics:
+            connection = bag.add_connection(topic, "sensor_msgs/msg/JointState", typestore=store)
+            for k, (time, position) in enumerate(zip(times, positions, strict=True)):
+                at = 1_790_000_000 * 10**9 + round(1e9 * time)
+                stamp = types["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+                header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+                message = types["sensor_msgs/msg/JointState"](
+                    header, names, np.array(position), np.empty(0), np.empty(0)
+                )
+                content = store.serialize_cdr(message, "sensor_msgs/msg/JointState")
+                bag.write(connection, 1_790_000_000 * 10**9 + 5_000_000 * k, content)
+    return folder / "bag"
+
+
+def imported(tmp_path: Path, *files: Path, given: Path | None = None) -> recording.Recording:
+    """The record that the command writes, as its readers see it."""
+    options = ["--map", str(given)] if given else []
+    assert main(["import", *map(str, files), *options, "-o", str(tmp_path / "record.csv")]) == 0
+    return recording.read(tmp_path / "record.csv")
+
+
+# --- tables ---------------------------------------------------------------------------------------------------------------------------
+
+
+def test_units_signs_scales_and_offsets(tmp_path: Path) -> None:
+    file = write_csv(
+        tmp_path / "a.csv",
+        "t,enc,q2,i",
+        1e3 * GRID,
+        -np.round(LEFT * 8192 / (2 * np.pi)),
+        np.degrees(RIGHT - 0.5),
+        GRID,
+    )
+    given = write_map(
+        tmp_path,
+        time={"column": "t", "unit": "ms"},
+        t1={"column": "enc", "unit": "counts", "steps": 8192, "sign": -1},
+        t2={"column": "q2", "unit": "deg", "offset": 0.5},
+        **{"tau[1]": {"column": "i", "scale": 0.05, "offset": "-20 mN.m"}},
+    )
+    found = imported(tmp_path, file, given=given)
+    assert found.time == pytest.approx(GRID, abs=ROUND)
+    # Half a step of rounding.
+    assert found.columns["measured.theta[1]"] == pytest.approx(LEFT, abs=np.pi / 8192 + ROUND)
+    assert found.columns["measured.theta[2]"] == pytest.approx(RIGHT, abs=ROUND)
+    assert found.columns["tau[1]"] == pytest.approx(0.05 * GRID - 0.02, abs=ROUND)
+
+
+def test_a_table_without_a_head_has_numbers_for_names(tmp_path: Path) -> None:
+    file = write_csv(tmp_path / "a.csv", "", GRID, RIGHT, LEFT)
+    given = write_map(tmp_path, time={"column": 1}, t1={"column": 3}, t2={"column": "2"})
+    found = imported(tmp_path, file, given=given)
+    assert found.columns["measured.theta[1]"].tolist() == LEFT.tolist() and len(found.time) == 400
+
+
+def test_a_head_of_names_and_units_needs_no_map(tmp_path: Path) -> None:
+    file = write_csv(
+        tmp_path / "a.csv", "time [ms],theta[1] [deg],theta[2] [deg]", 1e3 * GRID, np.degrees(LEFT), np.degrees(RIGHT)
+    )
+    found = imported(tmp_path, file)
+    assert found.columns["measured.theta[1]"] == pytest.approx(LEFT, abs=ROUND)
+    assert found.time == pytest.approx(GRID, abs=ROUND)
+
+
+@pytest.mark.parametrize("kind", ["ns", "s", "timestamp"])
+def test_a_table_may_be_parquet(tmp_path: Path, kind: str) -> None:
+    """Times since 1970 keep their ns, which floats do not have."""
+    ns = 1_790_000_000_123_456_789 + np.round(1e9 * GRID).astype(np.int64)
+    clock = {"ns": pa.array(ns), "s": pa.array(GRID), "timestamp": pa.array(ns, pa.timestamp("ns"))}[kind]
+    left = pa.array([None, *LEFT[1:].tolist()])
+    pq.write_table(
+        pa.table({"clock": clock, "a": left, "b": pa.array(RIGHT.astype(np.float32))}), tmp_path / "a.parquet"
+    )
+    unit = {} if kind == "timestamp" else {"unit": kind}
+    given = write_map(tmp_path, time={"column": "clock"} | unit, t1={"column": "a"}, t2={"column": "b"})
+    found = imported(tmp_path, tmp_path / "a.parquet", given=given)
+    assert found.time == pytest.approx(GRID, abs=ROUND)
+    assert math.isnan(found.columns["measured.theta[1]"][0]) and found.columns["measured.theta[1]"][1] == LEFT[1]
+
+
+def test_clocks_that_restart_and_several_files_are_series(tmp_path: Path) -> None:
+    """Each file, too; none of its rows is left out."""
+    head = "time,theta[1],theta[2]"
+    first = write_csv(tmp_path / "a.csv", head, [*(100 + GRID), *GRID], [*LEFT, *LEFT], [*RIGHT, *RIGHT])
+    second = write_csv(tmp_path / "b.csv", head, 7 + GRID, LEFT, RIGHT)
+    found = imported(tmp_path, first, second)
+    assert found.begins == (400, 800) and len(found.time) == 1200
+    series = data.read(tmp_path / "record.csv", 0.0, 100.0).series
+    assert [len(each) for each in series] == [400, 400, 400]
+    for each in series:
+        assert each.time - each.time[0] == pytest.approx(GRID, abs=ROUND)
+
+
+# --- bags -----------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", ["folder", "file"])
+def test_a_bag_of_joint_states(tmp_path: Path, which: str) -> None:
+    """By the names of joints, in any order; a distal link's angle may count from its proximal link."""
+    positions = np.column_stack([RIGHT, LEFT - 0.1, 0.4 + 0 * LEFT])
+    bag = write_bag(tmp_path, ("/joint_states", ["r", "l", "pl"], GRID, positions))
+    given = write_map(
+        tmp_path,
+        t1={"column": "/joint_states/l/position", "offset": 0.1},
+        t2={"column": "/joint_states/r/position"},
+        p1={"column": "/joint_states/pl/position", "relative": True},
+    )
+    found = imported(tmp_path, bag if which == "folder" else next(bag.glob("*.db3")), given=given)
+    assert found.time == pytest.approx(GRID, abs=ROUND)
+    assert found.columns["measured.theta[1]"] == pytest.approx(LEFT, abs=ROUND)
+    assert found.notes == ["columns that are not used: passive.theta[1]"]
+    kept, _ = assemble.recorded([bag], maps.read(given))
+    assert kept.columns["passive.theta[1]"] == pytest.approx(LEFT + 0.4, abs=ROUND)
+
+
+def test_topics_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Encoders stay where they were sampled, commands hold; each note says by how much a value was moved."""
+    slow = np.arange(0.0, 1.99, 0.03) + 0.001
+    bag = write_bag(
+        tmp_path,
+        ("/left", ["a"], GRID, LEFT[:, None]),
+        ("/right", ["a"], GRID + 0.0005, RIGHT[:, None]),
+        ("/drive", ["a"], slow, np.sin(slow)[:, None]),
+    )
+    given = write_map(
+        tmp_path,
+        t1={"column": "/left/a/position"},
+        t2={"column": "/right/a/position"},
+        s1={"column": "/drive/a/position"},
+    )
+    found = imported(tmp_path, bag, given=given)
+    text = capsys.readouterr().out
+    # The right encoder is a tenth of a step late: one row has both.
+    assert found.time == pytest.approx(GRID, abs=1e-9) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
+    assert (
+        "measured.theta[2] is from /right by the clock stamp, 400 values: each stands in the nearest row, up to 0.5 ms away"
+        in text
+    )
+    assert (
+        "servo.theta[1] is from /drive by the clock stamp, 67 values: each holds until the next one, and stands" in text
+    )
+    for k in (1, 2, 7, 100, 399):
+        assert found.columns["servo.theta[1]"][k] == np.sin(slow[np.searchsorted(slow, GRID[k], side="right") - 1])
+
+
+def test_an_encoder_half_a_step_late_has_rows_of_its_own(tmp_path: Path) -> None:
+    """Nothing is resampled: of each row one encoder is empty, and calibration and twin count the rows."""
+    bag = write_bag(tmp_path, ("/left", ["a"], GRID, LEFT[:, None]), ("/right", ["a"], GRID + 0.0025, RIGHT[:, None]))
+    given = write_map(tmp_path, t1={"column": "/left/a/position"}, t2={"column": "/right/a/position"})
+    found = imported(tmp_path, bag, given=given)
+    assert len(found.time) == 800 and found.period == pytest.approx(0.0025)
+    for name, values in (("measured.theta[1]", LEFT), ("measured.theta[2]", RIGHT)):
+        column = found.columns[name]
+        assert column[np.isfinite(column)].tolist() == values.tolist()
+    assert [len(each) for each in data.read(tmp_path / "record.csv", 0.0, 10.0).series] == [800]
+
+
+def test_the_clock_of_a_bag_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Stamps that fall back are series, and refused if several topics are to be put together; the recorder's clock serves then."""
+    jumps = np.concatenate([GRID[:200] + 50, GRID[:200]])
+    bag = write_bag(tmp_path, ("/a", ["x"], jumps, LEFT[:, None]), ("/b", ["x"], jumps, RIGHT[:, None]))
+    a, b = ({"column": f"/{topic}/x/position"} for topic in "ab")
+    assert imported(tmp_path, bag, given=write_map(tmp_path, t1=a)).begins == (200,)
+    record = ["-o", str(tmp_path / "record.csv")]
+    assert main(["import", str(bag), "--map", str(write_map(tmp_path, t1=a, t2=b)), *record]) == 2
+    assert "/a by the clock stamp falls back at 50.995 s, so that" in capsys.readouterr().err
+    found = imported(tmp_path, bag, given=write_map(tmp_path, time={"column": "received"}, t1=a, t2=b))
+    assert (
+        found.time == pytest.approx(GRID, abs=ROUND) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
+    )
+    assert main(["import", str(bag), "--map", str(write_map(tmp_path, time={"column": "t"}, t1=a)), *record]) == 2
+    assert "whose clocks are stamp and received, not t" in capsys.readouterr().err
+
+
+# --- what is measured -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "noise"), [(0.0, 2e-4), (3.1416e-4, 0.0), (1e-3, 0.0), (3.1416e-4, 5e-4), (2 * np.pi / 2**20, 2e-5)]
+)
+def test_steps_and_noise_are_measured(step: float, noise: float) -> None:
+    """A step to 0.1 %; noise to 15 %, four times the standard deviation of what 1,600 samples tell (windows of 50 have 22 independent differences)."""
+    time = 0.005 * np.arange(1600)
+    for seed in range(10):
+        chance = np.random.default_rng(seed)
+        angle = 1.2 + 0.6 * np.sin(3 * time) + noise * chance.standard_normal(len(time))
+        seen = np.round(angle / step) * step if step else angle
+        found = recording.of("a", time, {"measured.theta[1]": seen}, [])
+        [figures] = quality.measure(found)
+        assert figures.step == pytest.approx(step, rel=1e-3)
+        assert figures.noise == pytest.approx(noise, rel=0.15) if noise else figures.noise < 0.3 * step
+
+
+def test_rate_jitter_and_lost_samples_are_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chance = np.random.default_rng(3)
+    kept = np.ones(400, dtype=bool)
+    kept[[50, 51, 120]] = False
+    kept[200:250] = False
+    time = GRID + 1e-4 * chance.standard_normal(400)
+    file = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2]", time[kept], LEFT[kept], RIGHT[kept])
+    first, second = quality.measure(imported(tmp_path, file))
+    assert first.lost == second.lost == 53 and first.gaps[0] == pytest.approx((0.995, 0.255), abs=5e-4)
+    # A distance has the jitter of two samples.
+    assert first.jitter == pytest.approx(1e-4 * np.sqrt(2), rel=0.2) and first.period == pytest.approx(0.005, rel=0.01)
+    text = capsys.readouterr().out
+    assert "measured.theta[1]: 347 samples, 200" in text and "53 lost, longest gap 0.25" in text
+    assert "no measured.theta[1] from 0.99" in text and '"estimator.quantum[1]": 0, "estimator.sigma[1]": ' in text
+
+
+# --- records that others read -------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_is_calibrated_and_played(tmp_path: Path, fmu: Path) -> None:
+    """A run of the unit, written as a stranger's logger would: both readers get the run's angles back."""
+    result = simulate.run("pick_and_place", fmu=fmu)
+    names = [f"{name}[{i}]" for name in ("theta", "servo.theta", "servo.omega") for i in (1, 2)]
+    columns = [np.degrees(-result[name]) for name in names]
+    file = write_csv(tmp_path / "a.csv", "ms,q1,q2,c1,c2,v1,v2", 1e3 * np.asarray(result["time"]), *columns)
+    entries = {
+        name.replace("theta", "measured.theta", name.startswith("theta")): {
+            "column": column,
+            "unit": "deg/s" if column[0] == "v" else "deg",
+            "sign": -1,
+        }
+        for name, column in zip(names, ("q1", "q2", "c1", "c2", "v1", "v2"), strict=True)
+    }
+    given = write_map(tmp_path, time={"column": "ms", "unit": "ms"}, **entries)
+    found = imported(tmp_path, file, given=given)
+    assert found.columns["measured.theta[2]"] == pytest.approx(np.asarray(result["theta[2]"]), abs=ROUND)
+    record = tmp_path / "record.csv"
+    played = Player(Config(str(tmp_path), "", "", machine=Machine(csv=str(record)), period=sampling(record)))
+    played.check()
+    assert (sample := played.next()) is not None and set(sample.fields) == set(entries)
+    words = ["--scene", "pick_and_place", "--commands", "hold", "--no-proposal", "--parameters", "payload.mass"]
+    assert main(["calibrate", str(record), *words, "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 0
+    figures = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    # As of the run's own table: another step than the run's i3alp.
+    assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
+
+
+# --- what is refused ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("[]", "a map must be an object of variables and their columns"),
+        ('{"theta[3]": {}}', "'theta[3]' is no variable of a recording; did you mean"),
+        ('{"tau[1]": {"column": "i"}}', "it has neither measured.theta[1] nor measured.theta[2]"),
+        ('{"measured.theta[1]": "q"}', "'measured.theta[1]' must be an object such as {\"column\": \"q1\"}, not \"q\""),
+        ('{"measured.theta[1]": {}}', "'measured.theta[1].column' must be the name of a column, or its number from 1 on, not null"),
+        ('{"measured.theta[1]": {"column": true}}', "'measured.theta[1].column' must be the name of a column"),
+        ('{"measured.theta[1]": {"colum": "q"}}', "'measured.theta[1]' has no key 'colum'; did you mean 'column'?"),
+        ('{"measured.theta[1]": {"column": "q", "relative": true}}', "'measured.theta[1]' has no key 'relative'"),
+        ('{"measured.theta[1]": {"column": "q", "unit": "m"}}', "'measured.theta[1].unit' must be one of rad, mrad, deg, turns, counts, not \"m\""),
+        ('{"measured.theta[1]": {"column": "q", "unit": "counts"}}', "'measured.theta[1].steps' must be the steps of a turn, more than 0, "),
+        ('{"measured.theta[1]": {"column": "q", "steps": 4096}}', "'measured.theta[1].steps' must be the steps of a turn, more than 0, "),
+        ('{"measured.theta[1]": {"column": "q", "sign": -2}}', "'measured.theta[1].sign' must be 1 or -1, not -2"),
+        ('{"measured.theta[1]": {"column": "q", "scale": 0}}', "'measured.theta[1].scale' must be a number other than 0, not 0"),
+        ('{"measured.theta[1]": {"column": "q", "offset": "90 degrees"}}', "'measured.theta[1].offset' must be a number in rad, or a text such as"),
+        ('{"measured.theta[1]": {"column": "q", "offset": []}}', "'measured.theta[1].offset' must be a number, not []"),
+        ('{"measured.theta[2]": {"column": "q"}, "passive.theta[1]": {"column": "p", "relative": true}}', "'passive.theta[1].relative' needs measured.theta[1]"),
+        ('{"time": {"column": "t", "sign": 1}, "measured.theta[1]": {"column": "q"}}', "'time' has no key 'sign'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_map_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, sentence: str
+) -> None:
+    file = write_csv(tmp_path / "a.csv", "time,q", GRID, LEFT)
+    given = tmp_path / "map.json"
+    given.write_text(content, encoding="utf-8")
+    assert main(["import", str(file), "--map", str(given), "-o", str(tmp_path / "record.csv")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"fivebar import: {given}: {sentence}") and error.count("\n") == 1
+    assert not (tmp_path / "record.csv").exists()
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One sentence each, with what there is."""
+    file = write_csv(tmp_path / "a.csv", "time,q [deg],r [inch]", GRID, LEFT, RIGHT)
+    bag = write_bag(tmp_path, ("/j", ["l"], GRID[:3], LEFT[:3, None]))
+    (tmp_path / "b.db3").write_bytes(b"no bag" * 100)
+    pq.write_table(pa.table({"time": GRID, "q": [str(x) for x in LEFT]}), tmp_path / "a.parquet")
+    pq.write_table(pa.table({name: ["x"] for name in ("topic", "time", "seq", "payload")}), tmp_path / "r.parquet")
+    q = {"t1": {"column": "q"}}
+    asked: list[tuple[Path, dict[str, Any] | None, str]] = [
+        (file, None, "has no column measured.theta[1] or measured.theta[2], and no --map says which they are; its columns are time, q, r"),
+        (bag, None, "its columns are /j/l/position"),
+        (file, {"t1": {"column": "p"}}, "has no column p; its columns are time, q, r"),
+        (file, {"t1": {"column": "q", "unit": "rad"}}, "'measured.theta[1].unit' is 'rad', but the head of the table says that q is in deg"),
+        (file, {"t1": {"column": "r"}}, "r is in inch; rad, mrad, deg, turns is allowed for measured.theta[1]"),
+        (bag, {"t1": {"column": "/j/m/position"}}, "has no column /j/m/position; its columns are /j/l/position"),
+        (tmp_path / "b.db3", q, "is no bag of ROS that can be read"),
+        (tmp_path / "none.db3", q, "none.db3: it cannot be read: No such file or directory"),
+        (tmp_path / "none.csv", q, "none.csv: it cannot be read: No such file or directory"),
+        (tmp_path, q, "is a folder: a table, or a bag of ROS with its metadata.yaml, is expected"),
+        (tmp_path / "a.parquet", q, "q has the type string, and numbers are expected"),
+        (tmp_path / "r.parquet", q, "is a record of `fivebar twin`, which needs no import"),
+    ]  # fmt: skip
+    for source, entries, sentence in asked:
+        options = [] if entries is None else ["--map", str(write_map(tmp_path, **entries))]
+        assert main(["import", str(source), *options, "-o", str(tmp_path / "record.csv")]) == 2
+        error = capsys.readouterr().err
+        assert sentence in error and error.count("\n") == 1, error
+    assert main(["import", str(file), "-o", str(tmp_path / "record.parquet")]) == 2
+    assert "a name that ends in .csv is needed" in capsys.readouterr().err
+    assert not (tmp_path / "record.csv").exists()
+
+
+# --- real machines --------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def recordings() -> Path:
+    """The folder of recordings of real machines, other people's data that the repository does not have."""
+    folder = os.environ.get("FIVEBAR_RECORDINGS")
+    if not folder:
+        pytest.skip("FIVEBAR_RECORDINGS names no folder of recordings of real machines")
+    return Path(folder)
+
+
+PANTOGRAPH = {
+    "t1": {"column": "/joint_states/joint1/position", "offset": "147 deg"},
+    "t2": {"column": "/joint_states/joint2/position", "offset": "33 deg"},
+}
+
+
+def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> None:
+    """Its encoders have 20,000 steps in a turn, which the bag has in 3.14e-4 rad."""
+    found = imported(tmp_path, recordings / "haptic_pantograph", given=write_map(tmp_path, **PANTOGRAPH))
+    assert len(found.time) == 6055 and not found.begins and found.time[-1] == pytest.approx(60.57, abs=0.01)
+    for each in quality.measure(found):
+        assert each.step == pytest.approx(3.14e-4, rel=1e-3) and each.period == pytest.approx(0.01, rel=1e-3)
+        assert each.lost == 4 and each.noise == 0.0
