@@ -60,6 +60,8 @@ enum Verdict {
 impl Doubt {
     /// Before the first sample.
     pub(super) const NEW: Self = Self { pending: true, branches: None };
+    /// Ended.
+    pub(super) const ENDED: Self = Self { pending: false, branches: None };
 
     /// Whether both assemblies are followed.
     pub(super) fn is_open(&self) -> bool {
@@ -105,7 +107,7 @@ impl Doubt {
         let verdict = branches.correct(constants, readings, seen);
         let other = branches.other;
         if verdict != Verdict::None {
-            self.end();
+            *self = Self::ENDED;
         }
         (verdict == Verdict::Wrong).then_some(other)
     }
@@ -130,22 +132,17 @@ impl Doubt {
         let (before, acts) = (other.motion, other.belief.force);
         let Some(beside) = other.propagate(constants, scene, &acts, None, h) else {
             // No motion in the other assembly goes on.
-            self.end();
+            *self = Self::ENDED;
             return None;
         };
         if step.held || beside.held || ![to, &other.motion].into_iter().all(is_distinguishable) {
             let odds = START_ODDS - *evidence;
-            self.end();
+            *self = Self::ENDED;
             return Some(odds);
         }
         follow(own, step, [from, to], force);
         follow(mirrored, &beside, [&before, &other.motion], &acts);
         None
-    }
-
-    /// Ends.
-    pub(super) fn end(&mut self) {
-        *self = Self { pending: false, branches: None };
     }
 
     /// Whether stored values are possible.

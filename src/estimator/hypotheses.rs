@@ -294,17 +294,9 @@ impl Hypotheses {
         self.lost >= DIVERGENCE_TIME
     }
 
-    /// Motion from the angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if it can be; both assemblies
-    /// are followed from then on. `None`, with nothing changed, where the loop cannot be closed or the assemblies coincide.
-    pub(super) fn restart(&mut self, constants: &Constants, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
-        let own = assembly_of(motion);
-        let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
-        let anew = [own, other].into_iter().find_map(|assembly| closed_by_motors(constants, axes, assembly))?;
-        if anew.side()[0].abs() < DISTINGUISHABLE || !constants.linkage.is_closed(&anew) {
-            return None;
-        }
-        *self = Self { mirror_odds: 0.0, ..Self::default() };
-        Some(anew)
+    /// None, of an estimate that may be on either side of a direct singularity: both assemblies are followed from then on.
+    pub(super) fn of_unknown_side() -> Self {
+        Self { mirror_odds: 0.0, ..Self::default() }
     }
 
     /// Whether stored hypotheses are possible.
@@ -473,6 +465,15 @@ fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkSta
     let along = LinkState { theta: motion.theta + motion.omega * h, omega: motion.omega };
     let frame = linkage.frame(&along.theta);
     if frame.smallest >= NEAR_VERTEX { linkage.closed(along) } else { Some((along, frame)) }
+}
+
+/// Motion from the angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if possible. `None` if the loop cannot be
+/// closed or the assemblies coincide.
+pub(super) fn started_by_motors(constants: &Constants, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
+    let own = assembly_of(motion);
+    let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
+    let started = [own, other].into_iter().find_map(|assembly| closed_by_motors(constants, axes, assembly))?;
+    (started.side()[0].abs() >= DISTINGUISHABLE && constants.linkage.is_closed(&started)).then_some(started)
 }
 
 /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that

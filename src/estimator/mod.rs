@@ -63,7 +63,7 @@ pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
-use hypotheses::{Hypotheses, Hypothesis};
+use hypotheses::{Hypotheses, started_by_motors};
 use learning::{Learning, ReadingErrors, without_parameters};
 pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
 use propagation::Propagation;
@@ -171,7 +171,7 @@ impl Estimator {
             self.forecast.end();
         }
         if motion.fastest() >= HOPELESS_RATE {
-            self.forget(constants, Belief::new(constants.variances_anywhere()));
+            self.reset(constants, &Reset::Runaway);
             return Some(LinkState { omega: Links::zeros(), ..motion });
         }
         if samples.iter().all(Option::is_none) {
@@ -212,7 +212,8 @@ impl Estimator {
             frame = self.take_over(other, constants, &mut motion);
         }
         if let Some(other) = self.doubt.correct(constants, &readings, &seen) {
-            frame = self.leave_assembly(&other, constants, &mut motion);
+            self.reset(constants, &Reset::Assembly(&other.belief));
+            (motion, frame) = (other.motion, linkage.frame(&other.motion.theta));
         }
         if used == 2 {
             self.doubt.begin(constants, &motion);
@@ -238,9 +239,7 @@ impl Estimator {
             (values, values - before)
         });
         let Some((mut error, turn, corrected)) = self.belief.inject_error(&constants.linkage, frame, motion) else {
-            // No closed configuration is near the corrected one: the covariance is worthless.
-            self.forget(constants, Belief { bank: Bank::new(constants.start_variances()), ..self.belief });
-            return;
+            return self.reset(constants, &Reset::Unclosed);
         };
         if let Some(((_, change), errors)) = learned.as_ref().zip(errors) {
             // Persistent errors of the readings are those about what is learned.
@@ -345,23 +344,11 @@ impl Estimator {
                     }
                 }
             } else if repetition != Fault::None {
-                self.replace_by_unaided(i, repetition, constants);
+                self.reset(constants, &Reset::Repetition(i, repetition));
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         update
-    }
-
-    /// Lets the estimate without encoder i, whose readings repeat themselves, replace that by both.
-    fn replace_by_unaided(&mut self, i: usize, repetition: Fault, constants: &Constants) {
-        let Some(bank) = self.unaided[i].bank() else { return };
-        if repetition == Fault::Stuck {
-            self.unaided[i] = Unaided::default();
-            self.learn_anew(constants);
-        } else if let Some(learning) = &mut self.learning {
-            learning.pause(&self.belief.bank);
-        }
-        self.belief.bank = bank;
     }
 
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
@@ -427,7 +414,7 @@ impl Estimator {
             let rate = self.encoders[i].rate();
             Pair::new(sample.angle + sample.age * rate, rate)
         });
-        let anew = self.hypotheses.restart(constants, motion, axes)?;
+        let anew = started_by_motors(constants, motion, axes)?;
         let Parameters { sigma, quantum, .. } = constants.parameters;
         let mut variances = constants.start_variances();
         for i in 0..2 {
@@ -435,21 +422,84 @@ impl Estimator {
             variances[0] = variances[0].max(noise);
             variances[1] = variances[1].max(2.0 * noise / (intervals[i] * intervals[i]));
         }
-        self.belief = Belief::new(variances);
-        self.history.clear();
-        self.unaided = Default::default();
-        self.learn_anew(constants);
-        self.doubt.end();
-        self.encoders.iter_mut().zip([left, right]).for_each(|(encoder, sample)| encoder.begin_anew(sample.innovation.residual));
-        self.causes.close(true);
-        (self.alarm, self.held, self.adrift, self.restarted) = (Alarm::default(), false, false, true);
+        self.reset(constants, &Reset::Samples { variances, innovations: [left, right].map(|sample| sample.innovation.residual) });
         Some(anew)
     }
 
-    /// Begins to learn anew where samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
-    fn learn_anew(&mut self, constants: &Constants) {
-        if let (Some(learning), Some(prior)) = (&mut self.learning, &constants.prior) {
-            learning.begin_all_anew(prior);
+    /// Starts the estimate again; the caller replaces the motion. Each field says which kinds of reset concern it.
+    fn reset(&mut self, constants: &Constants, kind: &Reset) {
+        use Reset::{Adrift, Assembly, Branch, Repetition, Runaway, Samples, Unclosed};
+        let Self {
+            belief,
+            held,
+            coasts: _,
+            hypotheses,
+            doubt,
+            unaided,
+            learning,
+            encoders,
+            history,
+            forecast,
+            alarm,
+            causes,
+            adrift,
+            restarted,
+            nis: _,
+        } = self;
+        if let (Some(learning), Some(prior)) = (learning, &constants.prior) {
+            match kind {
+                Branch => learning.pause(&belief.bank),
+                Repetition(_, fault) if *fault != Fault::Stuck => learning.pause(&belief.bank),
+                // Samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
+                Repetition(..) | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => learning.begin_all_anew(prior),
+            }
+        }
+        match kind {
+            // The hypothesis brings its own belief.
+            Branch => (),
+            Assembly(other) => *belief = **other,
+            Samples { variances, .. } => *belief = Belief::new(*variances),
+            Unclosed => belief.bank = Bank::new(constants.start_variances()),
+            Runaway | Adrift => *belief = Belief::new(constants.variances_anywhere()),
+            Repetition(i, _) => belief.bank = unaided[*i].bank().unwrap_or(belief.bank),
+        }
+        match kind {
+            Repetition(i, Fault::Stuck) => unaided[*i] = Unaided::default(),
+            Repetition(..) => (),
+            Branch | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => *unaided = Default::default(),
+        }
+        match kind {
+            Branch | Assembly(_) | Samples { .. } => history.clear(),
+            Unclosed | Runaway | Adrift | Repetition(..) => (),
+        }
+        match kind {
+            Samples { .. } => causes.close(true),
+            Branch | Unclosed | Runaway | Adrift => causes.close(false),
+            // The assembly explains what has surprised.
+            Assembly(_) => *causes = Causes::default(),
+            Repetition(..) => (),
+        }
+        match kind {
+            Samples { .. } => (*hypotheses, *doubt) = (Hypotheses::of_unknown_side(), Doubt::ENDED),
+            Unclosed | Runaway | Adrift => {
+                if doubt.is_open() {
+                    hypotheses.doubt_side(0.0);
+                }
+                *doubt = Doubt::ENDED;
+            }
+            Branch | Assembly(_) | Repetition(..) => (),
+        }
+        match kind {
+            Samples { innovations, .. } => {
+                encoders.iter_mut().zip(innovations).for_each(|(encoder, innovation)| encoder.begin_anew(*innovation));
+                (*alarm, *held, *adrift, *restarted) = (Alarm::default(), false, false, true);
+            }
+            Adrift => {
+                encoders.iter_mut().for_each(Encoder::settle_anew);
+                forecast.end();
+                *adrift = true;
+            }
+            Branch | Assembly(_) | Unclosed | Runaway | Repetition(..) => (),
         }
     }
 
@@ -484,26 +534,8 @@ impl Estimator {
 
     /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
     fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
-        self.learning.iter_mut().for_each(|learning| learning.pause(&self.belief.bank));
+        self.reset(constants, &Reset::Branch);
         self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
-        self.begin_anew_at(constants, motion)
-    }
-
-    /// Lets the motion in the other assembly than the start replace the estimate. Returns its frame.
-    fn leave_assembly(&mut self, other: &Hypothesis, constants: &Constants, motion: &mut LinkState) -> Frame {
-        self.learn_anew(constants);
-        (*motion, self.belief) = (other.motion, other.belief);
-        let frame = self.begin_anew_at(constants, motion);
-        // The assembly explains what has surprised.
-        self.causes = Causes::default();
-        frame
-    }
-
-    /// Forgets what belongs to the motion that another one has replaced. Returns the frame of that.
-    fn begin_anew_at(&mut self, constants: &Constants, motion: &LinkState) -> Frame {
-        self.history.clear();
-        self.unaided = Default::default();
-        self.causes.close(false);
         constants.linkage.frame(&motion.theta)
     }
 
@@ -514,19 +546,8 @@ impl Estimator {
         let [left, right] = &self.encoders;
         let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
         if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
-            self.forget(constants, Belief::new(constants.variances_anywhere()));
-            self.adrift = true;
-            self.forecast.end();
-            self.encoders.iter_mut().for_each(Encoder::settle_anew);
+            self.reset(constants, &Reset::Adrift);
         }
-    }
-
-    /// Replaces a belief that is worthless, and forgets what has been concluded from it.
-    fn forget(&mut self, constants: &Constants, belief: Belief) {
-        (self.belief, self.unaided) = (belief, Default::default());
-        self.causes.close(false);
-        self.learn_anew(constants);
-        self.end_doubt();
     }
 
     /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
@@ -542,14 +563,6 @@ impl Estimator {
                 self.encoders[i].settle_anew();
             }
         }
-    }
-
-    /// Ends the doubt about the start undecided.
-    fn end_doubt(&mut self) {
-        if self.doubt.is_open() {
-            self.hypotheses.doubt_side(0.0);
-        }
-        self.doubt.end();
     }
 
     /// Time update by a macro step of h seconds from a motion to another, in a scene without the unknown force.
@@ -746,6 +759,24 @@ impl Estimator {
         }
         Ok(())
     }
+}
+
+/// Why the estimate starts again.
+enum Reset<'a> {
+    /// A hypothesis behind a vertex or a singularity replaces it.
+    Branch,
+    /// The motion in the other assembly than the start replaces it, with this belief.
+    Assembly(&'a Belief),
+    /// Samples of both encoders show the machine elsewhere: variances of angles, rad², rates, rad²/s², and force, (N·m)²; innovations, rad.
+    Samples { variances: [f64; 3], innovations: [f64; 2] },
+    /// No closed configuration is near the corrected one: the covariance is worthless.
+    Unclosed,
+    /// It is faster than any machine.
+    Runaway,
+    /// One encoder alone has lost the machine, which may be anywhere.
+    Adrift,
+    /// The reading of an encoder repeats, with this fault: the estimate without it replaces the one by both.
+    Repetition(usize, Fault),
 }
 
 /// Measurement update by the samples of both encoders.
