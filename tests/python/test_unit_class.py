@@ -302,6 +302,8 @@ def test_both_sides_of_a_fork_go_on() -> None:
         receiving, sending = multiprocessing.Pipe()
         process = multiprocessing.get_context("fork").Process(target=child, args=(sending,))
         process.start()
+        # So that `recv` fails, and does not wait, if the child ends early.
+        sending.close()
         there = receiving.recv()
         process.join()
         unit.step(0.1)

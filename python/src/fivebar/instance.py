@@ -500,7 +500,7 @@ class Unit(Instance):
             elements = self.library.elements(name)
             for variable, number in zip(elements, _numbers(name, elements, value), strict=True):
                 changes[variable.name] = _value(variable, number)
-        changed = scene.changed(changes, self.variables)
+        changed = scene.replace(changes)
         return dict(changed.values) | {name: float(column[0]) for name, column in changed.signals.items()}
 
     # --- states -----------------------------------------------------------------------------------------------------------------
