@@ -1,4 +1,4 @@
-//! Checks before a value is read or written (rules 29 and 30 of `docs/fmi.md`).
+//! Checks before a value is read or written (rules 29 and 30 of `docs/notes/fmi.md`).
 
 use super::{CallError, Stage};
 use crate::variables::{FmiType, Value, Variable, VariableId};

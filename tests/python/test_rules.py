@@ -1,4 +1,4 @@
-"""docs/fmi.md lists every rule once, and every test that it names exists."""
+"""docs/notes/fmi.md lists every rule once, and every test that it names exists."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 from conftest import REPOSITORY
 
-DOCS = REPOSITORY / "docs" / "fmi.md"
+DOCS = REPOSITORY / "docs" / "notes" / "fmi.md"
 ROW = re.compile(r"^\| (\d+) \| .+ \| (.+) \|$", re.MULTILINE)
 TEST = re.compile(r"`([\w/]+\.(?:rs|py))::(\w+)`")
 FOLDERS = ("modelDescription", "src", "tests", "xtask")
