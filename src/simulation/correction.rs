@@ -29,26 +29,32 @@ impl Run {
         }
     }
 
-    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another
-    /// model. The energy difference counts as input work; sign changes of the configuration do not count as passages.
-    pub(super) fn resume_from(&mut self, [before, model]: [&Model; 2], motion: &LinkState, inputs: &Inputs) {
-        let turns = self.turns;
-        let assembled = |model: &Model, LinkState { theta, omega }: LinkState| {
-            closure::assemble(&model.mechanism.geometry, theta.into(), omega.into())
-        };
-        let energy = |model: &Model, (q, v): &(Coordinates, Coordinates)| {
-            let five_bar = FiveBar::new(model, inputs, &turns);
-            five_bar.energy(q, &five_bar.pose(q), v)
-        };
-        let left = assembled(before, self.motion(before));
-        let anew @ (q, v) = assembled(model, *motion);
-        let external_work = energy(model, &anew) - energy(before, &left);
+    /// Leaves the present motion: a step under way is abandoned. Returns the energy of this motion with the inputs to come, J.
+    pub(super) fn leave(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs) -> f64 {
         match &mut self.integrator {
             Integrator::MacroStepped(run) => run.core.on_ray = false,
-            Integrator::DenseOutput(run) => run.abandon(before, &self.inputs, &turns),
+            Integrator::DenseOutput(run) => run.abandon(model, &self.inputs, &self.turns),
             Integrator::Conserving(_) | Integrator::ModelExchange(_) => {}
         }
-        self.inputs = *inputs;
-        self.resume(model, Some([q, v]), Work { input: external_work, dissipated: 0.0 });
+        self.energy(model, &assembled(model, motion), inputs)
     }
+
+    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another model. The
+    /// energy that it has more than the motion left counts as input work; sign changes of the configuration do not count as passages.
+    pub(super) fn resume_at(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs, energy_left: f64) {
+        let anew = assembled(model, motion);
+        let input = self.energy(model, &anew, inputs) - energy_left;
+        self.inputs = *inputs;
+        self.resume(model, Some(anew), Work { input, dissipated: 0.0 });
+    }
+
+    fn energy(&self, model: &Model, [q, v]: &[Coordinates; 2], inputs: &Inputs) -> f64 {
+        let five_bar = FiveBar::new(model, inputs, &self.turns);
+        five_bar.energy(q, &five_bar.pose(q), v)
+    }
+}
+
+/// Coordinates and velocities of a motion.
+fn assembled(model: &Model, &LinkState { theta, omega }: &LinkState) -> [Coordinates; 2] {
+    closure::assemble(&model.mechanism.geometry, theta.into(), omega.into()).into()
 }

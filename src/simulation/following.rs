@@ -95,17 +95,16 @@ impl Following {
         if let Some(motion) = corrected.or_else(|| (learned != before).then_some(at)) {
             let inputs = by_true_angles(model, inputs, learned.as_ref());
             let inputs = with_unknown_force(&inputs, &estimator.belief().force);
-            // A machine that has been learned within its bounds can be simulated.
-            let learned = learned.and_then(|learned| {
-                machine.learn(parameters, &learned);
-                Model::within_bounds(machine).ok()
-            });
-            run.resume_from([model, learned.as_ref().unwrap_or(model)], &motion, &inputs);
+            let energy = run.leave(model, &at, &inputs);
             if let Some(learned) = learned {
-                // The method stays.
-                let _ = run.configure(&learned);
-                *model = learned;
+                machine.learn(parameters, &learned);
+                // A machine that has been learned within its bounds can be simulated, by the same method.
+                if let Ok(learned) = Model::within_bounds(machine) {
+                    *model = learned;
+                    let _ = run.configure(model);
+                }
             }
+            run.resume_at(model, &motion, &inputs, energy);
         }
     }
 
