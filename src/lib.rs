@@ -2,6 +2,7 @@
 //!
 //! `ARCHITECTURE.md` describes the modules and their dependencies.
 
+mod copies;
 pub mod dynamics;
 pub mod effects;
 pub mod estimator;

@@ -26,15 +26,18 @@ use super::parameters::Constants;
 use super::propagation::Propagation;
 use super::tangent::{LinkState, Linkage, Links, MEASURED};
 use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
+use crate::copies::clone_by_fields;
 
 /// Doubt about the assembly of a start.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Doubt {
     /// Whether both encoders have not been heard yet.
     pending: bool,
     /// Both assemblies while they are followed.
     branches: Option<Branches>,
 }
+
+clone_by_fields!(Doubt { pending, branches });
 
 /// Estimate and motion in the other assembly, in comparison.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]

@@ -11,6 +11,7 @@ use super::constants::{LARGEST_INVERSE, LEAST_TURN};
 use super::error_state::{Error, MOVING, Transition, turn_errors};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
+use crate::copies::clone_by_fields;
 
 /// Number of macro steps whose angles the history holds.
 pub const REMEMBERED: usize = 64;
@@ -43,8 +44,12 @@ impl Past {
 }
 
 /// Past macro steps, the latest last.
-#[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct History(ArrayVec<Past, REMEMBERED>);
+#[derive(Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct History {
+    past: ArrayVec<Past, REMEMBERED>,
+}
+
+clone_by_fields!(History { past });
 
 impl History {
     /// Time update by h seconds and a transition matrix from a motion; entries older than `max_age`, s, are dropped.
@@ -56,11 +61,11 @@ impl History {
             return self.clear();
         };
         // One older entry stays for interpolation.
-        while self.0.len() > 1 && self.0[1].age + h > max_age || self.0.is_full() {
-            self.0.remove(0);
+        while self.past.len() > 1 && self.past[1].age + h > max_age || self.past.is_full() {
+            self.past.remove(0);
         }
-        self.0.push(Past::present(motion, frame));
-        for past in &mut self.0 {
+        self.past.push(Past::present(motion, frame));
+        for past in &mut self.past {
             past.age += h;
             for axis in &mut past.axes {
                 let row = back.tr_mul(&axis.row.fixed_rows::<MOVING>(0));
@@ -71,12 +76,12 @@ impl History {
 
     /// Measurement update: the estimate was corrected by `error`, and the basis changed.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
-        if self.0.is_empty() {
+        if self.past.is_empty() {
             return;
         }
         // After a correction of the order of 1 rad the tangent bases before and after have no common plane.
         let Some(back) = turn.try_inverse().filter(|_| turn.determinant().abs() >= LEAST_TURN) else { return self.clear() };
-        for axis in self.0.iter_mut().flat_map(|past| &mut past.axes) {
+        for axis in self.past.iter_mut().flat_map(|past| &mut past.axes) {
             axis.angle += axis.row.dot(error);
             turn_errors(&back.transpose(), &mut axis.row);
         }
@@ -84,7 +89,7 @@ impl History {
 
     /// Drops all entries: another hypothesis has become the estimate.
     pub(super) fn clear(&mut self) {
-        self.0.clear();
+        self.past.clear();
     }
 
     /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the sample is older
@@ -94,8 +99,8 @@ impl History {
             return Some((motion.theta[MEASURED[encoder]], frame.row(encoder)));
         }
         let present = Past::present(motion, frame);
-        let before = self.0.iter().rposition(|past| past.age >= age)?;
-        let (past, next) = (&self.0[before], self.0.get(before + 1).unwrap_or(&present));
+        let before = self.past.iter().rposition(|past| past.age >= age)?;
+        let (past, next) = (&self.past[before], self.past.get(before + 1).unwrap_or(&present));
         let length = past.age - next.age;
         let part = (past.age - age) / length;
         // Cubic Hermite interpolation; whole turns between the ends are removed.
@@ -109,7 +114,7 @@ impl History {
     /// Whether stored entries are possible: finite, the latest last.
     pub(super) fn is_sound(&self) -> bool {
         let is_finite = |axis: &Axis| [axis.angle, axis.rate].iter().chain(&axis.row).all(|x| x.is_finite());
-        self.0.iter().all(|past| past.age.is_finite() && past.age > 0.0 && past.axes.iter().all(is_finite))
-            && self.0.windows(2).all(|pair| pair[0].age > pair[1].age)
+        self.past.iter().all(|past| past.age.is_finite() && past.age > 0.0 && past.axes.iter().all(is_finite))
+            && self.past.windows(2).all(|pair| pair[0].age > pair[1].age)
     }
 }

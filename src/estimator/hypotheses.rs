@@ -27,6 +27,7 @@ use super::flow::{self, Scene};
 use super::parameters::Constants;
 use super::propagation::Propagation;
 use super::tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair};
+use crate::copies::clone_by_fields;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Assembly, Start, close};
 
@@ -69,7 +70,7 @@ pub(super) struct Hypothesis {
 }
 
 /// Open hypotheses, and what is known for those to come.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Hypotheses {
     list: ArrayVec<Hypothesis, MOST>,
     /// Time since the last vertex, s.
@@ -82,6 +83,8 @@ pub(super) struct Hypotheses {
     /// Evidence of a restart: accumulated time with samples far from the estimate minus that with near ones, s.
     lost: f64,
 }
+
+clone_by_fields!(Hypotheses { list, since_vertex, approaches_vertex, mirror_odds, lost });
 
 impl Default for Hypotheses {
     fn default() -> Self {

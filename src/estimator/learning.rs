@@ -36,6 +36,7 @@ use super::parameters::{Constants, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::Frame;
+use crate::copies::clone_by_fields;
 
 /// Covariance of the errors of motion and force with those of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
@@ -74,7 +75,7 @@ struct Moments {
 }
 
 /// Learned values, and their errors in each model of the estimate's bank.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Learning {
     /// Values of the parameters, by which the unit moves.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
@@ -89,6 +90,8 @@ pub(super) struct Learning {
     /// Time since one was moved there, s.
     within_for: f64,
 }
+
+clone_by_fields!(Learning { values, models, geometry, at_bound, told, within_for });
 
 impl Learning {
     /// Nothing learned yet.

@@ -71,6 +71,8 @@ pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
 use unaided::Unaided;
 use witness::ByFaults;
 
+use crate::copies::clone_by_fields;
+
 /// Quality of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
@@ -90,24 +92,29 @@ pub enum Status {
     Faulty(Fault),
 }
 
-/// Changing part of the estimator. The motion that its errors are about is the simulation's.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+/// Changing part of the estimator, with its largest parts boxed. The motion that its errors are about is the simulation's.
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
     belief: Belief,
     /// Whether the last macro step came too close to a vertex to know the branch.
     held: bool,
     /// Whether no samples were used before the last macro step.
     coasts: bool,
-    hypotheses: Hypotheses,
-    doubt: Doubt,
-    unaided: [Unaided; 2],
+    #[borsh(deserialize_with = "stored::read_boxed")]
+    hypotheses: Box<Hypotheses>,
+    #[borsh(deserialize_with = "stored::read_boxed")]
+    doubt: Box<Doubt>,
+    #[borsh(deserialize_with = "stored::read_boxed")]
+    unaided: Box<[Unaided; 2]>,
     /// Learning of parameters; boxed, so that an estimator that does not learn is no larger.
     learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
-    history: History,
+    #[borsh(deserialize_with = "stored::read_boxed")]
+    history: Box<History>,
     forecast: Forecast,
     alarm: Alarm,
-    causes: Causes,
+    #[borsh(deserialize_with = "stored::read_boxed")]
+    causes: Box<Causes>,
     /// Whether one encoder alone has lost the machine, which may be anywhere until both have shown it.
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
@@ -116,6 +123,24 @@ pub struct Estimator {
     nis: f64,
 }
 
+clone_by_fields!(Estimator {
+    belief,
+    held,
+    coasts,
+    hypotheses,
+    doubt,
+    unaided,
+    learning,
+    encoders,
+    history,
+    forecast,
+    alarm,
+    causes,
+    adrift,
+    restarted,
+    nis,
+});
+
 impl Estimator {
     /// Initial estimate of a scene.
     pub fn new(constants: &Constants) -> Self {
@@ -123,15 +148,15 @@ impl Estimator {
             belief: Belief::new(constants.start_variances()),
             held: false,
             coasts: true,
-            hypotheses: Hypotheses::default(),
-            doubt: Doubt::NEW,
-            unaided: [Unaided::default(), Unaided::default()],
+            hypotheses: Box::default(),
+            doubt: Box::new(Doubt::NEW),
+            unaided: Box::default(),
             learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
-            history: History::default(),
+            history: Box::default(),
             forecast: Forecast::default(),
             alarm: Alarm::default(),
-            causes: Causes::default(),
+            causes: Box::default(),
             adrift: false,
             restarted: false,
             nis: 0.0,
@@ -466,7 +491,7 @@ impl Estimator {
         match kind {
             Repetition(i, Fault::Stuck) => unaided[*i] = Unaided::default(),
             Repetition(..) => (),
-            Branch | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => *unaided = Default::default(),
+            Branch | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => **unaided = Default::default(),
         }
         match kind {
             Branch | Assembly(_) | Samples { .. } => history.clear(),
@@ -476,16 +501,16 @@ impl Estimator {
             Samples { .. } => causes.close(true),
             Branch | Unclosed | Runaway | Adrift => causes.close(false),
             // The assembly explains what has surprised.
-            Assembly(_) => *causes = Causes::default(),
+            Assembly(_) => **causes = Causes::default(),
             Repetition(..) => (),
         }
         match kind {
-            Samples { .. } => (*hypotheses, *doubt) = (Hypotheses::of_unknown_side(), Doubt::ENDED),
+            Samples { .. } => (**hypotheses, **doubt) = (Hypotheses::of_unknown_side(), Doubt::ENDED),
             Unclosed | Runaway | Adrift => {
                 if doubt.is_open() {
                     hypotheses.doubt_side(0.0);
                 }
-                *doubt = Doubt::ENDED;
+                **doubt = Doubt::ENDED;
             }
             Branch | Assembly(_) | Repetition(..) => (),
         }

@@ -7,6 +7,7 @@ use super::error_state::{GEOMETRY, LENGTHS, Learned, OFFSETS};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::{Linkage, Links, MEASURED};
+use crate::copies::clone_by_fields;
 use crate::mechanism::{Geometry, SceneError};
 
 /// Method of the covariance in a forecast without samples.
@@ -116,7 +117,7 @@ pub struct Prior {
 }
 
 /// Data of the estimator that stay constant between changes of parameters.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Constants {
     pub(super) geometry: Geometry,
     /// Lengths of links and base as the parameters say, m.
@@ -132,6 +133,8 @@ pub struct Constants {
     /// Values and standard deviations of what is learned, before any sample; boxed, so that it costs nothing where nothing is learned.
     pub(super) prior: Option<Box<Prior>>,
 }
+
+clone_by_fields!(Constants { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior });
 
 impl Constants {
     /// Constant data for a geometry that includes all masses.

@@ -13,3 +13,10 @@ pub(super) fn write<W: Write, const R: usize, const C: usize>(matrix: &SMatrix<f
 pub(super) fn read<S: Read, const R: usize, const C: usize>(reader: &mut S) -> io::Result<SMatrix<f64, R, C>> {
     <[[f64; R]; C]>::deserialize_reader(reader).map(|columns| SMatrix::from_array_storage(ArrayStorage(columns)))
 }
+
+/// Reads a large value in a function of its own, so that the stack holds one of them at a time.
+#[inline(never)]
+pub(super) fn read_boxed<R: Read, T: BorshDeserialize>(reader: &mut R) -> io::Result<Box<T>> {
+    let place = Box::new_uninit();
+    Ok(Box::write(place, T::deserialize_reader(reader)?))
+}

@@ -22,7 +22,7 @@ unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, CallError> {
 unsafe fn store(state: &mut fmi2FMUstate, snapshot: &Snapshot) {
     // SAFETY: the caller vouches for the pointer unless it is null.
     match unsafe { state.cast::<Snapshot>().as_mut() } {
-        Some(old) => old.copy(snapshot),
+        Some(old) => old.clone_from(snapshot),
         None => *state = Box::into_raw(Box::new(snapshot.clone())).cast(),
     }
 }

@@ -24,6 +24,8 @@ pub struct Instance {
     observation: Option<Observation>,
     /// Scene initialised with the present values, made when an output is read before the end of initialisation.
     preview: Option<Scene>,
+    /// Scene before the last step that could fail midway, to go back to.
+    pub(super) before: Option<Scene>,
     /// Values read by the present call. The buffer is allocated once: a call allocates
     /// nothing unless it asks for more values than there are variables.
     values: Vec<Value>,
@@ -40,6 +42,7 @@ impl Instance {
             unit,
             observation: None,
             preview: None,
+            before: None,
             values: Vec::with_capacity(VARIABLES.len()),
             log: Log::new(logging_on),
         }
@@ -136,6 +139,7 @@ impl Instance {
             Kind::ModelExchange => Stage::EventMode,
             Kind::CoSimulation => Stage::StepComplete,
         };
+        self.prepare_to_go_back();
         Ok(())
     }
 
@@ -154,8 +158,19 @@ impl Instance {
             let [own, other] = [&self.now.guid, &snapshot.guid].map(|guid| String::from_utf8_lossy(guid));
             return Err(CallError::error(format!("FMUstate is that of another unit with the GUID {other}, this one has {own}.")));
         }
-        self.change().copy(snapshot);
+        self.change().clone_from(snapshot);
+        if self.now.may_fail_midway() {
+            // As large as this scene: the one before may have been another.
+            self.before.clone_from(&self.now.scene);
+        }
         Ok(())
+    }
+
+    /// Makes room for the scene before a step that may fail midway: the step itself allocates nothing.
+    fn prepare_to_go_back(&mut self) {
+        if let (Some(scene), None, true) = (&self.now.scene, &self.before, self.now.may_fail_midway()) {
+            self.before = Some(scene.clone());
+        }
     }
 
     /// fmi2DeSerializeFMUstate: the state in these bytes, which must be one of this unit.
@@ -202,6 +217,7 @@ impl Instance {
                 now.set(variable, value);
             }
         }
+        self.prepare_to_go_back();
         Ok(())
     }
 

@@ -4,6 +4,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::clock::Clock;
 use super::{Guid, Kind, Stage};
+use crate::copies::clone_by_fields;
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::bindings::{self, Field};
@@ -11,7 +12,7 @@ use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
 use crate::variables::{Value, Variable, VariableId};
 
 /// State of an instance without its log.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Snapshot {
     pub(super) kind: Kind,
     /// GUID of the unit that the instance belongs to.
@@ -32,6 +33,8 @@ pub struct Snapshot {
     pub(super) warned: Warned,
 }
 
+clone_by_fields!(Snapshot { kind, guid, stage, clock, parameters, is_tuned, signal, measured, scene, warned });
+
 /// Warnings that the master has got, each of which comes once.
 #[derive(Clone, Copy, Debug, Default, BorshSerialize, BorshDeserialize)]
 pub(super) struct Warned {
@@ -44,7 +47,7 @@ pub(super) struct Warned {
 }
 
 /// An initialised scene, with the parameters and inputs in force.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) enum Scene {
     /// Simulation without an estimator.
     Ready(Box<Simulation>),
@@ -52,13 +55,31 @@ pub(super) enum Scene {
     Following(Box<Following>),
 }
 
+impl Clone for Scene {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Ready(simulation) => Self::Ready(simulation.clone()),
+            Self::Following(following) => Self::Following(following.clone()),
+        }
+    }
+
+    /// Allocates nothing where both are of the same kind.
+    fn clone_from(&mut self, other: &Self) {
+        match (self, other) {
+            (Self::Ready(own), Self::Ready(other)) => own.clone_from(other),
+            (Self::Following(own), Self::Following(other)) => own.clone_from(other),
+            (own, other) => *own = other.clone(),
+        }
+    }
+}
+
 impl Scene {
     /// Validates the parameters and initialises the simulation, or refuses.
     pub(super) fn initialise(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         match (kind, parameters.estimator.enabled) {
-            (Kind::CoSimulation, false) => Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?))),
-            (Kind::CoSimulation, true) => Ok(Self::Following(Box::new(Following::new(parameters, inputs)?))),
-            (Kind::ModelExchange, false) => Ok(Self::Ready(Box::new(Simulation::for_model_exchange(parameters, inputs)?))),
+            (Kind::CoSimulation, false) => boxed(|| Simulation::new(parameters, inputs)).map(Self::Ready),
+            (Kind::CoSimulation, true) => boxed(|| Following::new(parameters, inputs)).map(Self::Following),
+            (Kind::ModelExchange, false) => boxed(|| Simulation::for_model_exchange(parameters, inputs)).map(Self::Ready),
             (Kind::ModelExchange, true) => Err(SceneError(
                 "estimator.enabled = true is not allowed in model exchange, whose states are the master's: it must be false, or the unit \
                  instantiated for co-simulation."
@@ -89,6 +110,13 @@ impl Scene {
     }
 }
 
+/// Makes a large value for the heap, in a function of its own: the stack holds it while it is made, and no other one beside it.
+#[inline(never)]
+pub(super) fn boxed<T>(make: impl FnOnce() -> Result<T, SceneError>) -> Result<Box<T>, SceneError> {
+    let place = Box::new_uninit();
+    Ok(Box::write(place, make()?))
+}
+
 impl Snapshot {
     /// State of an instance at the start values of the XML, after fmi2Instantiate.
     pub(super) fn fresh(kind: Kind, guid: Guid) -> Self {
@@ -106,23 +134,9 @@ impl Snapshot {
         }
     }
 
-    /// Copies `other`. Allocates nothing where both hold a simulation.
-    pub fn copy(&mut self, other: &Self) {
-        let Self { kind, guid, stage, clock, parameters, is_tuned, signal, measured, scene, warned } = other;
-        self.kind = *kind;
-        self.guid = *guid;
-        self.stage = *stage;
-        self.clock.clone_from(clock);
-        self.parameters.clone_from(parameters);
-        self.is_tuned = *is_tuned;
-        self.signal = *signal;
-        self.measured = *measured;
-        match (&mut self.scene, scene) {
-            (Some(Scene::Ready(own)), Some(Scene::Ready(other))) => own.clone_from(other),
-            (Some(Scene::Following(own)), Some(Scene::Following(other))) => own.clone_from(other),
-            (own, other) => own.clone_from(other),
-        }
-        self.warned = *warned;
+    /// Whether the next step may fail after it has changed the scene: only then is there a copy to go back to.
+    pub(super) fn may_fail_midway(&self) -> bool {
+        self.is_tuned || matches!(self.scene, Some(Scene::Following(_)))
     }
 
     /// The present value of a parameter or input; `None` for an output.

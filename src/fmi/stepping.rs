@@ -12,8 +12,9 @@ impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
-        let Snapshot { clock: Some(clock), scene: Some(scene), parameters, is_tuned, signal, measured, stage, .. } = self.change()
-        else {
+        let may_fail_midway = self.change().may_fail_midway();
+        let Self { now, before, .. } = self;
+        let Snapshot { clock: Some(clock), scene: Some(scene), parameters, is_tuned, signal, measured, stage, .. } = now else {
             unreachable!("initialisation has made clock and scene")
         };
         let simulation = scene.simulation();
@@ -24,14 +25,20 @@ impl Instance {
         let fallbacks_before = simulation.fallbacks();
         let restarted_before = scene.following().is_some_and(|following| following.estimator().has_restarted());
         let discarded = |failure| discarded(failure, point, size);
+        if may_fail_midway {
+            match before {
+                Some(before) => before.clone_from(scene),
+                None => *before = Some(scene.clone()),
+            }
+        }
         let taken = match scene {
-            Scene::Ready(simulation) => or_unchanged(&mut **simulation, *is_tuned, |simulation| {
-                if *is_tuned {
-                    simulation.tune(&parameters.effects)?;
-                }
-                simulation.advance_along(signal, plan.h, plan.steps).map_err(discarded)
-            }),
-            Scene::Following(following) => or_unchanged(&mut **following, true, |following| {
+            Scene::Ready(simulation) => {
+                let tuned = if *is_tuned { simulation.tune(&parameters.effects) } else { Ok(()) };
+                tuned
+                    .map_err(CallError::from)
+                    .and_then(|()| simulation.advance_along(signal, plan.h, plan.steps).map_err(discarded))
+            }
+            Scene::Following(following) => apart(|| {
                 if *is_tuned {
                     following.tune(&parameters.effects, &parameters.estimator)?;
                 }
@@ -40,6 +47,9 @@ impl Instance {
             }),
         };
         if let Err(refusal) = taken {
+            if may_fail_midway {
+                std::mem::swap(&mut now.scene, before);
+            }
             if refusal.status == Status::Discard {
                 *stage = Stage::StepFailed;
             }
@@ -134,18 +144,10 @@ impl Instance {
     }
 }
 
-/// Changes a machine, or leaves it as it was where the change fails; only a change that `may_fail_midway` needs a copy to go back to.
-fn or_unchanged<M: Clone>(
-    machine: &mut M,
-    may_fail_midway: bool,
-    change: impl FnOnce(&mut M) -> Result<(), CallError>,
-) -> Result<(), CallError> {
-    let before = may_fail_midway.then(|| machine.clone());
-    let changed = change(machine);
-    if let (Err(_), Some(before)) = (&changed, before) {
-        *machine = before;
-    }
-    changed
+/// Does work in a function of its own, so that those who do other work do not give it room on the stack.
+#[inline(never)]
+fn apart<T>(work: impl FnOnce() -> T) -> T {
+    work()
 }
 
 /// The refusal of a step from `point`, s, by `size`, s, that the integrator could not take.

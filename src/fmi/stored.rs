@@ -20,7 +20,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::clock::Clock;
 use super::derivatives::check_reach;
-use super::snapshot::{Scene, Warned};
+use super::snapshot::{Scene, Warned, boxed};
 use super::values::{check_value, lookup};
 use super::{CallError, Guid, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
@@ -124,10 +124,10 @@ impl Snapshot {
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| not_a_state(&error.to_string());
                 match (parameters.estimator.enabled, estimate) {
-                    (false, None) => Some(Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?))),
+                    (false, None) => Some(Scene::Ready(boxed(|| Simulation::restored(&parameters, run)).map_err(refusal)?)),
                     (true, Some(estimate)) => {
-                        let following = Following::restored(&parameters, run, *estimate);
-                        Some(Scene::Following(Box::new(following.map_err(refusal)?)))
+                        let following = boxed(|| Following::restored(&parameters, run, estimate));
+                        Some(Scene::Following(following.map_err(refusal)?))
                     }
                     (false, Some(_)) => return Err(not_a_state("they hold an estimate, but estimator.enabled is false")),
                     (true, None) => return Err(not_a_state("estimator.enabled is true, but the estimate is missing")),
@@ -172,12 +172,18 @@ fn content<'a>(of: &Guid, bytes: &'a [u8]) -> Result<&'a [u8], CallError> {
     Ok(content)
 }
 
+/// Parses samples and estimate, in a function of its own: a state without them needs less of the stack.
+#[inline(never)]
+fn parse_followed(bytes: &mut dyn Read) -> io::Result<Followed> {
+    Followed::deserialize_reader(&mut { bytes })
+}
+
 /// Parses the content and, where there is one, `Followed`.
 fn parse_content(mut bytes: &[u8]) -> io::Result<(Content, Followed)> {
     let content = Content::deserialize_reader(&mut (&mut bytes as &mut dyn Read))?;
     let followed = match bytes {
         [] => Followed::default(),
-        _ => Followed::deserialize_reader(&mut (&mut bytes as &mut dyn Read))?,
+        _ => parse_followed(&mut bytes)?,
     };
     if bytes.is_empty() { Ok((content, followed)) } else { Err(io::Error::other("bytes follow the last field")) }
 }

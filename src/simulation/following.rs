@@ -10,24 +10,28 @@ use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
 use super::run::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
+use crate::copies::clone_by_fields;
 use crate::effects;
 use crate::estimator::error_state::{DRY, LENGTHS, Learned, MASSES};
 use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, MEASURED, Measured, Status};
 use crate::mechanism::SceneError;
 
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Following {
     /// Parameters as the master has set them.
     parameters: Parameters,
     /// Simulation of the machine as it has been learned.
     simulation: Simulation,
     constants: Constants,
-    estimate: Estimate,
+    /// Boxed: larger than the rest together.
+    estimate: Box<Estimate>,
 }
 
+clone_by_fields!(Following { parameters, simulation, constants, estimate });
+
 /// Changing part of the estimation.
-#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimate {
     estimator: Estimator,
     /// Inputs set by the master; the run holds them plus the estimated unknown force.
@@ -36,6 +40,16 @@ pub struct Estimate {
     beyond: [i64; 2],
     /// Faults reported so far, for each encoder a bit per kind.
     reported: [u8; 2],
+}
+
+clone_by_fields!(Estimate { estimator, inputs, beyond, reported });
+
+impl Estimate {
+    /// Estimate of a start, in a function of its own because of what it takes of the stack.
+    #[inline(never)]
+    fn new(constants: &Constants, inputs: &Inputs) -> Box<Self> {
+        Box::new(Self { estimator: Estimator::new(constants), inputs: *inputs, beyond: [0; 2], reported: [0; 2] })
+    }
 }
 
 impl Following {
@@ -55,13 +69,12 @@ impl Following {
         }
         let simulation = Simulation::new(parameters, inputs)?;
         let constants = constants_of(parameters);
-        let estimator = Estimator::new(&constants);
-        let estimate = Estimate { estimator, inputs: *inputs, beyond: [0; 2], reported: [0; 2] };
+        let estimate = Estimate::new(&constants, inputs);
         Ok(Self { parameters: parameters.clone(), simulation, constants, estimate })
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
-    pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
+    pub fn restored(parameters: &Parameters, run: Run, estimate: Box<Estimate>) -> Result<Self, SceneError> {
         Model::new(parameters)?;
         let mut machine = parameters.clone();
         let mut constants = constants_of(parameters);
@@ -69,7 +82,7 @@ impl Following {
             machine.learn(parameters, &learned);
             constants.learn(&learned);
         }
-        let simulation = Simulation::continued(&machine, Model::within_bounds(&machine)?, run)?;
+        let simulation = Simulation::continued(&machine, Box::new(Model::within_bounds(&machine)?), run)?;
         estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
@@ -79,7 +92,8 @@ impl Following {
 
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
-        let Self { parameters, simulation, constants, estimate: Estimate { estimator, inputs, beyond, .. } } = self;
+        let Self { parameters, simulation, constants, estimate } = self;
+        let Estimate { estimator, inputs, beyond, .. } = &mut **estimate;
         let Simulation { model, run, parameters: machine } = simulation;
         let (before, at) = (estimator.learned(), run.motion(model));
         let corrected = estimator.correct(constants, &at, measured, now);
@@ -100,7 +114,7 @@ impl Following {
                 machine.learn(parameters, &learned);
                 // A machine that has been learned within its bounds can be simulated, by the same method.
                 if let Ok(learned) = Model::within_bounds(machine) {
-                    *model = learned;
+                    **model = learned;
                     let _ = run.configure(model);
                 }
             }
@@ -251,7 +265,7 @@ impl Following {
 
     /// Faults of encoders that have not been reported yet: encoder index and fault, [`Fault::None`] for an encoder that has become silent.
     pub fn take_reports(&mut self) -> ArrayVec<(usize, Fault), 2> {
-        let Estimate { estimator, reported, .. } = &mut self.estimate;
+        let Estimate { estimator, reported, .. } = &mut *self.estimate;
         let mut news = ArrayVec::new();
         for (i, reported) in reported.iter_mut().enumerate() {
             let (silent, fault) = estimator.encoder(i);

@@ -26,6 +26,7 @@ mod signal;
 mod state;
 mod variation;
 
+use crate::copies::clone_by_fields;
 use crate::effects;
 use crate::integrator::CONFIGURATION_SIGNS;
 use crate::mechanism::{self, SceneError, closure};
@@ -48,17 +49,19 @@ pub use state::{Core, State};
 pub use variation::{Direction, Variation, wrench_change};
 
 /// A simulation of one scene. A clone continues independently, equal to the bit.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Simulation {
     parameters: Parameters,
-    model: Model,
+    model: Box<Model>,
     run: Run,
 }
+
+clone_by_fields!(Simulation { parameters, model, run });
 
 impl Simulation {
     /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
-        let model = Model::new(parameters)?;
+        let model = Model::boxed(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         let run = Run::start(&model, q, v, inputs);
         Self::started(parameters, model, run)
@@ -67,7 +70,7 @@ impl Simulation {
     /// Simulation for model exchange: proximal angles and rates are states that come from outside ([`Simulation::set_states`]).
     pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         refuse_sticking(parameters)?;
-        let model = Model::new(parameters)?;
+        let model = Model::boxed(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         let run = Run::start_for_model_exchange(&model, [q, v], inputs, parameters.start.assembly);
         Self::started(parameters, model, run)
@@ -76,7 +79,7 @@ impl Simulation {
     /// Simulation that starts from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the
     /// proximal links alone leave the posture undetermined (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
-        let model = Model::new(parameters)?;
+        let model = Model::boxed(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
         let run = Run::start(&model, q, v, inputs);
         let simulation = Self::started(parameters, model, run)?;
@@ -95,9 +98,15 @@ impl Simulation {
         Ok(simulation)
     }
 
-    fn started(parameters: &Parameters, model: Model, run: Run) -> Result<Self, SceneError> {
+    fn started(parameters: &Parameters, model: Box<Model>, run: Run) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), run, model };
-        let state = simulation.state();
+        simulation.check_start()?;
+        Ok(simulation)
+    }
+
+    #[inline(never)]
+    fn check_start(&self) -> Result<(), SceneError> {
+        let state = self.state();
         if !state.core.a.iter().chain(state.core.lambda.iter()).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(SceneError(
                 "the scene has accelerations or energies that are not finite: one of link[i].*, base.distance, init.*, gravity.g, tau[i], \
@@ -105,7 +114,7 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(simulation)
+        Ok(())
     }
 
     /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
@@ -113,11 +122,11 @@ impl Simulation {
         if run.is_model_exchange() {
             refuse_sticking(parameters)?;
         }
-        Self::continued(parameters, Model::new(parameters)?, run)
+        Self::continued(parameters, Model::boxed(parameters)?, run)
     }
 
     /// A stored run of a model, with the parameters in force; refused as by [`Simulation::restored`].
-    fn continued(parameters: &Parameters, model: Model, mut run: Run) -> Result<Self, SceneError> {
+    fn continued(parameters: &Parameters, model: Box<Model>, mut run: Run) -> Result<Self, SceneError> {
         run.configure(&model).map_err(|what| SceneError(what.into()))?;
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
@@ -137,6 +146,7 @@ impl Simulation {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
     }
 
+    #[inline(never)]
     fn advance_changing(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.run.clone();
         let one = MacroSteps { h, count: 1, open_ended: false };
@@ -200,6 +210,7 @@ impl Simulation {
 
     /// Gives the active effects new parameters from now on; the resulting change of potential energy counts as input work. The set of
     /// active effects stays. A payload of another mass joins according to its parameters. A refusal changes nothing.
+    #[inline(never)]
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
         check_bounds(&tuned)?;
@@ -208,12 +219,12 @@ impl Simulation {
 
     /// Puts parameters in force that differ in those of effects, and whose numbers have been checked.
     fn tune_within_bounds(&mut self, tuned: Parameters) -> Result<(), SceneError> {
-        let mut model = self.model.clone();
+        let mut model = Model::clone(&self.model);
         if model.tune(&self.parameters.effects, &tuned)? {
             self.run
                 .tune(&self.model, &model, tuned.effects.payload.join)
                 .map_err(|cause| SceneError(format!("the current step could not be repeated up to the present time: {cause}.")))?;
-            self.model = model;
+            *self.model = model;
         }
         self.parameters = tuned;
         Ok(())

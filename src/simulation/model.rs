@@ -71,6 +71,12 @@ impl Model {
         Self::within_bounds(parameters)
     }
 
+    /// The model as a simulation holds it, in a function of its own: the stack has no room for a second one.
+    #[inline(never)]
+    pub(super) fn boxed(parameters: &Parameters) -> Result<Box<Self>, SceneError> {
+        Self::new(parameters).map(Box::new)
+    }
+
     /// Model of parameters whose numbers have been checked one by one, or learned about such numbers; refuses those that do not fit
     /// together.
     pub(super) fn within_bounds(parameters: &Parameters) -> Result<Self, SceneError> {
@@ -138,7 +144,8 @@ impl Model {
     }
 
     /// Gives the active effects new parameters, whose numbers have been checked one by one; the set of effects stays. Returns whether
-    /// anything has changed; a refusal changes nothing.
+    /// anything has changed; a refusal changes nothing. A function of its own, so that the stack has no room for its models while the run follows.
+    #[inline(never)]
     pub(super) fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
         let parameters = &tuned.effects;
         let geometry = parameters.with_added_masses(&tuned.geometry);

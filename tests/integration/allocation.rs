@@ -3,13 +3,13 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use fivebar::ffi::fmi2OK;
+use fivebar::ffi::{fmi2EnterInitializationMode, fmi2ExitInitializationMode, fmi2OK, fmi2Reset};
 use fivebar::linear::LinearSolve;
 use fivebar::observers;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Method, Simulation};
 
-use crate::fmi_host::{Host, reference};
+use crate::fmi_host::{Host, Instantiation, reference};
 
 /// Counts the allocations of each thread.
 struct Counting;
@@ -86,6 +86,30 @@ fn a_call_of_do_step_allocates_nothing() {
         }
     });
     assert_eq!(count, 0);
+}
+
+/// Nor a step of a machine that is followed, also where the state of one that learns, and is larger, has replaced its own.
+#[test]
+fn a_step_of_a_followed_machine_allocates_nothing() {
+    let host = Host::instantiate(Instantiation::default()).unwrap_or_else(|lines| panic!("{lines:?}"));
+    let start = |on: &[&str]| {
+        assert_eq!(host.setup(None, 0.0, None), fmi2OK);
+        for name in on {
+            assert_eq!(host.set_boolean(&[reference(name)], &[1]), fmi2OK, "{name}");
+        }
+        for function in [fmi2EnterInitializationMode, fmi2ExitInitializationMode] {
+            assert_eq!(host.call(function), fmi2OK, "{:?}", host.take());
+        }
+    };
+    let step = |i: i32| assert_eq!(host.do_step(f64::from(i) * 1e-3, 1e-3), fmi2OK);
+    start(&["estimator.enabled", "estimator.learn.enabled"]);
+    let mut learning = host.state();
+    assert_eq!(host.call(fmi2Reset), fmi2OK);
+    start(&["estimator.enabled"]);
+    assert_eq!(allocations(|| (0..100).for_each(step)), 0);
+    assert_eq!(host.set_state(learning), fmi2OK);
+    assert_eq!(allocations(|| (0..100).for_each(step)), 0);
+    assert_eq!(host.free_state(&mut learning), fmi2OK);
 }
 
 /// Links with next to no inertia lose no digits: accelerations meet the constraints.

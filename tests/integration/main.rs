@@ -31,6 +31,7 @@ mod fmi_following; // a machine that is followed: variables, faults of encoders,
 mod fmi_initial; // dependencies of each output at the start
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
 mod fmi_log; // categories, logger, environment
+mod fmi_stack; // every function in threads with little stack
 mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables

@@ -25,6 +25,10 @@ const LARGEST_SHIPPED: [(&str, usize); 4] =
 /// Largest library of the Rust in use: its standard library is made for speed and prints backtraces, in some 240 kB.
 const LARGEST_HERE: usize = 1_860_000;
 
+/// Largest frame on the stack of a function, bytes, in a library for x86-64, as [`largest_frame`] finds it: that which reads a stored estimate of
+/// what is learned, and a page more because compilers differ. A host gives what `docs/fmi.md` says.
+const LARGEST_FRAME: u32 = 0xe000;
+
 /// All that a library for both kinds exports: FMI 2.0.4, sections 2.1 (common functions), 3.2 (model exchange) and 4.2 (co-simulation).
 #[rustfmt::skip]
 const EXPORTS: [&str; 44] = [
@@ -166,6 +170,8 @@ fn library(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Library
 fn check_part(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Needs> {
     ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
+    let frame = largest_frame(bytes);
+    ensure!(frame <= LARGEST_FRAME, "a function has a frame of {frame} bytes on the stack: the limit is {LARGEST_FRAME}");
     let needs = match object::FileKind::parse(bytes)? {
         object::FileKind::Elf64 => elf_needs(bytes)?,
         object::FileKind::MachO64 => {
@@ -212,6 +218,19 @@ fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
         }
     }
     Ok(names)
+}
+
+/// Largest frame of a function that probes its frame page by page in a loop, as compiled code for x86-64 does from some pages on; 0 where there
+/// is none.
+fn largest_frame(code: &[u8]) -> u32 {
+    // mov %rsp,%r11; sub $frame,%r11; sub $0x1000,%rsp
+    const BEGIN: [u8; 6] = [0x49, 0x89, 0xe3, 0x49, 0x81, 0xeb];
+    const PAGE: [u8; 7] = [0x48, 0x81, 0xec, 0x00, 0x10, 0x00, 0x00];
+    let probes = code.windows(BEGIN.len() + 4 + PAGE.len()).filter_map(|window| {
+        let (frame, page) = window.strip_prefix(&BEGIN)?.split_first_chunk()?;
+        (page == PAGE).then(|| u32::from_le_bytes(*frame))
+    });
+    probes.max().unwrap_or(0)
 }
 
 fn check_exports(found: BTreeSet<String>) -> Result<()> {
@@ -282,6 +301,16 @@ mod tests {
         more.insert("rust_panic".into());
         let error = check_exports(more).unwrap_err().to_string();
         assert!(error.ends_with(": rust_panic"), "{error}");
+    }
+
+    #[test]
+    fn frames_are_read_from_probes() {
+        let probe = |frame: u32| {
+            let [a, b, c, d] = frame.to_le_bytes();
+            [0x90, 0x49, 0x89, 0xe3, 0x49, 0x81, 0xeb, a, b, c, d, 0x48, 0x81, 0xec, 0x00, 0x10, 0x00, 0x00]
+        };
+        assert_eq!(largest_frame(&[probe(0x6000), probe(0xd000)].concat()), 0xd000);
+        assert_eq!(largest_frame(&probe(0x6000)[..17]), 0);
     }
 
     #[test]
