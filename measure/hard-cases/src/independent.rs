@@ -18,7 +18,7 @@ pub type Motion = [f64; 8];
 /// The columns of the extrapolation.
 const COLUMNS: usize = 6;
 /// Error of a step, rad and a tenth of a rad/s.
-const TOLERANCE: f64 = 1e-12;
+const TOLERANCE: f64 = 2e-13;
 /// The longest step, s.
 const LONGEST: f64 = 5e-3;
 /// Joints as differences of links: left base, left elbow, tip, right elbow, right base.
