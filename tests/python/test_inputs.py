@@ -82,5 +82,7 @@ def test_inputs_that_cannot_be_are_one_sentence(given: Any, sentence: str, fmu: 
 
 def test_an_input_and_a_value_in_one_call_are_refused(fmu: Path) -> None:
 
-    with pytest.raises(FiveBarError, match=r"^'tau\[1\]' is given a signal and a value, but only one of them can hold$"):
+    with pytest.raises(
+        FiveBarError, match=r"^'tau\[1\]' is given a signal and a value, but only one of them can hold$"
+    ):
         fivebar.run("swing", inputs={"tau[1]": 0.1}, **{"tau[1]": 0.2})

@@ -113,7 +113,13 @@ def test_a_part_in_time(stopped: Result, tmp_path: Path) -> None:
     # Seconds of calls are those of the whole run.
     assert "wall time" in stopped.summary() and "wall time" not in part.summary()
     files = {file.name for file in part.save(tmp_path)}
-    assert {"trial.html", "trial.csv", "trial.finer.csv", "path.png", "stop.png"} < files and "animation.svg" not in files
+    assert {
+        "trial.html",
+        "trial.csv",
+        "trial.finer.csv",
+        "path.png",
+        "stop.png",
+    } < files and "animation.svg" not in files
     assert all(axes.get_xlim() == pytest.approx((0.1, 0.3)) for axes in part.plot("tip.x", "omega[1]").axes)
     with pytest.raises(FiveBarError, match=r"^no communication point is between 0\.6 and 0\.7 s: .* from 0 to 0\.5 s$"):
         stopped.between(0.6, 0.7)
@@ -140,8 +146,15 @@ def test_events_are_a_table(stopped: Result) -> None:
 
 def test_what_sticks_and_slips_is_an_event(fmu: Path) -> None:
     """A motor below its breakaway, then above, then at rest again after friction has taken its energy."""
-    values = {"gravity.enabled": False, "friction.enabled": True, "friction.law": STICK, "solver.method": METHODS["automatic"]}
-    rubs = {f"friction.{bound}[{i}]": SLIDE if i == 1 else 0.0 for i in range(1, 6) for bound in ("coulomb", "breakaway")}
+    values = {
+        "gravity.enabled": False,
+        "friction.enabled": True,
+        "friction.law": STICK,
+        "solver.method": METHODS["automatic"],
+    }
+    rubs = {
+        f"friction.{bound}[{i}]": SLIDE if i == 1 else 0.0 for i in range(1, 6) for bound in ("coulomb", "breakaway")
+    }
     scene = made_scene(values | rubs, 1.0)
     push = np.where((scene.time > 0.1) & (scene.time < 0.15), 2 * SLIDE, 0.5 * SLIDE)
     result = simulate.run(replace(scene, signals={"tau[1]": push}), fmu=fmu)

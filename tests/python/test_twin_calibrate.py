@@ -21,7 +21,7 @@ from fivebar.commands import main
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, setup
 from fivebar.twin import scene as twin_scene
-from fivebar.twin.calibrate import command, data, fit, motion, parameters, pictures, propose, scenes, trials
+from fivebar.twin.calibrate import command, data, fit, identify, motion, parameters, pictures, propose, scenes, trials
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
@@ -195,8 +195,8 @@ def test_what_cannot_be_identified_is_refused_and_named(fmu: Path, library: Libr
     assert (tmp_path / "out" / "proposal.json").is_file()
 
 
-CALIBRATED = ("pick_and_place", "fall_90_120")
-"""Shipped scenes of either kind: with stiff servos, and without a drive."""
+CALIBRATED = ("pick_and_place", "fall_90_120", "servo_step", "haptic", "swing")
+"""Shipped scenes with stiff servos, with soft ones, and without a drive."""
 
 SCALE = ["payload.mass", "link.mass", "servo.kp", "servo.kd", "servo.limit", "viscous.b"]
 """All torques of a machine in weightlessness: a motion tells their proportions only."""
@@ -290,6 +290,21 @@ def test_derivatives_are_those_at_the_solution(library: Library) -> None:
     error = np.linalg.norm(found.doubt[:, :3], axis=0) / np.linalg.norm(found.jacobian[:, :3], axis=0)
     # Truncation and round-off of the runs leave 1e-9.
     assert np.all(error < 1e-6), error
+
+
+def test_correlations_are_numbers_whatever_residuals_are(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The estimate of a covariance from correlated residuals may have a negative variance; JSON knows no nan."""
+    names = ["payload.mass", "link[1,4].mass"]
+    columns = made(library, names, [1.2, 0.95], 1.2)
+    unknowns = parameters.parameters(names, library, BASE)
+    device = motion.Machine(library, BASE, unknowns)
+    samples = data.split(recording.of("a record", columns.pop("time"), columns, []))
+    found = fit.Fitter(device, samples, "rate", 10.0, lambda _: None).run()
+    device.close()
+    monkeypatch.setattr(identify, "together", lambda *_: identify.Together(lag=1, period=0, time_scale=2.0))
+    monkeypatch.setattr(identify, "between", lambda *_: -1e9 * np.eye(2))
+    judged = identify.judge(found, unknowns, np.full(2, np.inf))
+    assert np.all(np.isfinite(judged.correlation)) and np.all(np.diag(judged.correlation) == 1.0)
 
 
 @pytest.mark.parametrize(

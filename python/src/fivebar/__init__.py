@@ -127,7 +127,5 @@ def run(
     from fivebar import scene as scenes
     from fivebar import simulate
 
-    ready = scenes.read(scene).replace(
-        values, method=method, stop_time=stop_time, step_size=step_size, inputs=inputs
-    )
+    ready = scenes.read(scene).replace(values, method=method, stop_time=stop_time, step_size=step_size, inputs=inputs)
     return simulate.run(ready, outputs=outputs or (), on_failure=on_failure)

@@ -62,9 +62,7 @@ class Run:
         """The run at some of its communication points. Times of calls are those of a whole run, and are left out."""
         columns = {name: column[rows] for name, column in self.columns.items()}
         ends = len(columns["time"]) > 0 and columns["time"][-1] == self.time[-1]
-        return replace(
-            self, columns=columns, call_seconds=[], wall_seconds=0.0, failure=self.failure if ends else None
-        )
+        return replace(self, columns=columns, call_seconds=[], wall_seconds=0.0, failure=self.failure if ends else None)
 
 
 class StartRefused(FiveBarError):

@@ -33,10 +33,7 @@ class Row(NamedTuple):
 
 def find(run: Run, met: list[Event]) -> list[Row]:
     """All that a run met, in the order of time; `met` are its singularities."""
-    rows = [
-        Row(event.time, event.kind, str(event).removeprefix(f"{event.kind} singularity "))
-        for event in met
-    ]
+    rows = [Row(event.time, event.kind, str(event).removeprefix(f"{event.kind} singularity ")) for event in met]
     return sorted([*rows, *_stops(run), *_plane(run), *_friction(run)], key=lambda row: row.time)
 
 
@@ -93,6 +90,4 @@ def _value(run: Run, name: str) -> NDArray[np.float64] | float:
 def _changes(run: Run, holds: NDArray[np.bool_], begins: str, ends: str, where: str) -> list[Row]:
     """Rows at which something begins, also at the first communication point, or ends."""
     changes = np.diff(np.concatenate(([False], holds)).astype(np.int8))
-    return [
-        Row(float(run.time[row]), begins if changes[row] > 0 else ends, where) for row in np.flatnonzero(changes)
-    ]
+    return [Row(float(run.time[row]), begins if changes[row] > 0 else ends, where) for row in np.flatnonzero(changes)]

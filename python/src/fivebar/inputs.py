@@ -83,7 +83,9 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
     """Straight lines through values at times, constant before and after them."""
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
     if at.ndim != 1 or at.shape != course.shape or not len(at):
-        raise FiveBarError(f"the input '{name}' has {at.size} times and {course.size} values: as many of both are needed")
+        raise FiveBarError(
+            f"the input '{name}' has {at.size} times and {course.size} values: as many of both are needed"
+        )
     for row in np.flatnonzero(~(np.diff(at) > 0)):
         raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")
     return np.interp(points, at, course)

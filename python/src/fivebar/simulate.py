@@ -59,7 +59,8 @@ def run(
     result = Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
     if result.failure is not None and on_failure == "raise":
         raise StepFailed(
-            f"{ready.name} ended early, after t = {result.time[-1]:g} s of {ready.stop_time:g} s: {result.failure}", result
+            f"{ready.name} ended early, after t = {result.time[-1]:g} s of {ready.stop_time:g} s: {result.failure}",
+            result,
         )
     return result
 

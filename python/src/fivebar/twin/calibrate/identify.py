@@ -139,8 +139,9 @@ def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
         if known[k] and fit.x[k] - sought[k].lowest < interval(float(sigma[k]))
     }
     identified = [known[k] and k not in bounded and not np.isfinite(held[k]) for k in range(p)]
-    scale = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(scale, scale)
+    # With correlated residuals the estimated covariance need not be positive definite; `sigma` is at least the bound.
+    correlation = covariance / np.outer(sigma, sigma)
+    np.fill_diagonal(correlation, 1.0)
     bound = np.sqrt(np.diag(inverse))
     return Judgement(sigma, bound, correlation, identified, combinations, found, doubts, held, bounded)
 
