@@ -107,7 +107,8 @@ export class Settings {
   // The content of a file as scenes/ has them.
   file() {
     const { name, description, stopTime } = this.scene;
-    const values = Object.entries(this.all()).map(([variable, value]) => [variable, this.written(variable, value)]);
+    // A scene that names no method would run by another one than here.
+    const values = Object.entries({ "solver.method": this.value("solver.method"), ...this.all() }).map(([variable, value]) => [variable, this.written(variable, value)]);
     const own = Object.keys(this.values).length ? `${description} Changed on the live page.` : description;
     const scene = { description: own, experiment: { stopTime, stepSize: 0.001 }, ...Object.fromEntries(values) };
     const signals = this.signals();
@@ -125,7 +126,8 @@ export class Settings {
         // Quotes that every shell knows.
         return ` --set ${/[^\w.=+-]/.test(assignment) ? `"${assignment}"` : assignment}`;
       });
-    const method = "solver.method" in this.values ? ` --method ${this.written("solver.method", this.values["solver.method"])}` : "";
+    const named = "solver.method" in this.scene.values && !("solver.method" in this.values);
+    const method = named ? "" : ` --method ${this.written("solver.method", this.value("solver.method"))}`;
     return `fivebar run ${this.scene.name}${sets.join("")}${method}`;
   }
 }

@@ -30,7 +30,9 @@ fn shipped_scenes_say_only_what_differs() {
                 Kind::Integer { start, .. } | Kind::Enumeration { start } => start.map(Value::Integer),
                 Kind::Boolean { start } => start.map(Value::Boolean),
             };
-            assert_ne!(start, Some(*value), "{}: {} has this value anyway", scene.name, variable.name.full);
+            // Runs of a scene that names no method are by `automatic`, not by the unit's own.
+            let decides = variable.name.full == "solver.method";
+            assert!(decides || start != Some(*value), "{}: {} has this value anyway", scene.name, variable.name.full);
         }
     }
 }

@@ -337,7 +337,12 @@ def motion(folder: Path, fmu: Path, *words: str) -> str:
 
 
 def test_what_is_taken_along_runs_alike(browser: Any, tmp_path: Path, fmu: Path) -> None:
-    """The command and the saved file give one motion; a value in the place of a signal is in the file alone."""
+    """The command and the saved file give one motion; a value in the place of a signal is in the file alone. Both name the method, also where the
+    scene does not: then the commands would take another one than the page.
+    """
+    go(browser, "scene=swing")
+    assert text(browser, "command") == "fivebar run swing --method i3alp"
+    assert saved_scene(browser)["solver.method"] == "i3alp"
     go(browser, "scene=haptic&contact.mu=0.7&init.theta[1]=2.2&solver.method=automatic")
     (tmp_path / "haptic.json").write_text(json.dumps(saved_scene(browser)))
     given = motion(tmp_path / "command", fmu, *shlex.split(text(browser, "command")))

@@ -143,7 +143,7 @@ def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_
     """Five machines by turns, and each in a thread, are what they are alone."""
     angles = [1.7 + 0.1 * i for i in range(5)]
     units = [
-        write_unit(tmp_path, scene({"init.theta[2]": angle}), f"Unit{i}", plain=fmu).file
+        write_unit(tmp_path, scene({"init.theta[2]": angle, "solver.method": 1}), f"Unit{i}", plain=fmu).file
         for i, angle in enumerate(angles)
     ]
     directories = [fmpy.extract(str(file), unzipdir=str(tmp_path / file.stem)) for file in units]
@@ -459,6 +459,16 @@ def test_text_of_every_kind_comes_through(fmu: Path, tmp_path: Path) -> None:
     assert 'Links of "10 &amp; 12 cm" &lt; 1 m' in page
 
 
+def test_a_scene_that_names_no_method_gives_a_unit_by_automatic(fmu: Path, tmp_path: Path) -> None:
+    """As `fivebar run` takes it; a unit without a scene keeps the method of the plain one."""
+    written = write_unit(tmp_path, scene({}), plain=fmu)
+    plain = write_unit(tmp_path, name="Second", plain=fmu)
+    assert written.notes == ["The scene's method is automatic: it has no 'solver.method'."] and plain.notes == []
+    for file, number in ((written.file, "6"), (plain.file, "1")):
+        (start,) = [v.start for v in read_model_description(str(file)).modelVariables if v.name == "solver.method"]
+        assert start == number
+
+
 def test_what_a_unit_leaves_to_the_master_is_said(fmu: Path, tmp_path: Path) -> None:
     made = scene(MINE)
     made.variants.append(Variant("fine", {}))
@@ -466,6 +476,7 @@ def test_what_a_unit_leaves_to_the_master_is_said(fmu: Path, tmp_path: Path) -> 
     written = write_unit(tmp_path, made, plain=fmu)
     assert written.notes[0].endswith("are for the master to change: servo.theta[1].")
     assert written.notes[1] == "The scene's further runs are left out: fine."
+    assert len(written.notes) == 2
     (start,) = [v.start for v in read_model_description(str(written.file)).modelVariables if v.name == "servo.theta[1]"]
     assert float(start) == 1.25
 

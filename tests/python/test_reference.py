@@ -50,10 +50,10 @@ def test_default_settings(new: New) -> None:
     "path", [p for p in sorted(REFERENCE.glob("*.csv")) if p.stem not in ELDER], ids=lambda path: path.stem
 )
 def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription) -> None:
-    """The values in a reference's head are the scene's: one that was changed needs a new reference."""
+    """The values in a reference's head are the scene's: one that was changed needs a new reference, unless it is how the motion is solved."""
     head = [line[2:].split(" = ") for line in path.read_text().splitlines() if line.startswith("# ") and " = " in line]
     content = json.loads((REPOSITORY / "scenes" / path.name).with_suffix(".json").read_text())
-    moving = {"signals", *(v.name for v in model.modelVariables)}
+    moving = {"signals", *(v.name for v in model.modelVariables if not v.name.startswith("solver."))}
     assert {name: json.loads(value) for name, value in head} == {k: v for k, v in content.items() if k in moving}
 
 

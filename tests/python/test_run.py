@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from fivebar.scene import Scene, Variant, parse
 from fivebar.variables import Values
 from made_scene import METHODS, made_scene, write
 
-PUSH: Values = {"tau[1]": 0.25}
+PUSH: Values = {"tau[1]": 0.25, "solver.method": METHODS["i3alp"]}
 FINE = Variant("RK4, fine", PUSH | {"solver.method": METHODS["rk4"], "solver.stepSize": 2e-4})
 SHORT = made_scene(PUSH, 0.2, 0.002, FINE, description="A short trial </script> of everything.")
 HOPELESS: Values = {"tau[1]": 50.0, "solver.adaptive": False, "solver.maxIterations": 1}
@@ -305,6 +306,23 @@ def test_another_stop_time_and_step(fmu: Path) -> None:
     moving = 2 * np.flatnonzero(np.diff(course[::2]))
     assert len(moving) > 100 and np.all(course[moving + 1] != course[moving])
     assert swing.replace(stop_time=1.0).stop_time == 1.0 and swing.replace() == swing.replace({})
+
+
+def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Path) -> None:
+    """Summary and label say so; what names a method, or strictly fixed steps of i3alp, keeps it."""
+    plain = fivebar.run("swing", stop_time=0.01)
+    assert plain.own.parameters["solver.method"] == METHODS["automatic"] and plain.own.label == "automatic"
+    note = "  method                      automatic: it has no 'solver.method'\n"
+    assert note in plain.summary() and note in run(fmu, tmp_path, made_scene({}, 0.01), "--no-pictures").stdout
+    chosen: dict[str, dict[str, Any]] = {"dop853": {"method": "dop853"}, "rk4": {"solver.method": "rk4"}, "i3alp": {"solver.adaptive": False}}
+    for name, given in chosen.items():
+        other = fivebar.run("swing", stop_time=0.01, **given)
+        assert other.own.parameters["solver.method"] == METHODS[name] and "automatic" not in other.summary()
+    # Another method for the scene of a result is one that it names.
+    assert "automatic" not in fivebar.run(plain.scene, method="rk4").summary()
+    for name in ("paper_torque", "paper_torque_gravity", "paper_free_fall", "fall_90_120"):
+        assert scene_of.read(name).values["solver.method"] == METHODS["i3alp"]
+    assert fivebar.run(made_scene({}, 0.01), on_failure="return").own.label == "automatic"
 
 
 def test_a_scene_as_a_dict(fmu: Path) -> None:

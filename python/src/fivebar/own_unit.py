@@ -79,7 +79,9 @@ def write_unit(
     if is_own:
         check_name(name)
     files = _read(plain)
-    notes = left_out(scene) if scene is not None else []
+    if scene is not None:
+        scene = scene.with_method()
+    notes = notes_on(scene) if scene is not None else []
     if is_own or naming != "structured":
         description = _Description(files[MODEL].decode("utf-8"), plain)
         if is_own:
@@ -119,11 +121,13 @@ def check_name(name: str) -> None:
         )
 
 
-def left_out(scene: Scene) -> list[str]:
-    """Parts of a scene that a unit cannot have, in sentences."""
+def notes_on(scene: Scene) -> list[str]:
+    """Parts of a scene that a unit cannot have, and a method that it does not name, in sentences."""
     sentences = _left_to_the_master(scene)
     if overlays := [variant.label for variant in scene.variants[1:]]:
         sentences.append(f"The scene's further runs are left out: {'; '.join(overlays)}.")
+    if note := scene.assumed.get("method"):
+        sentences.append(f"The scene's method is {note}.")
     return sentences
 
 

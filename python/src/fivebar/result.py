@@ -155,7 +155,7 @@ class Result(dict[str, np.ndarray]):
 
     def summary(self) -> str:
         """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
-        blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.stop_note(self.scene)])]
+        blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.assumed(self.scene)])]
         for i, run in enumerate(self.runs):
             values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
             lines = [run.label, *summary.lines(run, self._events[i]), *summary.servo_note(run, values)]

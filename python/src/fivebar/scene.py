@@ -21,6 +21,8 @@ from fivebar.kinematics import Working
 from fivebar.signals import TIP, Signal
 from fivebar.variables import Value, Values, Variable, Variables, meant, of_unit, shown
 
+METHOD, ADAPTIVE = "solver.method", "solver.adaptive"
+
 MOST_POINTS = 1_000_000
 """Communication points of a run, at most: each has a row of some 150 numbers."""
 
@@ -59,8 +61,8 @@ class Scene:
     tip: tip_scenes.Tip | None = field(default=None, repr=False)
     """Part of the scene's file in the tip's coordinates."""
 
-    assumed: str = field(default="", repr=False, compare=False)
-    """Why the stop time is what it is, where the scene's file has none."""
+    assumed: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
+    """Notes on what the scene does not say: `stop time`, `method`."""
 
     knots: Mapping[str, Signal] = field(default_factory=dict, repr=False, compare=False)
     """Signals as the scene's file has them, by name: from these come the samples at other communication points."""
@@ -110,7 +112,7 @@ class Scene:
         `inputs` stand in the place of signals and values that the scene gives them (`fivebar.inputs.Inputs`). A run that the scene is
         compared with keeps what it changes itself.
         """
-        given = {**(values or {}), **more} | ({} if method is None else {"solver.method": method})
+        given = {**(values or {}), **more} | ({} if method is None else {METHOD: method})
         new = {name: self._settable(name).value(value) for name, value in given.items()}
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
@@ -133,8 +135,24 @@ class Scene:
             variants=variants,
             signals=signals | commands | moved,
             knots={name: signal for name, signal in self.knots.items() if name not in moved},
-            assumed=self.assumed if stop_time is None else "",
+            assumed={
+                what: note
+                for what, note in self.assumed.items()
+                if not (what == "stop time" and stop_time is not None or what == "method" and METHOD in new)
+            },
         )
+
+    def with_method(self) -> "Scene":
+        """The scene by the method `automatic`, if nothing asks for another one.
+
+        A scene does by naming one, by `solver.adaptive`, which only `i3alp` reads, or by a run to compare with that is called `automatic`; a
+        unit of one's own by its start value.
+        """
+        asks = METHOD in self.values or any(ADAPTIVE in run.values or run.label == "automatic" for run in self.variants)
+        if asks or self.start[METHOD] != self.variables[METHOD].items["i3alp"]:
+            return self
+        note = f"automatic: it has no '{METHOD}'"
+        return replace(self.replace(method="automatic"), assumed={**self.assumed, "method": note})
 
     def _settable(self, name: str) -> Variable:
         """The parameter or input of that name."""

@@ -50,10 +50,10 @@ class Content:
         self.overlays = list(_overlays(content, self.values, variables))
         """Labels and values of further runs."""
         self.signals: list[Signal] = signals.read(content.get(SIGNALS), variables)
-        self.assumed = ""
-        """Why the stop time is what it is, where the file has none."""
+        self.assumed: dict[str, str] = {}
+        """A note on the stop time, where the file has none."""
         if stop_time is None:
-            stop_time, self.assumed = _end(self.signals, variables)
+            stop_time, self.assumed["stop time"] = _end(self.signals, variables)
         self.stop_time = stop_time
         self.tip = tip_scenes.read(content, self.values, self.signals, variables)
         check_labels([method(self.values, variables), *(label for label, _ in self.overlays)])

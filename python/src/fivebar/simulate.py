@@ -36,7 +36,7 @@ def run(
     """
     check(on_failure)
     unit = shipped.unit() if fmu is None else fmu
-    ready = scenes.read(scene, of_unit(unit))
+    ready = scenes.read(scene, of_unit(unit)).with_method()
     directory = fmpy.extract(str(unit))
     runs: list[Run] = []
     refused = []

@@ -62,9 +62,9 @@ def lines(run: Run, events: list[Event]) -> list[str]:
     )
 
 
-def stop_note(scene: Scene) -> list[str]:
-    """A line on the stop time of a scene whose file has none, or none."""
-    return [_line(2, "stop time", scene.assumed)] if scene.assumed else []
+def assumed(scene: Scene) -> list[str]:
+    """Lines on what the scene does not say."""
+    return [_line(2, what, note) for what, note in scene.assumed.items()]
 
 
 def servo_note(run: Run, values: Mapping[str, Value]) -> list[str]:

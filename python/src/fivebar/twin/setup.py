@@ -14,8 +14,8 @@ CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
 """Start values with which a unit follows a machine."""
 
 MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.errorTolerance": 1e-6}
-"""automatic, where the scene has nothing else, at a hundredth of a step of a 16-bit encoder, rad: inputs change with every sample, which costs
-it less than i3alp, and leaves a two-hundredth of the error."""
+"""automatic, whatever method the scene's own runs have, at a hundredth of a step of a 16-bit encoder, rad, where the scene has no tolerance: inputs
+change with every sample, which costs it less than i3alp, and leaves a two-hundredth of the error."""
 
 
 EXACT: Final[dict[str, float | int | bool]] = {
@@ -79,7 +79,8 @@ def of_run(config: Config, scene: Scene, guid: str) -> Setup:
         for i in (1, 2)
         for name, value in (("quantum", machine.quantum), ("sigma", machine.sigma))
     }
-    values = MOTION | scene.values | CORRECTOR | encoders | {"estimator.horizon": config.horizon} | config.twin
+    own = {name: value for name, value in scene.values.items() if name != "solver.method"}
+    values = MOTION | own | CORRECTOR | encoders | {"estimator.horizon": config.horizon} | config.twin
     step = values.get("solver.stepSize", 1e-3)
     return Setup(guid, scene, values, config.period, float(step), config.horizon)
 

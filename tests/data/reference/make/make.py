@@ -170,9 +170,10 @@ def enumeration_items() -> dict[str, dict[str, int]]:
 
 
 def own_values(scene: str) -> dict[str, float | bool | str | dict]:
-    """Values that the scene sets; enumerations by the names of their items, and its signals."""
+    """Values that the scene sets; enumerations by the names of their items, and its signals. How it is solved is no part of its motion."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
-    own = {name: value for name, value in content.items() if name in {"signals", *start_values()}}
+    known = {"signals", *start_values()}
+    own = {name: value for name, value in content.items() if name in known and not name.startswith("solver.")}
     items = enumeration_items()
     for name, value in own.items():
         if value not in items.get(name, ()) and name != "signals" and not isinstance(value, (bool, int, float)):
