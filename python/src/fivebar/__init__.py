@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from fivebar.errors import FiveBarError, StepFailed, UnitError
     from fivebar.inputs import Inputs
     from fivebar.instance import State, Unit
+    from fivebar.many import Given, Reduce
     from fivebar.own_unit import Naming
     from fivebar.result import Result
     from fivebar.scene import Scene
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["FiveBarError", "State", "StepFailed", "Unit", "UnitError", "run", "scenes", "unit"]
+__all__ = ["FiveBarError", "State", "StepFailed", "Unit", "UnitError", "run", "run_many", "scenes", "unit"]
 
 # The packages that compute and draw are loaded by what needs them: the command line answers at once.
 _MODULES = {
@@ -129,3 +130,53 @@ def run(
 
     ready = scenes.read(scene).replace(values, method=method, stop_time=stop_time, step_size=step_size, inputs=inputs)
     return simulate.run(ready, outputs=outputs or (), on_failure=on_failure)
+
+
+def run_many(
+    scene: "Given | Iterable[Given]",
+    values: "Sequence[Mapping[str, Any]] | None" = None,
+    *,
+    method: str | None = None,
+    stop_time: float | None = None,
+    step_size: float | None = None,
+    outputs: "str | Iterable[str] | None" = None,
+    inputs: "Inputs | None" = None,
+    on_failure: "OnFailure" = "raise",
+    reduce: "Reduce | None" = None,
+    processes: int | None = None,
+    progress: bool = True,
+) -> list[Any]:
+    """Runs a scene with many start values, or many scenes, on the processors of this machine, and returns a list of results in their order.
+
+    A script calls it below `if __name__ == "__main__":`, for each process imports the script.
+
+    Parameters
+    ----------
+    scene
+        A scene as `run` takes it, or a list of scenes.
+    values
+        A dict of start values for each run; with a list of scenes as many.
+    method, stop_time, step_size, outputs, inputs
+        As for `run`, the same for all runs. Inputs that differ go into the scenes: `scene.replace(inputs=...)`.
+    on_failure
+        `"raise"`: the first run that fails ends all, with its `StepFailed` or the FiveBarError of a start that is refused. `"return"`: the list has this
+        error in the place of the result.
+    reduce
+        A function of a module, called with each result in the process that has it; the list has what it returns.
+    processes
+        How many processes, as many as there are processors unless given; with 1 all runs are in this process.
+    progress
+        Whether a line on standard error says how many runs are done.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> masses = [{"link[1].mass": mass} for mass in (0.01, 0.02)]
+    >>> light, heavy = fivebar.run_many("swing", masses, stop_time=0.1, processes=1, progress=False)
+    >>> heavy.own.parameters["link[1].mass"]
+    0.02
+    """
+    from fivebar import many
+
+    changes = {"method": method, "stop_time": stop_time, "step_size": step_size, "inputs": inputs}
+    return many.run_many(scene, values, changes, outputs or (), reduce, on_failure, processes, progress)

@@ -1,11 +1,14 @@
 """Runs a scene through FMPy."""
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import fmpy
+from fmpy.model_description import ModelDescription
 
 from fivebar import scene as scenes
 from fivebar import shipped
@@ -21,7 +24,7 @@ OnFailure = Literal["raise", "return"]
 
 
 def run(
-    scene: str | Path | Scene,
+    scene: str | Path | Mapping[str, Any] | Scene,
     fmu: Path | None = None,
     overlays: bool = False,
     progress: Callable[[str, float], Progress] | None = None,
@@ -36,33 +39,63 @@ def run(
     """
     check(on_failure)
     unit = shipped.unit() if fmu is None else fmu
-    ready = scenes.read(scene, of_unit(unit)).with_method()
+    ready = scenes.read(scene, of_unit(unit))
+    with extracted(unit) as directory:
+        result = run_in(directory, ready, overlays, progress, outputs)
+    if on_failure == "raise" and (failure := failed(result)):
+        raise failure
+    return result
+
+
+@contextmanager
+def extracted(unit: Path) -> Iterator[str]:
+    """The folder in which a unit is extracted, as long as it is needed."""
     directory = fmpy.extract(str(unit))
-    runs: list[Run] = []
-    refused = []
     try:
-        model = fmpy.read_model_description(directory, validate=False)
-        known = ["time", *(v.name for v in computed(model)), *ready.signals]
-        wanted = [outputs] if isinstance(outputs, str) else list(outputs)
-        written = {"time", *chosen(wanted, known)} if wanted else set(known)
-        read = written.union(chosen(READ, known))
-        for variant in ready.variants if overlays else ready.variants[:1]:
-            line = progress(f"{ready.name} ({variant.label})", ready.stop_time) if progress else None
-            try:
-                runs.append(drive(model, directory, ready, variant, line, read))
-            except StartRefused as sentence:
-                if not runs:
-                    raise
-                refused.append(f"{variant.label} did not start: {sentence}")
+        yield directory
     finally:
         shutil.rmtree(directory, ignore_errors=True)
-    result = Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
-    if result.failure is not None and on_failure == "raise":
-        raise StepFailed(
-            f"{ready.name} ended early, after t = {result.time[-1]:g} s of {ready.stop_time:g} s: {result.failure}",
-            result,
-        )
-    return result
+
+
+def run_in(
+    directory: str,
+    scene: Scene,
+    overlays: bool = False,
+    progress: Callable[[str, float], Progress] | None = None,
+    outputs: str | Iterable[str] = (),
+) -> Result:
+    """Runs a scene by the unit in a folder, also to an early end."""
+    ready = scene.with_method()
+    runs: list[Run] = []
+    refused = []
+    model = _model(directory)
+    known = ["time", *(v.name for v in computed(model)), *ready.signals]
+    wanted = [outputs] if isinstance(outputs, str) else list(outputs)
+    written = {"time", *chosen(wanted, known)} if wanted else set(known)
+    read = written.union(chosen(READ, known))
+    for variant in ready.variants if overlays else ready.variants[:1]:
+        line = progress(f"{ready.name} ({variant.label})", ready.stop_time) if progress else None
+        try:
+            runs.append(drive(model, directory, ready, variant, line, read))
+        except StartRefused as sentence:
+            if not runs:
+                raise
+            refused.append(f"{variant.label} did not start: {sentence}")
+    return Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
+
+
+# A process that runs many scenes reads it once; it takes as long as some runs.
+@lru_cache(maxsize=1)
+def _model(directory: str) -> ModelDescription:
+    return fmpy.read_model_description(directory, validate=False)
+
+
+def failed(result: Result) -> StepFailed | None:
+    """The failure of a run that ended early."""
+    if result.failure is None:
+        return None
+    end = f"after t = {result.time[-1]:g} s of {result.own.stop_time:g} s"
+    return StepFailed(f"{result.scene.name} ended early, {end}: {result.failure}", result)
 
 
 def check(on_failure: str) -> None:

@@ -1,0 +1,110 @@
+"""Many runs on the processors of this machine."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from fivebar import scene as scenes
+from fivebar import shipped, simulate
+from fivebar.errors import FiveBarError, StepFailed
+from fivebar.progress import Line
+from fivebar.result import Result
+from fivebar.scene import Scene
+from fivebar.simulate import OnFailure
+
+MOST_PROCESSES = 61
+"""Processes that a pool may have on Windows."""
+
+Given = str | Path | Mapping[str, Any] | Scene
+Reduce = Callable[[Result], Any]
+Outcome = tuple[int, FiveBarError | None, Any]
+"""The number of a run, why it has no whole result, and its result."""
+
+
+def run_many(
+    given: Given | Iterable[Given],
+    values: Sequence[Mapping[str, Any]] | None,
+    changes: Mapping[str, Any],
+    outputs: str | Iterable[str] = (),
+    reduce: Reduce | None = None,
+    on_failure: OnFailure = "raise",
+    processes: int | None = None,
+    progress: bool = True,
+) -> list[Any]:
+    """See `fivebar.run_many`; `changes` are the other arguments of `Scene.replace`."""
+    simulate.check(on_failure)
+    if processes is not None and not processes >= 1:
+        raise FiveBarError(f"'processes' is {processes}; at least 1 is needed")
+    ready = _scenes(given, values, changes)
+    columns = [outputs] if isinstance(outputs, str) else list(outputs)
+    found: list[Any] = [None] * len(ready)
+    line, count = Line(), min(processes or _processors(), len(ready), MOST_PROCESSES)
+    try:
+        with simulate.extracted(shipped.unit()) as directory:
+            tasks = [(number, directory, scene, columns, reduce) for number, scene in enumerate(ready)]
+            outcomes = map(_run, tasks) if count <= 1 else _in_processes(tasks, count)
+            for done, (number, failure, result) in enumerate(outcomes, 1):
+                if failure is not None and on_failure == "raise":
+                    raise failure
+                found[number] = result if failure is None else failure
+                if progress and (line.terminal or 10 * done // len(ready) > 10 * (done - 1) // len(ready)):
+                    line.show(f"{done} of {len(ready)} runs")
+    finally:
+        line.finish()
+    return found
+
+
+def _scenes(
+    given: Given | Iterable[Given], values: Sequence[Mapping[str, Any]] | None, changes: Mapping[str, Any]
+) -> list[Scene]:
+    """A scene for each run, ready to be sent to a process."""
+    one = isinstance(given, (str, Path, Mapping, Scene))
+    bases = [scenes.read(given)] if one else [scenes.read(each) for each in given]  # type: ignore[union-attr,arg-type]
+    told = [{}] * len(bases) if values is None else list(values)
+    if one:
+        bases *= len(told)
+    if len(bases) != len(told):
+        raise FiveBarError(f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or as many, are needed")
+    ready = []
+    for number, (base, own) in enumerate(zip(bases, told)):
+        try:
+            ready.append(base.replace(own, **changes))
+        except FiveBarError as error:
+            raise FiveBarError(f"run {number}: {error}") from None
+    return ready
+
+
+def _run(task: tuple[int, str, Scene, list[str], Reduce | None]) -> Outcome:
+    """A run, in whichever process."""
+    number, directory, scene, outputs, reduce = task
+    try:
+        result = simulate.run_in(directory, scene, outputs=outputs)
+    except FiveBarError as error:
+        return number, FiveBarError(f"run {number}: {error}"), None
+    if (failure := simulate.failed(result)) is not None:
+        return number, StepFailed(f"run {number}: {failure}", result), None
+    return number, None, result if reduce is None else reduce(result)
+
+
+def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]], count: int) -> Iterator[Outcome]:
+    """Outcomes as they come. Processes are not forked: threads of other libraries would not go on in a copy."""
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+        try:
+            for future in as_completed([pool.submit(_run, task) for task in tasks]):
+                yield future.result()
+        except BrokenProcessPool:
+            raise FiveBarError(
+                "the processes ended before their runs: a script calls run_many below `if __name__ == \"__main__\":`, and `reduce` is a "
+                "function of a module that they can import; processes=1 runs all in this process"
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
