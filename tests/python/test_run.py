@@ -314,7 +314,11 @@ def test_a_scene_that_names_no_method_runs_by_automatic(fmu: Path, tmp_path: Pat
     assert plain.own.parameters["solver.method"] == METHODS["automatic"] and plain.own.label == "automatic"
     note = "  method                      automatic: it has no 'solver.method'\n"
     assert note in plain.summary() and note in run(fmu, tmp_path, made_scene({}, 0.01), "--no-pictures").stdout
-    chosen: dict[str, dict[str, Any]] = {"dop853": {"method": "dop853"}, "rk4": {"solver.method": "rk4"}, "i3alp": {"solver.adaptive": False}}
+    chosen: dict[str, dict[str, Any]] = {
+        "dop853": {"method": "dop853"},
+        "rk4": {"solver.method": "rk4"},
+        "i3alp": {"solver.adaptive": False},
+    }
     for name, given in chosen.items():
         other = fivebar.run("swing", stop_time=0.01, **given)
         assert other.own.parameters["solver.method"] == METHODS[name] and "automatic" not in other.summary()

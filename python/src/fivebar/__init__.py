@@ -1,10 +1,15 @@
 """The planar five-bar: its unit FiveBar.fmu, runs of scenes, pictures, kinematics, workspace, and a live twin.
 
+Examples
+--------
 >>> import fivebar
 >>> fall = fivebar.run("fall_90_120", method="automatic")
->>> fall["tip.x"][-1], fall.units["tip.x"]
+>>> fall
+<fivebar.Result of fall_90_120 by automatic: ... columns at 2001 communication points, 0 to 2 s>
+>>> fall["tip.x"].shape, fall.units["tip.x"]
+((2001,), 'm')
 >>> fall.plot("tip.x", "tip.y").savefig("tip.png")
->>> fall.animate()
+>>> page = fall.animate("fall.html")
 """
 
 from pathlib import Path
@@ -16,6 +21,7 @@ if TYPE_CHECKING:
     from fivebar.errors import FiveBarError, StepFailed, UnitError
     from fivebar.inputs import Inputs
     from fivebar.instance import State, Unit
+    from fivebar.kinematics import Machine
     from fivebar.many import Given, Reduce
     from fivebar.own_unit import Naming
     from fivebar.result import Result
@@ -25,11 +31,27 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["FiveBarError", "State", "StepFailed", "Unit", "UnitError", "run", "run_many", "scenes", "unit"]
+__all__ = [
+    "FiveBarError",
+    "Machine",
+    "Result",
+    "Scene",
+    "State",
+    "StepFailed",
+    "Unit",
+    "UnitError",
+    "run",
+    "run_many",
+    "scenes",
+    "unit",
+]
 
 # The packages that compute and draw are loaded by what needs them: the command line answers at once.
 _MODULES = {
     "FiveBarError": "errors",
+    "Machine": "kinematics",
+    "Result": "result",
+    "Scene": "scene",
     "State": "instance",
     "StepFailed": "errors",
     "Unit": "instance",
@@ -49,6 +71,11 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(f"fivebar.{_MODULES[name]}"), name)
 
 
+def __dir__() -> list[str]:
+    """Names that notebooks complete."""
+    return sorted({*globals(), *__all__})
+
+
 def unit(
     scene: "str | Path | Mapping[str, Any] | Scene | None" = None,
     name: str | None = None,
@@ -57,12 +84,31 @@ def unit(
 ) -> Path:
     """The path of the shipped .fmu, for any FMI 2.0 master; in a checkout that which `cargo xtask package` has packed.
 
-    With a scene, a name or `naming="flat"` the path of a unit that is written for them, to `folder` or the current one: its start values,
-    experiment and description are the scene's.
+    With an argument it is the path of a unit that is written for it.
 
-    >>> fivebar.unit("my_machine.json", name="MyMachine", folder="units")
+    Parameters
+    ----------
+    scene
+        Start values, experiment and description of the unit: a scene as `run` takes it.
+    name
+        Name of the unit; unless given FiveBar, or that of the scene in CamelCase.
+    naming
+        `"flat"` for masters that make buses of `tip.x` and `tau[1]`.
+    folder
+        Where it is written, the current folder unless given.
 
-    Raises FiveBarError, a ValueError, if there is none, or what is given is refused.
+    Raises
+    ------
+    FiveBarError
+        If there is none, or what is given is refused.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> fivebar.unit().name
+    'FiveBar.fmu'
+    >>> fivebar.unit("swing", folder="units").name
+    'Swing.fmu'
     """
     from fivebar import shipped
 
@@ -76,7 +122,14 @@ def unit(
 
 
 def scenes() -> dict[str, str]:
-    """The shipped scenes: name to description."""
+    """The shipped scenes: name to description.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> fivebar.scenes()["fall_90_120"]
+    'Free fall from an asymmetric start, ...'
+    """
     from fivebar import shipped
 
     return shipped.descriptions()
@@ -123,7 +176,11 @@ def run(
     --------
     >>> import fivebar
     >>> heavy = fivebar.run("swing", stop_time=0.5, **{"link[1].mass": 0.02, "viscous.enabled": True})
-    >>> pushed = fivebar.run("flat_table", stop_time=1, inputs={"tau[1]": ([0, 1], [0, 0.01])})
+    >>> heavy.own.parameters["link[1].mass"], float(heavy.time[-1])
+    (0.02, 0.5)
+    >>> pushed = fivebar.run("flat_table", stop_time=1, inputs={"tau[2]": ([0, 1], [0, 0.01])})
+    >>> float(pushed["tau[2]"][500])
+    0.005
     """
     from fivebar import scene as scenes
     from fivebar import simulate

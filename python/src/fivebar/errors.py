@@ -15,7 +15,18 @@ class UnitError(FiveBarError):
 
 
 class StepFailed(UnitError):
-    """A step that the unit could not make: it is discarded, and the unit is as before. `result` is that of the run up to then, if there is a run."""
+    """A step that the unit could not make: it is discarded, and the unit is as before. `result` is that of the run up to then, if there is a run.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> hopeless = {"tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 3}
+    >>> try:
+    ...     fivebar.run("swing", **hopeless)
+    ... except fivebar.StepFailed as failure:
+    ...     print(failure.result.time[-1] < 0.1)
+    True
+    """
 
     def __init__(self, sentence: str, result: "Result | None" = None):
         super().__init__(sentence)

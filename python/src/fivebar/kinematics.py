@@ -11,7 +11,7 @@ has the tip to the left of the arrow from the left to the right elbow.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,7 +131,18 @@ def sines(theta: ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class Machine:
-    """Lengths of a planar five-bar mechanism with its motors on the x axis, m."""
+    """Lengths of a planar five-bar mechanism with its motors on the x axis, m.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> robot = fivebar.Machine.from_scene("pick_and_place")
+    >>> posture = robot.inverse((0.05, 0.3), working=("minus", "plus"))
+    >>> posture.theta.shape
+    (4,)
+    >>> robot.forward(posture.motors, "plus").tip.round(12).tolist()
+    [0.05, 0.3]
+    """
 
     distance: float
     """Distance of the motors; 0 is a machine with coaxial motors."""
@@ -157,12 +168,12 @@ class Machine:
         return cls(distance, (l1, l2, l3, l4))
 
     @classmethod
-    def from_scene(cls, scene: "str | Path | Scene") -> "Machine":
-        """The machine of a scene, by its name, its file, or read already."""
+    def from_scene(cls, scene: "str | Path | Mapping[str, Any] | Scene") -> "Machine":
+        """The machine of a scene, as `fivebar.run` takes one."""
         # Scenes in the tip's coordinates need kinematics to be read.
         from fivebar import scene as scenes
 
-        read = scenes.read(scene) if isinstance(scene, (str, Path)) else scene
+        read = scenes.read(scene)
         return cls.from_values({name: float(read[name]) for name in GEOMETRY})
 
     @property

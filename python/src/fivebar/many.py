@@ -68,7 +68,9 @@ def _scenes(
     if one:
         bases *= len(told)
     if len(bases) != len(told):
-        raise FiveBarError(f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or as many, are needed")
+        raise FiveBarError(
+            f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or as many, are needed"
+        )
     ready = []
     for number, (base, own) in enumerate(zip(bases, told)):
         try:
@@ -98,7 +100,7 @@ def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]],
                 yield future.result()
         except BrokenProcessPool:
             raise FiveBarError(
-                "the processes ended before their runs: a script calls run_many below `if __name__ == \"__main__\":`, and `reduce` is a "
+                'the processes ended before their runs: a script calls run_many below `if __name__ == "__main__":`, and `reduce` is a '
                 "function of a module that they can import; processes=1 runs all in this process"
             ) from None
         finally:

@@ -44,6 +44,16 @@ class Result(dict[str, np.ndarray]):
 
     `result["tip.x"]` is a column, (n,); `pandas.DataFrame(result)` and `dict(result)` have all of them. Two results are equal only if they
     are the same object.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> fall = fivebar.run("end_stops", stop_time=0.5)
+    >>> fall["tip.x"].shape, fall.units["tip.x"], fall.descriptions["tip.x"]
+    ((501,), 'm', 'Position of the tip, x')
+    >>> import pandas
+    >>> float(pandas.DataFrame(fall)["time"].max())
+    0.5
     """
 
     scene: Scene
@@ -131,14 +141,33 @@ class Result(dict[str, np.ndarray]):
     def events(self) -> list[events.Row]:
         """Table of all that the run met, with `time`, `event` and `where`: singularities, stops, the plane, what sticks and slips.
 
-        `pandas.DataFrame(result.events)` is a frame of it.
+        Examples
+        --------
+        >>> import fivebar, pandas
+        >>> fall = fivebar.run("end_stops", stop_time=0.35)
+        >>> for row in fall.events:
+        ...     print(f"{row.time:.3f} s: {row.event}, {row.where}")
+        0.170 s: direct, crossed: distal links stretched
+        0.339 s: stop reached, right motor, stop.upper[2]
+        0.346 s: stop reached, left motor, stop.lower[1]
+        >>> list(pandas.DataFrame(fall.events).columns)
+        ['time', 'event', 'where']
         """
         return events.find(self.own, self.singularities)
 
     def between(self, begin: float, end: float) -> "Result":
         """The result from `begin` to `end`, s, both included, at the communication points that there are.
 
-        Raises FiveBarError if there are none.
+        Raises
+        ------
+        FiveBarError
+            If there are none.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> fivebar.run("swing", stop_time=0.5).between(0.1, 0.2).time[[0, -1]].tolist()
+        [0.1, 0.2]
         """
         # Times are multiples of the step, as numbers in a call are not always.
         margin = 1e-9 * self.own.step_size
@@ -189,6 +218,13 @@ class Result(dict[str, np.ndarray]):
         """The columns `outputs` as a frame whose index is the time, s; `attrs` has `units` and `descriptions` by name.
 
         Needs pandas, of the extra `data`.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> frame = fivebar.run("swing", stop_time=0.1, outputs=("tip.x", "tip.y")).to_dataframe()
+        >>> frame.shape, frame.index.name, frame.attrs["units"]["tip.x"]
+        ((101, 2), 'time', 'm')
         """
         extras.need("data", "pandas")
         import pandas
@@ -205,6 +241,13 @@ class Result(dict[str, np.ndarray]):
         """The columns `outputs` over the time, each with `units` and `description`; an enumeration also with its items, as CF has them.
 
         Needs xarray, of the extra `data`.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> data = fivebar.run("swing", stop_time=0.1).to_xarray()
+        >>> data["tip.x"].attrs
+        {'units': 'm', 'description': 'Position of the tip, x'}
         """
         extras.need("data", "xarray")
         import xarray

@@ -106,11 +106,31 @@ class Scene:
         inputs: Inputs | None = None,
         **more: Any,
     ) -> "Scene":
-        """The scene with another method, stop time, step, s, inputs or start values, which are checked as those of a file are.
+        """The scene with another method, stop time, step, inputs or start values, which are checked as those of a file are.
 
-        Start values go by the variable's name, as a dictionary or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items.
-        `inputs` stand in the place of signals and values that the scene gives them (`fivebar.inputs.Inputs`). A run that the scene is
-        compared with keeps what it changes itself.
+        Parameters
+        ----------
+        values, **more
+            Start values by the variable's name, as a dict or as `**{"link[1].mass": 0.02}`; enumerations by the names of their items. A run
+            that the scene is compared with keeps what it changes itself.
+        method
+            An item of `solver.method`.
+        stop_time, step_size
+            How long the scene is followed, and from one communication point to the next, s.
+        inputs
+            In the place of signals and values that the scene gives them, as for `fivebar.run`.
+
+        Raises
+        ------
+        FiveBarError
+            If a name or value is refused.
+
+        Examples
+        --------
+        >>> from fivebar.scene import read
+        >>> short = read("swing").replace({"link[1].mass": 0.02}, stop_time=0.5, inputs={"tau[1]": 0.01})
+        >>> short["link[1].mass"], short.stop_time, short.signals["tau[1]"][:2].tolist()
+        (0.02, 0.5, [0.01, 0.01])
         """
         given = {**(values or {}), **more} | ({} if method is None else {METHOD: method})
         new = {name: self._settable(name).value(value) for name, value in given.items()}
