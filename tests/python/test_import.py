@@ -11,8 +11,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fivebar import scene as scenes
 from fivebar import simulate
 from fivebar.commands import main
+from fivebar.kinematics import Machine as Kinematics
+from fivebar.statics import holding_torques
 from fivebar.twin import recording
 from fivebar.twin.calibrate import data
 from fivebar.twin.config import Config, Machine
@@ -289,6 +292,133 @@ def test_a_record_is_calibrated_and_played(tmp_path: Path, fmu: Path) -> None:
     assert figures["series"] == 1 and max(figures["residuals_rad"]["encoder"]) < 1e-7
 
 
+# --- what a recording says twice -----------------------------------------------------------------------------------------------------
+
+LENGTHS = {
+    "base.distance": 0.1,
+    "link[1].length": 0.11,
+    "link[2].length": 0.16,
+    "link[3].length": 0.18,
+    "link[4].length": 0.09,
+}
+ALIKE = {
+    "base.distance": 0.085,
+    "link[1].length": 0.1,
+    "link[2].length": 0.165,
+    "link[3].length": 0.165,
+    "link[4].length": 0.1,
+}
+MOTION = np.column_stack(
+    [
+        2.2 + 0.5 * np.sin(3 * GRID) + 0.2 * np.sin(7.1 * GRID),
+        0.8 + 0.4 * np.sin(4.3 * GRID + 1) - 0.2 * np.cos(2.2 * GRID),
+    ]
+)
+"""Angles of the motors: both all over the place, neither a function of the other."""
+
+STEP = 2 * np.pi / 8192
+
+
+def machine_file(folder: Path, lengths: dict[str, float]) -> Path:
+    """A scene of a machine that begins where `MOTION` does."""
+    start = {f"init.theta[{i + 1}]": float(MOTION[0, i]) for i in (0, 1)}
+    masses = {f"link[{i}].{what}": x for i in range(1, 5) for what, x in (("com", 0.04), ("inertia", 2e-5))}
+    file = folder / "machine.json"
+    file.write_text(json.dumps({"description": "A machine"} | lengths | start | masses), encoding="utf-8")
+    return file
+
+
+def guessed(
+    tmp_path: Path, table: Path, lengths: dict[str, float], text: Any, **entries: Any
+) -> tuple[str, recording.Recording]:
+    """What the command prints with --guess, and the recording by the map that it proposes."""
+    given, scene = write_map(tmp_path, **entries), machine_file(tmp_path, lengths)
+    record = ["-o", str(tmp_path / "record.csv")]
+    assert main(["import", str(table), "--map", str(given), "--guess", str(scene), *record]) == 0
+    out = text.readouterr().out
+    if "the map may stay as it is" not in out:
+        given.write_text(out.partition("proposed map:")[2].partition("\n\nwritten:")[0], encoding="utf-8")
+    return out, assemble.recorded([table], maps.read(given))[0]
+
+
+@pytest.mark.parametrize("told_by", ["passive", "tip", "torque", "commands"])
+def test_an_exchange_signs_and_zeros_are_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], told_by: str
+) -> None:
+    """Encoders exchanged, the left one reversed, both with zeros anywhere: the map that is proposed gives the true angles."""
+    machine = scenes.read(machine_file(tmp_path, LENGTHS))
+    posture = Kinematics.from_scene(machine).forward(MOTION)
+    left, right = np.round((1.3 - MOTION[:, 0]) / STEP) * STEP, np.round((MOTION[:, 1] - 0.7) / STEP) * STEP
+    columns = {
+        "passive": posture.theta[:, 1:3],
+        "tip": posture.tip,
+        "torque": holding_torques(machine, posture.theta),
+        "commands": MOTION + 0.01 * np.sin(40 * GRID)[:, None],
+    }[told_by]
+    file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, right, left, *columns.T)
+    names = {"passive": "passive.theta[{}]", "torque": "tau[{}]", "commands": "servo.theta[{}]"}.get(told_by)
+    pair = [names.format(1), names.format(2)] if names else ["tip.x", "tip.y"]
+    more = {name: {"column": column} for name, column in zip(pair, "xy", strict=True)}
+    out, found = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **more)
+    assert "encoders exchanged and left angle reversed (" in out and "not told" not in out
+    # Half a step of rounding, and 1 mrad for zeros: steps of 0.8 mrad and commands that are followed to 7 mrad have means over 400 samples that are ten times
+    # better.
+    for name, column in zip(("measured.theta[1]", "measured.theta[2]"), MOTION.T, strict=True):
+        assert found.columns[name] == pytest.approx(column, abs=STEP + 1e-3)
+
+
+def test_what_the_record_cannot_tell_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A machine of equal legs and its mirror image have the same angles; encoders alone tell no zeros."""
+    posture = Kinematics.from_values(ALIKE).forward(MOTION)
+    relative = posture.theta[:, 1:3] - posture.theta[:, [0, 3]]
+    file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, *MOTION.T, *relative.T)
+    encoders = {"t1": {"column": "a"}, "t2": {"column": "b"}}
+    passive = {f"passive.theta[{i}]": {"column": c, "relative": True} for i, c in ((1, "x"), (2, "y"))}
+    out, found = guessed(tmp_path, file, ALIKE, capsys, **encoders, **passive)
+    assert "the map may stay as it is" in out and found.columns["measured.theta[1]"].tolist() == MOTION[:, 0].tolist()
+    mirrored = "encoders exchanged and left angle reversed and right angle reversed"
+    assert f"not told apart from encoders as in the map: {mirrored}" in out
+    out, _ = guessed(tmp_path, file, ALIKE, capsys, **encoders)
+    assert (
+        out.count("its zero is not told") == 2
+        and "the reach of the machine: encoders as in the map (0 of the samples)" in out
+    )
+
+
+def test_distal_links_and_turns_are_put_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Distal links exchanged and one reversed, an encoder a turn off."""
+    posture = Kinematics.from_values(LENGTHS).forward(MOTION)
+    columns = [MOTION[:, 0] - 2 * np.pi, MOTION[:, 1], 0.3 - posture.theta[:, 2], posture.theta[:, 1]]
+    file = write_csv(tmp_path / "a.csv", "time,a,b,x,y", GRID, *columns)
+    passive = {f"passive.theta[{i}]": {"column": c} for i, c in ((1, "x"), (2, "y"))}
+    _, found = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **passive)
+    # An offset is printed with six digits.
+    assert found.columns["measured.theta[1]"] == pytest.approx(MOTION[:, 0], abs=1e-6)
+    for i in (1, 2):
+        apart = found.columns[f"passive.theta[{i}]"] - posture.theta[:, i]
+        assert np.exp(1j * apart) == pytest.approx(1.0, abs=2e-6)
+
+
+def test_evidence_of_another_machine_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Distal links of a machine twice as wide, and commands that nothing follows: the map stays."""
+    posture = Kinematics.from_values(LENGTHS | {"link[2].length": 0.3, "link[3].length": 0.3}).forward(MOTION)
+    commands = np.column_stack([np.sin(11 * GRID), np.cos(13 * GRID)])
+    file = write_csv(tmp_path / "a.csv", "time,a,b,x,y,c,d", GRID, *MOTION.T, *posture.theta[:, 1:3].T, *commands.T)
+    names = [f"{name}.theta[{i}]" for name in ("passive", "servo") for i in (1, 2)]
+    more = {name: {"column": column} for name, column in zip(names, "xycd", strict=True)}
+    out, _ = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **more)
+    assert out.count("this is left out") == 2 and out.count("its zero is not told") == 2
+    assert "the map may stay as it is" in out
+
+
+def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_csv(tmp_path / "a.csv", "time,theta[1]", GRID, LEFT)
+    words = ["--guess", str(machine_file(tmp_path, ALIKE)), "-o", str(tmp_path / "record.csv")]
+    assert main(["import", str(file), *words]) == 2
+    assert capsys.readouterr().err == "fivebar import: the map has no measured.theta[2]; a guess needs both encoders\n"
+    assert not (tmp_path / "record.csv").exists()
+
+
 # --- what is refused ------------------------------------------------------------------------------------------------------------------
 
 
@@ -383,3 +513,22 @@ def test_the_haptic_pantograph_of_others(tmp_path: Path, recordings: Path) -> No
     for each in quality.measure(found):
         assert each.step == pytest.approx(3.14e-4, rel=1e-3) and each.period == pytest.approx(0.01, rel=1e-3)
         assert each.lost == 4 and each.noise == 0.0
+
+
+def test_zeros_of_the_pantograph_are_found(
+    tmp_path: Path, recordings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its distal links, from a map without them: 147 and 33 degrees, as its authors have them."""
+    raw = {name: {"column": f"/joint_states/joint{i}/position"} for i, name in ((1, "t1"), (2, "t2"))}
+    passive = {
+        f"passive.theta[{i}]": {"column": f"/joint_states/joint{i + 2}/position", "relative": True} for i in (1, 2)
+    }
+    scene = tmp_path / "machine.json"
+    start = {"init.theta[1]": 2.5, "init.theta[2]": 0.6}
+    scene.write_text(json.dumps({"description": "Pantograph"} | ALIKE | start), encoding="utf-8")
+    words = ["--map", str(write_map(tmp_path, **raw, **passive)), "--guess", str(scene), "-o", str(tmp_path / "r.csv")]
+    assert main(["import", str(recordings / "haptic_pantograph"), *words]) == 0
+    proposed = json.loads(capsys.readouterr().out.partition("proposed map:")[2].partition("\n\nwritten:")[0])
+    # 1.2 and 1.3 mrad off, with standard deviations of as much: its distal angles are a cycle late.
+    assert proposed["measured.theta[1]"]["offset"] == pytest.approx(np.radians(147), abs=5e-3)
+    assert proposed["measured.theta[2]"]["offset"] == pytest.approx(np.radians(33), abs=5e-3)

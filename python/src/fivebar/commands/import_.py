@@ -12,8 +12,11 @@ from fivebar.commands import options
 @click.option(
     "--map", "map_file", type=options.FILE, metavar="MAP", help="Which column is which: JSON (docs/recordings.md)."
 )
+@click.option(
+    "--guess", "scene", metavar="SCENE|FILE", help="Propose signs, exchanges and zeros of the map for this machine."
+)
 @click.option("--record", "-o", type=options.FILE, required=True, metavar="RECORD", help="The table to write, .csv.")
-def import_(files: tuple[Path, ...], map_file: Path | None, record: Path) -> int:
+def import_(files: tuple[Path, ...], map_file: Path | None, scene: str | None, record: Path) -> int:
     """Bring in a recording of a real machine.
 
     FILE is a table (CSV with or without a head, or Parquet) or a bag of ROS; several are series of one machine. RECORD is what `calibrate`, `validate` and `twin --csv` read.
@@ -26,4 +29,4 @@ def import_(files: tuple[Path, ...], map_file: Path | None, record: Path) -> int
     options.need("calibrate")
     from fivebar.twin.importing import command
 
-    return command.run(files, map_file, record)
+    return command.run(files, map_file, scene, record)

@@ -6,25 +6,25 @@ from typing import Final
 
 from fivebar.errors import FiveBarError
 from fivebar.twin.calibrate import data
-from fivebar.twin.importing import assemble, maps, quality
+from fivebar.twin.importing import assemble, guess, maps, quality
 from fivebar.twin.recording import Recording
 
 SHOWN: Final = 5
 """Gaps that are listed, at most."""
 
 
-def run(files: Sequence[Path], map_file: Path | None, record: Path) -> int:
-    """Writes the record and prints what it has; 0."""
+def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record: Path) -> int:
+    """Writes the record, prints what it has, and what it tells of the map by a scene; 0."""
     if record.suffix.lower() != ".csv":
         raise FiveBarError(
             f"the record is {record}; a name that ends in .csv is needed, a table that all commands read"
         )
     given = maps.read(map_file) if map_file else maps.Map()
     found, used = assemble.recorded(files, given)
-    figures = quality.measure(found)
+    lines = [*_summary(found, used, quality.measure(found)), *(guess.lines(found, used, scene) if scene else [])]
     record.parent.mkdir(parents=True, exist_ok=True)
     assemble.write(found, record)
-    print("\n".join(_summary(found, used, figures)))
+    print("\n".join(lines))
     print(f"\nwritten: {record}")
     return 0
 

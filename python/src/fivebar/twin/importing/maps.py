@@ -62,7 +62,7 @@ class Entry:
     relative: bool = False
     """Whether a distal link's angle counts from its proximal link."""
 
-    def content(self, name: str) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
         """As a map has it: what differs from what is taken without it."""
         found: dict[str, Any] = {"column": self.column}
         for key in KEYS[1:]:
@@ -96,7 +96,8 @@ class Map:
 
     def content(self) -> dict[str, Any]:
         """As JSON has it."""
-        return {name: entry.content(name) for name, entry in {TIME: self.time, **self.entries}.items()}
+        time = {} if self.time == Entry(TIME) else {TIME: self.time}
+        return {name: entry.content() for name, entry in (time | dict(self.entries)).items()}
 
     def text(self) -> str:
         """The JSON, with a line for each variable."""

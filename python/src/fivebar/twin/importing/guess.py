@@ -1,0 +1,75 @@
+"""`--guess SCENE`: the map that a recording itself proposes, and what it cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fivebar import scene as scenes
+from fivebar.errors import FiveBarError
+from fivebar.scene import Scene
+from fivebar.twin import redundancy
+from fivebar.twin.importing.maps import PASSIVE, Entry, Map
+from fivebar.twin.messages import MEASURED
+from fivebar.twin.recording import Recording
+from fivebar.twin.redundancy import ASSIGNMENTS, FLOOR, TURN, Verdict
+
+
+def lines(found: Recording, used: Map, given: str) -> list[str]:
+    """What the recording of a scene's machine tells of its map, with the map that it proposes."""
+    if missing := [name for name in MEASURED if name not in used.entries]:
+        raise FiveBarError(f"the map has no {missing[0]}; a guess needs both encoders")
+    scene = scenes.read(given)
+    relative = [name in used.entries and used.entries[name].relative for name in PASSIVE]
+    verdict = redundancy.weigh(found, scene, (relative[0], relative[1]))
+    told = [f"by the scene {scene.name}, whose lengths and assembly are taken as right:"]
+    for each in verdict.evidence:
+        order = sorted(range(len(each.fits)), key=lambda k: float(f"{each.fits[k].misfit:.3g}"))
+        best, next_ = (f"{ASSIGNMENTS[k].words()} ({each.fits[k].misfit:.3g} {each.unit})" for k in order[:2])
+        left_out = (
+            "" if each.is_believed else "; this is left out: is the machine the scene's, and moved by its drives?"
+        )
+        told.append(f"  {each.name}: {best} fits best, then {next_}{left_out}")
+    if others := [ASSIGNMENTS[k].words() for k in verdict.possible[1:]]:
+        told.append(f"  not told apart from {verdict.chosen.words()}: {'; '.join(others)}")
+    told += [f"  {sentence}" for sentence in _zeros(verdict)]
+    proposed = propose(found, used, scene, verdict)
+    if proposed == used:
+        return [*told, "the map may stay as it is"]
+    return [*told, "proposed map:", proposed.text()]
+
+
+def propose(found: Recording, used: Map, scene: Scene, verdict: Verdict) -> Map:
+    """The map with the columns, signs, zeros and turns that the recording tells."""
+    chosen = verdict.chosen
+    sources = MEASURED[::-1] if chosen.exchanged else MEASURED
+    entries: dict[str, Entry] = {}
+    for i, (name, source, sign) in enumerate(zip(MEASURED, sources, chosen.signs, strict=True)):
+        column = found.columns[source]
+        # A zero that is within its error as in the map stays.
+        zero = float(verdict.zeros[i]) if abs(verdict.zeros[i]) > 3 * verdict.sigma[i] else 0.0
+        first = sign * float(column[np.isfinite(column)][0]) + zero
+        turns = round((float(scene[f"init.theta[{i + 1}]"]) - first) / TURN)
+        entries[name] = _changed(used.entries[source], sign, zero + TURN * turns)
+    for name, leg in zip(PASSIVE, verdict.passive or (), strict=False):
+        entries[name] = _changed(
+            used.entries[PASSIVE[leg.column]], leg.sign, leg.zero if abs(leg.zero) > 2 * FLOOR else 0.0
+        )
+    return used.exchanged(entries)
+
+
+def _changed(entry: Entry, sign: int, zero: float) -> Entry:
+    """The entry of sign x value + zero."""
+    return replace(entry, sign=sign * entry.sign, offset=sign * entry.offset + zero)
+
+
+def _zeros(verdict: Verdict) -> list[str]:
+    """What is told of the zeros."""
+    found = []
+    for name, zero, sigma in zip(MEASURED, verdict.zeros, verdict.sigma, strict=True):
+        if np.isfinite(sigma):
+            found.append(
+                f"{name}: zero {zero:.4f} ± {sigma:.1g} rad beyond the map's, with lengths right to estimator.sigma0.length"
+            )
+        else:
+            found.append(f"{name}: its zero is not told")
+    return found

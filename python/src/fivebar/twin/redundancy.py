@@ -1,0 +1,389 @@
+"""What a recording says twice: which encoder is left, which way it counts and where its zero is, weighed against all that depends on it.
+
+An `Assignment` exchanges the encoders or not, and reverses each or not. A kind of evidence (angles of the distal links, a tracked tip, commands,
+torques at rest, the reach of the machine) gives each assignment a misfit, after it has fitted the zeros that it can tell. The scene's lengths, its
+assembly, commands and torques are taken as right.
+"""
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from itertools import product
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from fivebar.kinematics import Machine, Sign
+from fivebar.scene import Scene
+from fivebar.statics import holding_torques
+from fivebar.twin.importing.maps import PASSIVE
+from fivebar.twin.messages import MEASURED, TRACKED
+from fivebar.twin.recording import Array, Recording
+
+TURN: Final = 2 * np.pi
+
+SAMPLES: Final = 60
+"""Samples of the coarse search, and ten times as many of the fit: postures all over the record."""
+
+COARSE: Final = 36
+"""Zeros that are tried for each encoder: every 10 degrees, a tenth of what keeps a fit in its valley."""
+
+STARTS: Final = 4
+"""Best coarse zeros from which a fit begins."""
+
+CLOSES: Final = 0.98
+"""Share of the samples that have to close: outliers do not."""
+
+ALIKE: Final = 2.0
+"""Ratio of misfits up to which two assignments fit alike."""
+
+FLOOR: Final = 5e-4
+"""Misfit, rad, below which all assignments fit: encoders have steps of as much."""
+
+WORST: Final = 0.01
+"""Misfit, rad, of a machine that is not the scene's: zeros make up for most of what wrong lengths do, and lengths that are a quarter off leave this."""
+
+UNLIKE: Final = 0.5
+"""Misfit, in shares of what varies, that is no likeness."""
+
+MOVES: Final = 0.05
+"""rad: less motion of a command tells nothing."""
+
+SURE: Final = 0.02
+"""rad: a zero with a larger standard deviation is not told."""
+
+CLOSED_OFF: Final = 1.0
+"""Residual, rad, of a posture that does not close."""
+
+
+Residuals = Callable[["_Loop", Array, Array], Array]
+"""Residuals (..., n, m) of a loop's motor angles (..., n, 2) at n samples; NaN if a posture does not close."""
+
+
+class Assignment(NamedTuple):
+    """Which encoder is the left one, and which way each counts: angles are sign x (the encoder's) + zero."""
+
+    exchanged: bool
+    signs: tuple[int, int]
+    """Of the left and the right angle."""
+
+    def angles(self, encoders: Array) -> Array:
+        """Angles of the motors, rad, (n, 2), before zeros are added."""
+        ordered = encoders[:, ::-1] if self.exchanged else encoders
+        return np.asarray(ordered * np.array(self.signs))
+
+    def words(self) -> str:
+        """In a sentence."""
+        reversed_ = [side for side, sign in zip(("left", "right"), self.signs, strict=True) if sign < 0]
+        words = (["encoders exchanged"] if self.exchanged else []) + [f"{side} angle reversed" for side in reversed_]
+        return " and ".join(words) or "encoders as in the map"
+
+
+ASSIGNMENTS: Final = tuple(
+    Assignment(exchanged, (left, right)) for exchanged, left, right in product((False, True), (1, -1), (1, -1))
+)
+"""The first one is that of the map."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How an assignment fits a kind of evidence."""
+
+    misfit: float
+    """rms, in the unit of the evidence; inf if the machine cannot be so."""
+
+    zeros: Array
+    """To be added to the angles, rad, (2)."""
+
+    sigma: Array
+    """Standard deviations of the zeros, rad, (2), with errors of lengths of `estimator.sigma0.length`; inf if they are not told."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A kind of evidence."""
+
+    name: str
+    unit: str
+    """Of the misfits."""
+
+    fits: tuple[Fit, ...]
+    """In the order of `ASSIGNMENTS`."""
+
+    floor: float
+    """Misfit below which an assignment fits in any case."""
+
+    most: float
+    """Misfit of the best assignment above which the evidence is of another machine, or of one that is moved by hand."""
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether any assignment fits."""
+        return min(fit.misfit for fit in self.fits) <= self.most
+
+    def fitting(self) -> frozenset[int]:
+        """Assignments that fit about as well as the best one."""
+        best = min(fit.misfit for fit in self.fits)
+        most = max(ALIKE * best, self.floor)
+        return frozenset(k for k, fit in enumerate(self.fits) if np.isfinite(fit.misfit) and fit.misfit <= most)
+
+
+@dataclass(frozen=True)
+class Passive:
+    """The angle of a distal link: which column, which way it counts, and its zero."""
+
+    column: int
+    """Index in `maps.PASSIVE`."""
+
+    sign: int
+    zero: float
+    """rad."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a recording tells."""
+
+    evidence: tuple[Evidence, ...]
+    possible: tuple[int, ...]
+    """Indices of assignments that nothing contradicts, the chosen one first."""
+
+    zeros: Array
+    """Of the chosen assignment, rad, (2); 0 if they are not told."""
+
+    sigma: Array
+    """Their standard deviations, rad, (2); inf if they are not told."""
+
+    passive: tuple[Passive, Passive] | None
+    """Left and right distal link, if both were recorded and fit."""
+
+    @property
+    def chosen(self) -> Assignment:
+        """The assignment that is proposed: that of the map, if it is possible."""
+        return ASSIGNMENTS[self.possible[0]]
+
+
+def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, False)) -> Verdict:
+    """What a recording with both encoders tells about them. `relative`: which angles of distal links have the proximal encoder's added."""
+    loop = _Loop(given, scene, relative)
+    evidence = []
+    if loop.passive is not None:
+        evidence.append(loop.closure("angles of the distal links", "rad", _Loop.passive_residuals))
+    if loop.tip is not None:
+        evidence.append(loop.closure("the tracked tip", "of a link's length", _Loop.tip_residuals))
+    if loop.weighs:
+        evidence.append(loop.closure("torques at rest", "of their variation", _Loop.torque_residuals, 0.1, UNLIKE))
+    if loop.commands is not None:
+        evidence.append(loop.commanded())
+    # Other evidence finds zeros, with which all is within reach.
+    evidence = evidence or [loop.reach()]
+    possible = frozenset(range(len(ASSIGNMENTS)))
+    believed = [each for each in evidence if each.is_believed]
+    for each in believed:
+        # Evidence that contradicts all that is left is worth less than what came before.
+        possible = possible & each.fitting() or possible
+    order = tuple(sorted(possible))
+    zeros, sigma = np.zeros(2), np.full(2, np.inf)
+    for each in believed:
+        fit = each.fits[order[0]]
+        better = (fit.sigma < SURE) & ~np.isfinite(sigma)
+        zeros, sigma = np.where(better, fit.zeros, zeros), np.where(better, fit.sigma, sigma)
+    passive = loop.legs(ASSIGNMENTS[order[0]], zeros) if loop.passive is not None and evidence[0].is_believed else None
+    return Verdict(tuple(evidence), order, zeros, sigma, passive)
+
+
+class _Loop:
+    """The machine's loop at samples of a recording."""
+
+    def __init__(self, given: Recording, scene: Scene, relative: tuple[bool, bool]):
+        self.scene, self.machine = scene, Machine.from_scene(scene)
+        self.sigma_length = float(scene["estimator.sigma0.length"])
+        self.side: Sign = "plus" if int(scene["init.assembly"]) == 1 else "minus"
+        columns = given.columns
+        encoders = np.column_stack([columns[name] for name in MEASURED])
+        known = np.flatnonzero(np.isfinite(encoders).all(axis=1))
+        self.known = known[np.linspace(0, len(known) - 1, min(len(known), 10 * SAMPLES)).astype(int)]
+        self.encoders = encoders[self.known]
+        self.rates = self._rates(given, encoders)
+
+        def taken(names: tuple[str, ...]) -> Array | None:
+            if not all(name in columns and np.isfinite(columns[name]).any() for name in names):
+                return None
+            return np.column_stack([columns[name][self.known] for name in names])
+
+        self.passive, self.tip = taken(PASSIVE), taken(TRACKED)
+        if self.passive is not None:
+            self.passive = self.passive - np.where(relative, self.encoders, 0.0)
+        self.relative = np.array(relative)
+        self.torques = taken(("tau[1]", "tau[2]"))
+        commands = taken(("servo.theta[1]", "servo.theta[2]"))
+        self.commands = commands if commands is not None and np.all(np.ptp(commands, axis=0) > MOVES) else None
+        self.weighs = (
+            bool(scene["gravity.enabled"])
+            and self.torques is not None
+            and bool(np.all(np.std(self.torques, axis=0) > 0))
+        )
+
+    def _rates(self, given: Recording, encoders: Array) -> Array:
+        """How fast the faster encoder moves at the samples, rad/s."""
+        ends = np.clip(np.stack([self.known - 1, self.known + 1]), 0, len(given.time) - 1)
+        apart = np.abs(encoders[ends[1]] - encoders[ends[0]]).max(axis=1)
+        return np.asarray(
+            np.nan_to_num(apart / np.maximum(given.time[ends[1]] - given.time[ends[0]], 1e-9), nan=np.inf)
+        )
+
+    def postures(self, motors: Array) -> tuple[Array, Array, Array]:
+        """Which motor angles (..., 2) close, link angles (..., 4) and tip (..., 2); NaN if they do not."""
+        l1, l2, l3, l4 = self.machine.lengths
+        left, right = (length * np.exp(1j * motors[..., i]) for i, length in ((0, l1), (1, l4)))
+        apart = np.abs(right + self.machine.distance - left)
+        closes = (apart < l2 + l3) & (apart > max(abs(l2 - l3), 1e-6 * (l2 + l3)))
+        theta, tip = np.full((*motors.shape[:-1], 4), np.nan), np.full(motors.shape, np.nan)
+        if closes.any():
+            found = self.machine.forward(motors[closes], self.side)
+            theta[closes], tip[closes] = found.theta, found.tip
+        return closes, theta, tip
+
+    def longer(self) -> "list[_Loop]":
+        """Loops with one length each that is longer by its standard deviation."""
+        values = [self.machine.distance, *self.machine.lengths]
+        loops = []
+        for k in range(len(values)):
+            distance, l1, l2, l3, l4 = (x + self.sigma_length * (i == k) for i, x in enumerate(values))
+            loop = copy(self)
+            loop.machine = Machine(distance, (l1, l2, l3, l4))
+            loops.append(loop)
+        return loops
+
+    # Residuals
+
+    def passive_residuals(self, motors: Array, rows: Array) -> Array:
+        """Angles of the distal links, best way round, less their means: their zeros are free."""
+        _, theta, _ = self.postures(motors)
+        found = self._legs(theta, rows)
+        swapped = np.sum(found[1] ** 2, axis=(-2, -1)) < np.sum(found[0] ** 2, axis=(-2, -1))
+        return np.where(swapped[..., None, None], found[1], found[0])
+
+    def _legs(self, theta: Array, rows: Array) -> tuple[Array, Array]:
+        """Residuals of both legs with the columns as they are and exchanged, each by its better sign."""
+        assert self.passive is not None
+        found = []
+        for order in ((0, 1), (1, 0)):
+            legs = []
+            for leg, column in enumerate(order):
+                model = theta[..., 1 + leg] - (theta[..., 3 * leg] if self.relative[column] else 0.0)
+                either = [_wrapped_about_mean(model - sign * self.passive[rows, column]) for sign in (1, -1)]
+                one, other = (np.nan_to_num(np.sum(each**2, axis=-1), nan=np.inf) for each in either)
+                legs.append(np.where((one <= other)[..., None], *either))
+            found.append(np.stack(legs, axis=-1))
+        return found[0], found[1]
+
+    def tip_residuals(self, motors: Array, rows: Array) -> Array:
+        """Tip, in radians of the machine's mean length."""
+        assert self.tip is not None
+        return np.asarray((self.postures(motors)[2] - self.tip[rows]) / np.mean(self.machine.lengths))
+
+    def torque_residuals(self, motors: Array, rows: Array) -> Array:
+        """Torques less those that carry the weight, in shares of what they vary by. Only slow samples count."""
+        assert self.torques is not None
+        closes, theta, _ = self.postures(motors)
+        found = np.full(motors.shape, np.nan)
+        regular = closes & (np.abs(np.sin(theta[..., 2] - theta[..., 1])) > 0.05)
+        found[regular] = holding_torques(self.scene, theta[regular])
+        spread = np.std(self.torques, axis=0)
+        off = np.clip((found - self.torques[rows]) / spread, -3.0, 3.0)
+        slow = self.rates[rows] <= np.quantile(self.rates, 0.3)
+        return np.where(slow[:, None] | np.isnan(off), off, 0.0)
+
+    # Kinds of evidence
+
+    def reach(self) -> Evidence:
+        """Whether the samples close with the zeros of the map. A misfit is the share that does not."""
+        shares = [1 - float(np.mean(self.postures(each.angles(self.encoders))[0])) for each in ASSIGNMENTS]
+        untold = np.zeros(2), np.full(2, np.inf)
+        return Evidence(
+            "the reach of the machine",
+            "of the samples",
+            tuple(Fit(share, *untold) for share in shares),
+            1 - CLOSES,
+            UNLIKE,
+        )
+
+    def closure(
+        self, name: str, unit: str, residuals: Residuals, floor: float = FLOOR, most: float = WORST
+    ) -> Evidence:
+        """Evidence by which zeros are found: on a grid, then by a fit from the best ones, and from those of the map."""
+        fits = tuple(self._fit(assignment.angles(self.encoders), residuals) for assignment in ASSIGNMENTS)
+        return Evidence(name, unit, fits, floor, most)
+
+    def _fit(self, motors: Array, residuals: Residuals) -> Fit:
+        few = np.linspace(0, len(motors) - 1, min(len(motors), SAMPLES)).astype(int)
+        every = np.arange(len(motors))
+        line = np.arange(COARSE) * TURN / COARSE
+        grid = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+        coarse = residuals(self, motors[few] + grid[:, None, :], few)
+        shut = np.asarray(np.isnan(coarse).any(axis=-1))
+        cost = np.nanmean(np.where(shut[..., None], CLOSED_OFF, coarse) ** 2, axis=(-2, -1)) + shut.mean(axis=-1)
+
+        def of(zeros: Array, loop: "_Loop" = self) -> Array:
+            return np.asarray(np.nan_to_num(residuals(loop, (motors + zeros)[None], every)[0], nan=CLOSED_OFF).ravel())
+
+        best = Fit(np.inf, np.zeros(2), np.full(2, np.inf))
+        for start in (np.zeros(2), *grid[np.argsort(cost)[:STARTS]]):
+            found = optimize.least_squares(of, start, loss="soft_l1", f_scale=0.05)
+            if self.postures(motors + found.x)[0].mean() < CLOSES:
+                continue
+            misfit = float(np.sqrt(np.mean(of(found.x) ** 2)))
+            # Zeros of the map are kept unless others are clearly better.
+            if misfit < 0.99 * best.misfit:
+                jacobian = np.asarray(found.jac)
+                normal = jacobian.T @ jacobian
+                sigma = np.full(2, np.inf)
+                if np.linalg.cond(normal) < 1e12:
+                    # Zeros make up for lengths that are a little wrong: a share of the misfit would be far too small an error.
+                    lengths = [of(found.x, loop) - of(found.x) for loop in self.longer()]
+                    moved = np.linalg.solve(normal, jacobian.T @ np.column_stack(lengths))
+                    sigma = np.sqrt(misfit**2 * np.diag(np.linalg.inv(normal)) + np.sum(moved**2, axis=1))
+                best = Fit(misfit, found.x - TURN * np.round(found.x / TURN), sigma)
+        return best
+
+    def commanded(self) -> Evidence:
+        """Whether angles follow their commands; zeros are those of the commands."""
+        assert self.commands is not None
+        fits = []
+        spread = np.std(self.commands, axis=0)
+        for assignment in ASSIGNMENTS:
+            apart = self.commands - assignment.angles(self.encoders)
+            about = np.angle(np.mean(np.exp(1j * apart), axis=0))
+            off = _wrapped(apart - about)
+            sigma = np.std(off, axis=0)
+            fits.append(Fit(float(np.sqrt(np.mean((off / spread) ** 2))), about, sigma))
+        return Evidence("commands", "of their variation", tuple(fits), 0.05, UNLIKE)
+
+    def legs(self, assignment: Assignment, zeros: Array) -> tuple[Passive, Passive]:
+        """Which column is which distal link, its sign and its zero."""
+        assert self.passive is not None
+        _, theta, _ = self.postures(assignment.angles(self.encoders) + zeros)
+        straight, crossed = (float(np.nanmean(each**2)) for each in self._legs(theta[None], np.arange(len(theta))))
+        legs = []
+        for leg, column in enumerate((1, 0) if crossed < 0.99 * straight else (0, 1)):
+            model = theta[:, 1 + leg] - (theta[:, 3 * leg] if self.relative[column] else 0.0)
+            apart = {sign: model - sign * self.passive[:, column] for sign in (1, -1)}
+            sign = min(apart, key=lambda sign: float(np.nanmean(_wrapped_about_mean(apart[sign]) ** 2)))
+            legs.append(Passive(column, sign, float(np.angle(np.nanmean(np.exp(1j * apart[sign]))))))
+        return legs[0], legs[1]
+
+
+def _wrapped(angle: Array) -> Array:
+    """Angles in [-pi, pi], rad."""
+    return np.asarray(angle - TURN * np.round(angle / TURN))
+
+
+def _wrapped_about_mean(angle: Array) -> Array:
+    """Angles (..., n) less their mean on the circle, rad."""
+    with np.errstate(invalid="ignore"):
+        turned = np.exp(1j * angle)
+        known = np.isfinite(turned)
+        mean = np.angle(np.sum(np.where(known, turned, 0.0), axis=-1, keepdims=True))
+        return _wrapped(angle - mean)
