@@ -242,9 +242,13 @@ def test_a_recording_takes_the_place_of_any_machine(tmp_path: Path, fmu: Path, s
     run = started(tmp_path / "out", fmu, scenes, "--machine", "none", "--csv", str(file), "--seconds", "inf")
     text = run.communicate(timeout=PATIENCE)[0]
     assert run.returncode == 0, text
-    samples = json.loads((tmp_path / "out" / "summary.json").read_text())["samples"]
+    content = json.loads((tmp_path / "out" / "summary.json").read_text())
+    samples, part = content["samples"], content["held_out"]
     # Every communication point of 1.6 s, each ms.
     assert samples["published"] == samples["estimated"] == samples["followed"] == 1601 and samples["lost"] == 0, text
+    # A third of 1,600 ms is held out.
+    assert part["samples"] == part["innovations"]["count"] == 534 and part["innovations"]["coverage95"] > 0.9, text
+    assert "last command" in text and "not judged: forecasts 0.5 s ahead: 0 end in the held-out part" in text
 
 
 def test_samples_of_any_machine_are_counted(

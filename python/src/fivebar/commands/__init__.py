@@ -28,6 +28,7 @@ from fivebar.commands import (
     soak,
     twin,
     unit,
+    validate,
     what_if,
 )
 from fivebar.errors import FiveBarError, MachineWarning
@@ -42,6 +43,7 @@ COMMANDS = (
     twin.twin,
     replay.replay,
     import_.import_,
+    validate.validate,
     calibrate.calibrate,
     ensemble.ensemble,
     what_if.what_if,

@@ -3,7 +3,7 @@
 import itertools
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from fivebar.twin import record, scene
 from fivebar.twin.config import Config
-from fivebar.twin.forecast import RADIUS, covariance, half_width
-from fivebar.twin.messages import MEASURED, TRACKED, topic
+from fivebar.twin.forecast import ANGLES, RADIUS, covariance, half_width
+from fivebar.twin.messages import MEASURED, SERVOS, TRACKED, topic
 from fivebar.twin.turn import TURN
 from fivebar.twin.watch import Histogram
 
@@ -26,8 +26,11 @@ ESTIMATES: Final = (
     "estimated.tau[1]",
     "estimated.tau[2]",
     "estimated.status",
+    "estimated.innovation[1]",
+    "estimated.innovation[2]",
+    "theta[1]",
+    "theta[2]",
 )
-
 
 COVERED: Final = 0.9
 """Share of the tips that forecasts have inside their 95 % circles at the horizon, in whatever scene: docs/pipeline.md promises it."""
@@ -67,6 +70,10 @@ class Table:
     def __getitem__(self, name: str) -> np.ndarray:
         return np.frombuffer(self.columns[name]) if len(self) else np.empty(0)
 
+    def all(self) -> dict[str, np.ndarray]:
+        """Every column by its name."""
+        return {name: self[name] for name in self.names}
+
     def __len__(self) -> int:
         return len(self.columns[self.names[0]])
 
@@ -85,9 +92,12 @@ class Story:
     """Series from a record: times in s after its first message."""
 
     origin: int = 0
-    measured: Table = field(default_factory=lambda: Table(("time", *TRACKED)))
-    estimated: Table = field(default_factory=lambda: Table(("time", *ESTIMATES, "band")))
-    forecasts: Table = field(default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", "half_width", "last")))
+    measured: Table = field(default_factory=lambda: Table(("time", *MEASURED, *SERVOS, *TRACKED)))
+    estimated: Table = field(default_factory=lambda: Table(("time", "sample", *ESTIMATES, "band")))
+    """`sample` is the time of the newest sample."""
+    forecasts: Table = field(
+        default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", *ANGLES, "half_width", "last"))
+    )
     alarms: list[tuple[float, str, str]] = field(default_factory=list)
     """Time, s, state and cause: the name that the twin has for it, or else the watch's."""
     gaps: "list[Gap]" = field(default_factory=list)
@@ -118,9 +128,11 @@ def read(file: Path) -> Story:
                 story.measured.add({"time": time} | fields)
                 waiting[message.seq] = fields
         elif message.kind == "est":
-            story.used |= {entry[1] for entry in message.extra["inputs"] if entry[0] == "meas"}
+            taken = [entry for entry in message.extra["inputs"] if entry[0] == "meas"]
+            story.used |= {entry[1] for entry in taken}
+            sample = 1e-9 * (taken[-1][2] - story.origin) if taken else math.nan
             band = half_width(covariance(fields)) if "estimated.tip.cov[1]" in fields else math.nan
-            story.estimated.add({"time": time, "band": band} | fields)
+            story.estimated.add({"time": time, "sample": sample, "band": band} | fields)
             seen = waiting.pop(message.seq, {})
             story.followed += all(
                 abs(math.remainder(seen[name] - fields[name.removeprefix("measured.")], TURN)) < NEAR
@@ -148,7 +160,9 @@ def _forecast(story: Story, extra: dict[str, Any], time: float) -> None:
     count = len(path["ahead"])
     for i, ahead in enumerate(path["ahead"]):
         row = {"time": time, "ahead": ahead, "tip.x": path["tip.x"][i], "tip.y": path["tip.y"][i]}
-        story.forecasts.add(row | {"half_width": path[RADIUS][i], "last": float(i == count - 1)})
+        # Records of earlier versions have no angles.
+        angles = {name: path[name][i] for name in ANGLES if name in path}
+        story.forecasts.add(row | angles | {"half_width": path[RADIUS][i], "last": float(i == count - 1)})
 
 
 @dataclass
@@ -165,6 +179,24 @@ class Judged:
     """1 where the tip was in the circle, 0 where not."""
 
 
+FEWEST_SEEN: Final = 4
+"""Samples between which a spline is laid at least."""
+
+
+def between(time: np.ndarray, seen: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """What was seen at rising times as a function of time, by a spline: NaN across a gap of more than five usual distances, and beyond the ends."""
+    spline = CubicSpline(time, seen)
+    widest = 5 * float(np.median(np.diff(time)))
+
+    def at_times(at: np.ndarray) -> np.ndarray:
+        values: np.ndarray = spline(at)
+        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+        values[(at < time[0]) | (at > time[-1]) | (time[after] - time[after - 1] > widest)] = np.nan
+        return values
+
+    return at_times
+
+
 def judge(story: Story) -> Judged:
     """Compares with a tracker's tip, by a spline between its samples."""
     estimated, forecasts = story.estimated, story.forecasts
@@ -173,19 +205,9 @@ def judge(story: Story) -> Judged:
     time = story.measured["time"][order]
     seen = np.column_stack([story.measured[name][order] for name in TRACKED])
     usable = np.isfinite(seen).all(axis=1) & (np.diff(time, prepend=-np.inf) > 0)
-    if usable.sum() < 4:
+    if usable.sum() < FEWEST_SEEN:
         return nothing
-    time, seen = time[usable], seen[usable]
-    spline = CubicSpline(time, seen)
-    widest = 5 * float(np.median(np.diff(time)))
-
-    def truth(at: np.ndarray) -> np.ndarray:
-        values = spline(at)
-        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        # Across a gap, and beyond the ends, nobody knows.
-        unknown = (at < time[0]) | (at > time[-1]) | (time[after] - time[after - 1] > widest)
-        values[unknown] = np.nan
-        return values
+    truth = between(time[usable], seen[usable])
 
     def tip(table: Table) -> np.ndarray:
         return np.column_stack([table[name] for name in TRACKED])
@@ -205,7 +227,7 @@ def causes(alarms: list[tuple[float, str, str]]) -> list[str]:
     ]
 
 
-def _or_none(value: float, digits: int = 6) -> float | None:
+def or_none(value: float, digits: int = 6) -> float | None:
     """For JSON, which has no NaN."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
@@ -247,10 +269,10 @@ def summarise(
     for ahead in np.unique(np.round(story.forecasts["ahead"], 6)):
         here = np.isclose(story.forecasts["ahead"], ahead)
         by_ahead[f"{ahead:g}"] = {
-            "coverage95": _or_none(_mean(judged.inside[here])),
-            "halfwidth_mm": _or_none(1e3 * float(np.median(story.forecasts["half_width"][here]))),
-            "error_mm": _or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
-            "error_median_mm": _or_none(1e3 * _median(judged.ahead_error[here])),
+            "coverage95": or_none(_mean(judged.inside[here])),
+            "halfwidth_mm": or_none(1e3 * float(np.median(story.forecasts["half_width"][here]))),
+            "error_mm": or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
+            "error_median_mm": or_none(1e3 * _median(judged.ahead_error[here])),
         }
     times = story.estimated["time"]
     # A state for a forecast at every so many samples that were estimated.
@@ -259,7 +281,7 @@ def summarise(
         "scene": scene.read(Path(config.scene)).name,
         "unit": config.unit,
         "broker": "amqtt, embedded" if config.broker.embedded else f"{config.broker.host}:{config.broker.port}",
-        "seconds": _or_none(float(times[-1] - times[0]) if len(times) else math.nan),
+        "seconds": or_none(float(times[-1] - times[0]) if len(times) else math.nan),
         "samples": {
             "published": published,
             "lost": max(0, published - taken),
@@ -273,13 +295,13 @@ def summarise(
             ),
         },
         "latency_ms": {
-            name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))
+            name: or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))
         },
         "tip_error_mm": {
-            "rms": _or_none(1e3 * math.sqrt(_mean(judged.error**2))) if len(error) else None,
-            "median": _or_none(1e3 * _median(error)),
-            "p95": _or_none(1e3 * float(np.quantile(error, 0.95))) if len(error) else None,
-            "max": _or_none(1e3 * float(error.max())) if len(error) else None,
+            "rms": or_none(1e3 * math.sqrt(_mean(judged.error**2))) if len(error) else None,
+            "median": or_none(1e3 * _median(error)),
+            "p95": or_none(1e3 * float(np.quantile(error, 0.95))) if len(error) else None,
+            "max": or_none(1e3 * float(error.max())) if len(error) else None,
         },
         "forecasts": {
             "count": story.sent,
@@ -287,10 +309,10 @@ def summarise(
             "due": due,
             "left_out": total("forecast", "left_out"),
             "ahead_s": config.horizon,
-            "coverage95": _or_none(_mean(judged.inside[last])),
+            "coverage95": or_none(_mean(judged.inside[last])),
             "halfwidth_mm": {
-                "median": _or_none(1e3 * float(np.median(story.forecasts["half_width"][last]))) if last.any() else None,
-                "p95": _or_none(1e3 * float(np.quantile(story.forecasts["half_width"][last], 0.95)))
+                "median": or_none(1e3 * float(np.median(story.forecasts["half_width"][last]))) if last.any() else None,
+                "p95": or_none(1e3 * float(np.quantile(story.forecasts["half_width"][last], 0.95)))
                 if last.any()
                 else None,
             },

@@ -38,7 +38,7 @@ ESTIMATED: Final = (
     *("tip.x", "tip.y", "tip.vx", "tip.vy", "tip.ax", "tip.ay", "mode.assembly"),
     *(f"estimated.{name}.sigma[{i}]" for name in ("theta", "omega") for i in LEGS),
     *(f"estimated.tip.cov[{i}]" for i in (1, 2, 3)),
-    *(f"estimated.{name}[{i}]" for name in ("tau", "tau.sigma") for i in LEGS),
+    *(f"estimated.{name}[{i}]" for name in ("tau", "tau.sigma", "innovation") for i in LEGS),
     *("estimated.nis", "estimated.alarm", "estimated.status", "estimated.cause", "estimated.cause.probability"),
 )
 """The fields of `est`."""

@@ -50,7 +50,7 @@ class Forecaster(Rider):
 
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
-        self.path = Reader(self.unit, ("tip.x", "tip.y", RADIUS))
+        self.path = Reader(self.unit, ("tip.x", "tip.y", RADIUS, *ANGLES))
         self.seen = Reader(self.unit, (*DETERMINANTS.values(), *ANGLES))
         self.probability = Reader(self.unit, (PROBABILITY,))
         self.stops: dict[str, tuple[str, float, float]] = {}

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar.scene_file import OFFSETS
-from fivebar.twin import priority, process, recording, scene
+from fivebar.twin import priority, process, recording, scene, setup
 from fivebar.twin.bus import Bus
 from fivebar.twin.config import Config, Faults, read_json
 from fivebar.twin.errors import TwinError
@@ -49,6 +49,7 @@ class StandIn:
         self.offsets = [float(secret.pop(name, 0.0)) for name in OFFSETS]
         """Angles that encoders show beyond the true ones, rad. The drives see what encoders show, and are told what these show by the scene."""
 
+        self.encoders = setup.encoders(config, self.scene)
         values = self.scene.values | secret
         for i, offset in enumerate(self.offsets, 1):
             for name in (f"init.theta[{i}]", f"servo.theta[{i}]"):
@@ -75,9 +76,10 @@ class StandIn:
         chance = random.Random(f"{machine.seed} {seq}")
         fields: dict[str, float] = {}
         for i, (name, offset) in enumerate(zip(MEASURED, self.offsets, strict=True), 1):
-            angle = truth[f"theta[{i}]"] + offset + (chance.gauss(0.0, machine.sigma) if machine.sigma else 0.0)
-            if machine.quantum:
-                angle = round(angle / machine.quantum) * machine.quantum
+            sigma, quantum = (self.encoders[f"estimator.{what}[{i}]"] for what in ("sigma", "quantum"))
+            angle = truth[f"theta[{i}]"] + offset + (chance.gauss(0.0, sigma) if sigma else 0.0)
+            if quantum:
+                angle = round(angle / quantum) * quantum
             if not machine.drop_outs or chance.random() >= machine.drop_outs:
                 fields[name] = angle
         self._move(told)

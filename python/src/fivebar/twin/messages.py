@@ -48,7 +48,9 @@ UNIT_NAME: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 SCHEMA_FILE: Final = Path(__file__).with_name("messages.schema.json")
 SCHEMA: Final[dict[str, Any]] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 
-INPUTS: Final = tuple(f"{name}[{i}]" for name in ("servo.theta", "servo.omega", "tau") for i in (1, 2))
+SERVOS: Final = ("servo.theta[1]", "servo.theta[2]")
+
+INPUTS: Final = (*SERVOS, *(f"{name}[{i}]" for name in ("servo.omega", "tau") for i in (1, 2)))
 """Commands of the drives: fields of `meas` that the twin hands to its unit."""
 
 MEASURED: Final = ("measured.theta[1]", "measured.theta[2]")

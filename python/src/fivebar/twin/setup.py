@@ -71,16 +71,22 @@ class Setup:
         return Message("setup", unit, time, 0, {}, content)
 
 
-def of_run(config: Config, scene: Scene, guid: str) -> Setup:
-    """The setup of a configured twin."""
+def encoders(config: Config, scene: Scene) -> dict[str, float]:
+    """Steps and noise of the encoders, rad, by their start values: those of the scene, or else of the configuration."""
     machine = config.machine
-    encoders = {
+    names = {
         f"estimator.{name}[{i}]": value
         for i in (1, 2)
         for name, value in (("quantum", machine.quantum), ("sigma", machine.sigma))
     }
+    return {name: float(scene.values.get(name, value)) for name, value in names.items()}
+
+
+def of_run(config: Config, scene: Scene, guid: str) -> Setup:
+    """The setup of a configured twin."""
     own = {name: value for name, value in scene.values.items() if name != "solver.method"}
-    values = MOTION | own | CORRECTOR | encoders | {"estimator.horizon": config.horizon} | config.twin
+    values = MOTION | own | CORRECTOR | encoders(config, scene) | {"estimator.horizon": config.horizon}
+    values |= config.twin
     step = values.get("solver.stepSize", 1e-3)
     return Setup(guid, scene, values, config.period, float(step), config.horizon)
 

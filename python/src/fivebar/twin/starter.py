@@ -428,7 +428,9 @@ def check_followed(config: Config, stand_in: bool) -> None:
                 pass
             machine.close()
         if sample is None:
-            return
+            raise TwinError(
+                f"{config.machine.csv} has no sample with both {MEASURED[0]} and {MEASURED[1]}: no twin can start"
+            )
         twin = Follower(library, setup.of_run(config, known, library.guid))
         twin.meas(sample)
         failure = twin.failure

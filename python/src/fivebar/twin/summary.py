@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from fivebar.colours import TIP
-from fivebar.twin import figures, handover, scene
+from fivebar.twin import figures, handover, held_out, scene
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.figures import Judged, Story
@@ -66,6 +66,7 @@ def write(
         return 1
     judged = figures.judge(story)
     content = figures.summarise(config, story, judged, status, restarts, troubles)
+    content["held_out"] = held_out.judge(config, story).content()
     pictures = {
         "tip": (_tip(story), "The tip, seen by a tracker and estimated"),
         "error": (_error(story, judged), "Error of the estimated tip, and the radius that holds it with 95 %"),
@@ -93,7 +94,9 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     summary = config.path / "summary.json"
     summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     page = config.path / "index.html"
-    page.write_text(_page(config, content, pictures), encoding="utf-8")
+    about = scene.read(Path(config.scene))
+    title = f"{about.name}: a run of the twin"
+    page.write_text(page_of(title, about.description, _cards(content), pictures, content), encoding="utf-8")
     made = []
     if learned := content["learned"]:
         made.append(config.path / LEARNED)
@@ -153,6 +156,7 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ("page", str(out / "index.html")),
     ):
         print(f"  {label:22} {text}")
+    print("\n".join(held_out.lines(content["held_out"])))
 
 
 def _gaps(gaps: list[dict[str, Any]]) -> str:
@@ -347,8 +351,10 @@ def _svg(figure: Figure) -> str:
     return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def _page(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]]) -> str:
-    about = scene.read(Path(config.scene))
+def page_of(
+    title: str, description: str, cards: str, pictures: dict[str, tuple[Figure, str]], content: dict[str, Any]
+) -> str:
+    """A self-contained page: cards, pictures with their captions, and all figures folded."""
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>"
         for name, value in _flat(content)
@@ -360,9 +366,9 @@ def _page(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     )
     page = TEMPLATE.read_text(encoding="utf-8")
     for name, value in (
-        ("{{title}}", html.escape(about.name)),
-        ("{{description}}", html.escape(about.description)),
-        ("{{cards}}", _cards(content)),
+        ("{{title}}", html.escape(title)),
+        ("{{description}}", html.escape(description)),
+        ("{{cards}}", cards),
         ("{{pictures}}", shown),
         ("{{rows}}", rows),
     ):
@@ -370,11 +376,13 @@ def _page(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
     return page
 
 
-def _cards(content: dict[str, Any]) -> str:
-    def card(value: float | None, digits: str, unit: str, label: str) -> str:
-        text = "–" if value is None else f"{value:{digits}}"
-        return f"<div><b>{text}<small> {html.escape(unit)}</small></b><span>{html.escape(label)}</span></div>"
+def card(value: float | None, digits: str, unit: str, label: str) -> str:
+    """A figure in front on a page."""
+    text = "–" if value is None else f"{value:{digits}}"
+    return f"<div><b>{text}<small> {html.escape(unit)}</small></b><span>{html.escape(label)}</span></div>"
 
+
+def _cards(content: dict[str, Any]) -> str:
     forecasts = content["forecasts"]
     covered = forecasts["coverage95"]
     return "".join(

@@ -1,0 +1,32 @@
+"""`fivebar validate`: how well the twin predicts a recording."""
+
+from pathlib import Path
+
+import click
+
+from fivebar.commands import options
+
+
+@click.command()
+@click.argument("record", type=options.FILE)
+@click.option(
+    "--scene", required=True, metavar="SCENE|FILE", help="The machine, and what is known of it and its encoders."
+)
+@options.fmu()
+@options.out("./validate/")
+def validate(record: Path, scene: str, fmu: Path | None, out: Path | None) -> int:
+    """Judge the twin on a recording of a machine.
+
+    RECORD is a table with time (s), measured.theta[1..2] (rad) and, as far as known, commands (servo.theta, servo.omega, tau) and the tip (tip.x, tip.y).
+    The twin follows it; its last third is held out: innovations, forecasts and their bands are judged there, beside predictors that know no mechanics.
+
+    \b
+    fivebar validate bench.csv --scene my_machine.json
+
+    Exit code 1 if less than 90 % are inside the 95 % bands, if forecasts of 0.1 s are worse than 1.2 times the best of the other predictors, or if the machine was not followed.
+    """
+    options.need("twin")
+    from fivebar import shipped
+    from fivebar.twin import validate as work
+
+    return work.run(work.Options(record, scene, fmu or shipped.unit(), out or Path("validate")))

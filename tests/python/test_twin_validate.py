@@ -1,0 +1,217 @@
+"""`fivebar validate`: predictions of a held-out part beside simple predictors, counted bands, promises and exit codes."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fivebar import table
+from fivebar.commands import main
+from fivebar.twin import figures, held_out, scene, setup
+from fivebar.twin.held_out import HeldOut
+from fivebar.twin.soak import configured, machine
+from fivebar.twin.unit import Library
+
+Columns = dict[str, np.ndarray]
+
+Judge = Callable[[Columns, object], tuple[int, dict]]
+"""Validates a record against a scene; exit code and content of `validation.json`."""
+
+
+@pytest.fixture(scope="module")
+def swing(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Columns:
+    """4.5 s of the stand-in: masses up to 5 % off, lengths 0.1 % and encoders 1 mrad, with friction that the twin does not know."""
+    library = Library(fmu)
+    source = machine(configured(tmp_path_factory.mktemp("machine"), fmu, library, "swing"), library)
+    samples = [source.next() for _ in range(900)]
+    source.close()
+    library.close()
+    columns = {name: np.array([sample.fields[name] for sample in samples]) for name in samples[0].fields}
+    return {"time": 1e-9 * np.array([sample.time - samples[0].time for sample in samples])} | columns
+
+
+@pytest.fixture
+def judge(fmu: Path, tmp_path: Path) -> Judge:
+    def run(columns: Columns, given: object) -> tuple[int, dict]:
+        table.write_columns(tmp_path / "record.csv", columns)
+        if isinstance(given, dict):
+            (tmp_path / "scene.json").write_text(json.dumps(given), encoding="utf-8")
+            given = tmp_path / "scene.json"
+        words = ["validate", str(tmp_path / "record.csv"), "--scene", str(given), "--fmu", str(fmu)]
+        code = main([*words, "--out", str(tmp_path / "out")])
+        return code, json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
+
+    return run
+
+
+def test_a_machine_that_is_the_scenes_is_predicted(
+    swing: Columns, judge: Judge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, content = judge(swing, "swing")
+    part = content["held_out"]
+    assert code == 0 and content["missed"] == [] and content["alarms"] == 0
+    assert (part["series"], part["samples"], content["samples"]["estimated"]) == (1, 300, 900)
+    # Without servos nothing leads the machine.
+    assert part["command_delay_s"] is None and part["not_judged"] == [
+        "the last command as a predictor: the record has no servo.theta[1] and servo.theta[2]",
+        "the drives: the record has no commands, and the twin takes all they do for unknown forces",
+    ]
+    assert list(part["forecasts"]) == ["0.1", "0.5"] and part["innovations"]["coverage95"] > 0.9
+    for given in part["forecasts"].values():
+        assert given["coverage95"] > 0.9 and list(given["others"]) == ["hold", "constant velocity"]
+        for i in range(2):
+            assert 5 * given["rms_mrad"][i] < min(other["rms_mrad"][i] for other in given["others"].values())
+    told = capsys.readouterr().out
+    assert "innovations" in told and "constant velocity" in told and "promise" not in told
+    written = {file.name for file in (tmp_path / "out").iterdir()}
+    assert written == {"validation.json", "index.html", "errors.png", "coverage.png"}
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2 and "<h1>swing: the twin judged by a recording</h1>" in page and "{{" not in page
+
+
+def test_lengths_that_are_a_tenth_off_are_seen_by_the_tip(
+    swing: Columns, judge: Judge, scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Motor angles alone hardly show them: forces that nobody knows make up for the motion."""
+    longer = json.loads((scenes / "swing.json").read_text(encoding="utf-8"))
+    longer |= {f"link[{i}].length": 0.231 for i in (1, 2, 3, 4)}
+    code, content = judge(swing, longer)
+    assert code == 1 and len(content["missed"]) == 1
+    assert "of the tips are inside the 95 % circles 0.5 s ahead; 90 % are promised" in content["missed"][0]
+    assert f"promise not kept: {content['missed'][0]}" in capsys.readouterr().out
+    blind = {name: column for name, column in swing.items() if not name.startswith("tip")}
+    code, content = judge(blind, longer)
+    assert code == 0 and content["tip_forecasts"] is None and content["tip_error_mm"]["rms"] is None
+    assert content["held_out"]["not_judged"][0] == "the tip, and with it the lengths: the record has no tip.x and tip.y"
+
+
+def test_series_are_judged_one_by_one(swing: Columns, judge: Judge) -> None:
+    """The last third of each; the twin begins anew with the second one."""
+    columns = {name: np.concatenate([column[:420], column[480:]]) for name, column in swing.items()}
+    columns["time"][420:] -= columns["time"][420]
+    code, content = judge(columns, "swing")
+    assert code == 0 and content["held_out"]["series"] == 2 and content["held_out"]["samples"] == 280
+    assert content["held_out"]["seconds"] == pytest.approx(2 * 419 * 0.005 / 3, rel=1e-5)
+
+
+def test_a_record_that_is_too_short_says_what_is_not_judged(swing: Columns, judge: Judge) -> None:
+    code, content = judge({name: column[:240] for name, column in swing.items()}, "swing")
+    assert code == 0
+    assert (
+        "forecasts 0.5 s ahead: 0 end in the held-out part; 20 or more are needed" in content["held_out"]["not_judged"]
+    )
+
+
+def test_what_cannot_be_followed_is_refused(
+    swing: Columns, fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "record.csv"
+    table.write_columns(file, {name: column for name, column in swing.items() if name != "measured.theta[2]"})
+    assert main(["validate", str(file), "--scene", "swing", "--fmu", str(fmu), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        "has no sample with both measured.theta[1] and measured.theta[2]: no twin can start" in capsys.readouterr().err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_encoders_of_a_scene_are_those_of_machine_and_twin(fmu: Path, scenes: Path, tmp_path: Path) -> None:
+    """They were those of the stand-in, whatever the scene said: a real encoder's steps were taken for 16 bits."""
+    coarse = 0.01
+    content = json.loads((scenes / "swing.json").read_text(encoding="utf-8")) | {"estimator.quantum[2]": coarse}
+    (tmp_path / "coarse.json").write_text(json.dumps(content), encoding="utf-8")
+    library = Library(fmu)
+    config = configured(tmp_path / "run", fmu, library, tmp_path / "coarse.json")
+    values = setup.of_run(config, scene.read(Path(config.scene)), library.guid).values
+    assert (values["estimator.quantum[1]"], values["estimator.quantum[2]"]) == (config.machine.quantum, coarse)
+    source = machine(config, library)
+    steps = [source.next().fields["measured.theta[2]"] / coarse for _ in range(50)]
+    assert steps == pytest.approx(np.round(steps)) and len(set(np.round(steps))) > 1
+    source.close()
+    library.close()
+
+
+# --- figures of made records ---------------------------------------------------------------------------------------------------------
+
+PERIOD, SIGMA, OFF = 0.005, 1e-3, 0.2
+
+
+def made(angle: Callable[[np.ndarray], np.ndarray], commands: bool = False) -> figures.Story:
+    """A story of 12 s whose forecasts err as their bands say; commands lead the angles by `OFF` s."""
+    chance, story = np.random.default_rng(1), figures.Story()
+    time = PERIOD * np.arange(2400)
+    for t in time.tolist():
+        sample = {"measured.theta[1]": float(angle(t)), "measured.theta[2]": float(-angle(t))}
+        told = {"servo.theta[1]": float(angle(t + OFF)), "servo.theta[2]": float(-angle(t + OFF)) - 2 * math.pi}
+        story.measured.add({"time": t} | sample | (told if commands else {}))
+        errors = chance.normal(size=2)
+        fields = {"theta[1]": float(angle(t)) + 2 * math.pi, "theta[2]": float(-angle(t))}
+        fields |= {f"estimated.innovation[{i}]": SIGMA * errors[i - 1] for i in (1, 2)}
+        story.estimated.add({"time": t + 1e-3, "sample": t, "estimated.nis": float(errors @ errors)} | fields)
+        for k in range(1, 11):
+            at = t + 1e-3 + 0.05 * k
+            row = {"time": t + 1e-3, "ahead": 0.05 * k, "last": float(k == 10)}
+            off = SIGMA * chance.normal(size=2)
+            row |= {"theta[1]": float(angle(at)) + 2 * math.pi + off[0], "theta[2]": float(-angle(at)) + off[1]}
+            story.forecasts.add(row | {f"estimated.theta.sigma[{i}]": SIGMA for i in (1, 2)})
+    return story
+
+
+def judged(story: figures.Story, tmp_path: Path, fmu: Path) -> HeldOut:
+    library = Library(fmu)
+    config = configured(tmp_path / "run", fmu, library, "swing")
+    library.close()
+    return held_out.judge(config, story)
+
+
+def test_bands_are_judged_by_counting(tmp_path: Path, fmu: Path) -> None:
+    """800 innovations and some 1,400 forecast angles: the standard deviation of a share of 95 % is 0.8 and 0.6 %."""
+    found = judged(made(lambda t: 0.3 * t), tmp_path, fmu)
+    assert found.samples == 800 and found.seconds == pytest.approx(2399 * PERIOD / 3)
+    for errors in (found.innovations, *(each.errors for each in found.forecasts)):
+        assert errors.coverage() == pytest.approx(0.95, abs=0.024) and errors.coverage(0.5) == pytest.approx(
+            0.5, abs=0.055
+        )
+        assert errors.relative_width() == pytest.approx(1.0, abs=0.06)
+    for each in found.forecasts:
+        assert np.sqrt(np.nanmean(each.errors.error**2)) == pytest.approx(SIGMA, rel=0.06)
+    assert found.missed() == [] or all("rms" in sentence for sentence in found.missed())
+
+
+def test_other_predictors_are_what_they_say(tmp_path: Path, fmu: Path) -> None:
+    """On a ramp of 0.3 rad/s, through whole turns, a constant velocity is exact and the last angle is behind; a ramp has no delay that would be known."""
+    found = judged(made(lambda t: 0.3 * t), tmp_path, fmu)
+    for each in found.forecasts:
+        known = np.isfinite(each.errors.error[:, 0])
+        assert np.abs(each.others["constant velocity"][known]).max() < 1e-9
+        assert np.abs(each.others["hold"][known, 0] + 0.3 * (each.ahead + 1e-3)).max() < 1e-9
+    assert [each.ahead for each in found.forecasts] == pytest.approx([0.1, 0.5]) and found.delay is None
+    (sentence, other) = found.missed()
+    assert (
+        "forecasts of encoder 1 0.1 s ahead are" in sentence
+        and "`constant velocity`" in sentence
+        and "2 0.1 s" in other
+    )
+
+
+def test_the_delay_of_commands_is_found_and_used(tmp_path: Path, fmu: Path) -> None:
+    """Commands of the next 0.2 s are known: 0.1 s ahead they tell the angle, up to the line between two samples, and 0.5 s ahead they do not."""
+    found = judged(made(lambda t: np.sin(3 * t), commands=True), tmp_path, fmu)
+    assert found.delay == pytest.approx(OFF, abs=1e-9)
+    near, far = (np.nanmax(np.abs(each.others["last command"])) for each in found.forecasts)
+    assert near < 9 * PERIOD**2 / 8 + 1e-6 and far > 0.5
+
+
+def test_readings_may_jump_by_whole_turns(tmp_path: Path, fmu: Path) -> None:
+    """An absolute encoder shows 0 to 2π: the same figures as of one that counts on."""
+    counting = made(lambda t: 1.5 * t)
+    wrapped = made(lambda t: 1.5 * t)
+    for name in ("measured.theta[1]", "measured.theta[2]"):
+        column = wrapped.measured.columns[name]
+        column[:] = type(column)("d", np.mod(column, 2 * math.pi).tolist())
+    first, second = (judged(story, tmp_path, fmu) for story in (counting, wrapped))
+    for one, other in zip(first.forecasts, second.forecasts, strict=True):
+        assert other.errors.error == pytest.approx(one.errors.error, abs=1e-9, nan_ok=True)
+        assert other.others["hold"] == pytest.approx(one.others["hold"], abs=1e-9, nan_ok=True)
