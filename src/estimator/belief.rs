@@ -133,7 +133,7 @@ impl Innovation {
 
 /// Expectation of a sample by the models.
 #[derive(Clone, Copy, Debug)]
-pub struct PredictedSample {
+pub struct Prediction {
     pub(super) weights: [f64; MODELS],
     /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
     pub(super) each: [(f64, f64, Error); MODELS],
@@ -141,7 +141,7 @@ pub struct PredictedSample {
     pub(super) lasting: f64,
 }
 
-impl PredictedSample {
+impl Prediction {
     /// Mean, rad, and variance, rad², of the innovation in the mixture.
     pub(super) fn mixture_moments(&self) -> (f64, f64) {
         let models = || self.weights.iter().zip(&self.each);
@@ -267,7 +267,7 @@ impl Bank {
     }
 
     /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
-    pub fn update(&mut self, expected: &PredictedSample) {
+    pub fn update(&mut self, expected: &Prediction) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
         {
@@ -364,7 +364,7 @@ impl Bank {
     }
 
     /// Expectation of a sample.
-    pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
+    pub fn prediction(&self, sample: &Innovation) -> Prediction {
         let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
             if *weight == 0.0 {
                 return (0.0, 1.0, Error::zeros());
@@ -372,7 +372,7 @@ impl Bank {
             let column = covariance * sample.row;
             (sample.residual - sample.row.dot(error), sample.row.dot(&column) + sample.noise, column)
         });
-        PredictedSample { weights: self.members.map(|member| member.weight), each, lasting: 0.0 }
+        Prediction { weights: self.members.map(|member| member.weight), each, lasting: 0.0 }
     }
 }
 

@@ -18,13 +18,13 @@ use nalgebra::Matrix2;
 
 use super::belief::Innovation;
 use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
-use super::encoder::Reading;
+use super::encoder::Measurement;
 use super::error_state::{Error, independent};
 use super::flow::Scene;
 use super::hypotheses::{Hypothesis, is_distinguishable};
 use super::parameters::Constants;
 use super::propagation::Propagation;
-use super::tangent::{LinkState, Linkage, Links, MEASURED};
+use super::tangent::{LinkState, Linkage, Links};
 use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
 use crate::copies::clone_by_fields;
 
@@ -98,16 +98,16 @@ impl Doubt {
         }
     }
 
-    /// Measurement update of the other motion by readings, and of its witness by those of them that it has `seen` as the estimate's, after that of
-    /// the estimate. Returns the motion that replaces the estimate, if it does.
+    /// Measurement update of the other motion by samples, and of its witness by those that the estimate's witness has `seen`, after the update of the
+    /// estimate. Returns the motion that replaces the estimate, if any.
     pub(super) fn correct(
         &mut self,
         constants: &Constants,
-        readings: &[Option<Reading>; 2],
-        seen: &[Option<Reading>; 2],
+        samples: &[Option<Measurement>; 2],
+        seen: &[Option<Measurement>; 2],
     ) -> Option<Hypothesis> {
         let branches = self.branches.as_mut()?;
-        let verdict = branches.correct(constants, readings, seen);
+        let verdict = branches.correct(constants, samples, seen);
         let other = branches.other;
         if verdict != Verdict::None {
             *self = Self::ENDED;
@@ -158,16 +158,15 @@ impl Doubt {
 
 impl Branches {
     /// Measurement update of the other motion and its witness.
-    fn correct(&mut self, constants: &Constants, readings: &[Option<Reading>; 2], seen: &[Option<Reading>; 2]) -> Verdict {
+    fn correct(&mut self, constants: &Constants, samples: &[Option<Measurement>; 2], seen: &[Option<Measurement>; 2]) -> Verdict {
         let Self { other, witnesses: [_, mirrored], .. } = self;
         let frame = constants.linkage.frame(&other.motion.theta);
-        for (i, reading) in seen.iter().enumerate() {
-            if let Some(Reading { angle, noise, persistent, age, .. }) = *reading {
-                let rate = other.motion.omega[MEASURED[i]];
-                mirrored.receive(i, &Innovation::new(&other.motion, &frame, i, angle + age * rate, [noise, persistent]));
+        for (i, sample) in seen.iter().enumerate() {
+            if let Some(sample) = sample {
+                mirrored.receive(i, &sample.about(i, &other.motion, &frame).innovation);
             }
         }
-        let Some((_, error, turn)) = other.update(&constants.linkage, readings) else { return Verdict::Right };
+        let Some((_, error, turn)) = other.update(&constants.linkage, samples) else { return Verdict::Right };
         mirrored.correct(&error, &turn);
         self.judge(constants)
     }

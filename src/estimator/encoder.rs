@@ -3,7 +3,7 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::belief::{Bank, Innovation, PredictedSample};
+use super::belief::{Bank, Innovation, Prediction};
 use super::constants::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, ERROR_ALONE, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, PERSISTENT_TIME, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS,
@@ -70,7 +70,7 @@ pub enum Fault {
 
 /// New, valid sample of an encoder, about a motion.
 #[derive(Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct Measurement {
     /// Angle, rad.
     pub(super) angle: f64,
     /// Mean rate between the two valid samples before it, rad/s; `None` where there are none, or samples between them are missing.
@@ -87,17 +87,25 @@ pub(super) struct Sample {
     pub(super) persistent: f64,
     /// Variance of the noise by errors of the model that an encoder alone does not reveal, rad².
     pub(super) unrevealed: f64,
+    /// Half-width of the interval about the angle that carries no information, rad.
+    pub(super) dead_zone: f64,
     /// Innovation y − h(x̂), with the quantisation error as noise.
     pub(super) innovation: Innovation,
 }
 
-impl Sample {
-    /// The sample, as one of encoder i, about another motion, whose history is not asked: a past angle is extrapolated by its rate.
+impl Measurement {
+    /// The sample, as one of encoder i, about another motion. Its past angle is extrapolated by the rate, as other motions have no history.
     pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
         let rate = motion.omega[MEASURED[i]];
         let angle = self.angle + self.age * rate;
         let innovation = Innovation::new(motion, frame, i, angle, [self.innovation.noise, self.persistent]);
         Self { angle, age: 0.0, rate, innovation, ..*self }
+    }
+
+    /// The sample at another angle, rad, with the variance `noise`, rad², and a dead zone of this half-width, rad.
+    fn at(&self, angle: f64, noise: f64, dead_zone: f64) -> Self {
+        let residual = self.innovation.residual + angle - self.angle;
+        Self { angle, dead_zone, innovation: Innovation { residual, noise, ..self.innovation }, ..*self }
     }
 
     /// Variance of the sample, rad², where its quantisation error is its own.
@@ -125,23 +133,12 @@ impl Sample {
         Self { persistent, innovation: self.innovation.with_persistent_error(i, persistent), ..*self }
     }
 
-    /// Information of the sample with the quantisation error as noise.
-    pub(super) fn reading(&self) -> Reading {
-        Reading { angle: self.angle, noise: self.innovation.noise, persistent: self.persistent, age: self.age, dead_zone: 0.0 }
-    }
-
     /// Innovation of the rate by the change of the innovation, rad, since the last sample, `interval` seconds before. A persistent error is one of both
     /// samples.
     pub(super) fn change(&self, change: f64, interval: f64) -> Innovation {
         let mut row = Error::zeros();
         row.fixed_rows_mut::<2>(RATE).copy_from(&(self.innovation.row.fixed_rows::<2>(0) * interval));
         Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance() }
-    }
-
-    /// Innovation with other information of the sample.
-    pub(super) fn innovation_of(&self, reading: &Reading) -> Innovation {
-        let residual = self.innovation.residual + reading.angle - self.angle;
-        Innovation { residual, noise: reading.noise, ..self.innovation }
     }
 
     /// Whether the axis rests: quantisation and persistent errors are those of all its samples then, no noise, and teach nothing.
@@ -162,21 +159,6 @@ pub(super) struct GateConditions {
     pub(super) patient: bool,
     /// Whether the estimate has settled on the other encoder.
     pub(super) witnessed: bool,
-}
-
-/// Information of a sample about the angle of an axis.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Reading {
-    /// Angle, rad.
-    pub(super) angle: f64,
-    /// Variance of the angle, rad².
-    pub(super) noise: f64,
-    /// Standard deviation of the persistent error, rad.
-    pub(super) persistent: f64,
-    /// Age, s.
-    pub(super) age: f64,
-    /// Half-width of the interval about the angle that carries no information, rad.
-    pub(super) dead_zone: f64,
 }
 
 /// State of an encoder.
@@ -238,16 +220,16 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Sample of encoder `i` about a motion, if it is new and valid. `persistent` is the standard deviation of the encoder's persistent error, rad, `offset`
+    /// Measurement of encoder `i` about a motion, if it is new and valid. `persistent` is the standard deviation of the encoder's persistent error, rad, `offset`
     /// its mounting angle, rad.
-    pub(super) fn sample(
+    pub(super) fn measurement(
         &mut self,
         i: usize,
         constants: &Constants,
         (motion, frame, history): (&LinkState, &Frame, &History),
         (persistent, offset): (f64, f64),
         (measured, now): (&Measured, f64),
-    ) -> Option<Sample> {
+    ) -> Option<Measurement> {
         let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
         let before = *self;
@@ -261,7 +243,7 @@ impl Encoder {
             return None;
         };
         let innovation = Innovation { residual: wrapped(angle - expected), row, noise }.with_persistent_error(i, persistent);
-        Some(Sample { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, innovation })
+        Some(Measurement { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, dead_zone: 0.0, innovation })
     }
 
     /// Mean rate between the last two samples of the encoder as it was `before` its last one, rad/s; `None` where there are none, or samples are missing.
@@ -424,7 +406,7 @@ impl Encoder {
     /// moves on by as much as half its jump was struck rather than jumped. One that has been left out jumps again where its second difference
     /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
     /// other encoder.
-    pub(super) fn stays_away(&mut self, sample: &Sample, witnessed: bool) -> bool {
+    pub(super) fn stays_away(&mut self, sample: &Measurement, witnessed: bool) -> bool {
         let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(self.innovation_change(sample)).abs());
         self.innovation = sample.innovation.residual;
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
@@ -443,10 +425,10 @@ impl Encoder {
     pub(super) fn admit(
         &mut self,
         bank: &Bank,
-        (expected, sample): (&PredictedSample, &Sample),
+        (expected, sample): (&Prediction, &Measurement),
         conditions: GateConditions,
         repetition: impl FnOnce() -> Fault,
-    ) -> Option<PredictedSample> {
+    ) -> Option<Prediction> {
         let admitted = self.passes_gate(bank, (expected, sample), conditions, repetition);
         admitted.then(|| self.with_quantisation_interval(expected, sample))
     }
@@ -456,7 +438,7 @@ impl Encoder {
     fn passes_gate(
         &mut self,
         bank: &Bank,
-        (expected, sample): (&PredictedSample, &Sample),
+        (expected, sample): (&Prediction, &Measurement),
         GateConditions { patient, witnessed }: GateConditions,
         repetition: impl FnOnce() -> Fault,
     ) -> bool {
@@ -490,39 +472,34 @@ impl Encoder {
     }
 
     /// Change of the innovation from the last sample to this one, rad.
-    fn innovation_change(&self, sample: &Sample) -> f64 {
+    fn innovation_change(&self, sample: &Measurement) -> f64 {
         sample.innovation.residual - self.innovation
     }
 
     /// Whether no assumed force explains how the innovation has changed, by `change`, rad, since the last sample.
-    fn jumps(&self, bank: &Bank, sample: &Sample, change: f64) -> bool {
-        bank.predict_sample(&sample.change(change, self.interval)).nis_of_loudest_model(0.0) > GATE
+    fn jumps(&self, bank: &Bank, sample: &Measurement, change: f64) -> bool {
+        bank.prediction(&sample.change(change, self.interval)).nis_of_loudest_model(0.0) > GATE
     }
 
-    /// Information of a sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
+    /// The sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
     /// reading confines it to the interval, and a changed one locates it at the edge between two intervals.
     /// The reading of a faster axis has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals per sample.
-    pub(super) fn confined_to_interval(&self, sample: &Sample) -> Reading {
-        let &Sample { angle, age, rate, sigma, quantum, persistent, unrevealed, .. } = sample;
+    pub(super) fn confined_to_interval(&self, sample: &Measurement) -> Measurement {
+        let &Measurement { angle, rate, sigma, quantum, unrevealed, innovation, .. } = sample;
         if self.is_dithered(sigma, quantum) {
-            return sample.reading();
+            return sample.at(angle, innovation.noise, 0.0);
         }
         let passed = rate * self.interval;
         if passed.abs() > quantum / 2.0 || self.change.abs() > SINGLE_EDGE * quantum {
-            let noise = self.noise(sigma, quantum, self.beat(quantum, rate)) + unrevealed;
-            return Reading { noise, ..sample.reading() };
+            return sample.at(angle, self.noise(sigma, quantum, self.beat(quantum, rate)) + unrevealed, 0.0);
         }
         let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma + unrevealed;
-        if self.repeated {
-            Reading { angle, noise, persistent, age, dead_zone: quantum / 2.0 }
-        } else {
-            Reading { angle: angle - self.change / 2.0, noise, persistent, age, dead_zone: 0.0 }
-        }
+        if self.repeated { sample.at(angle, noise, quantum / 2.0) } else { sample.at(angle - self.change / 2.0, noise, 0.0) }
     }
 
-    /// Information of a sample that is not confined to a quantisation interval; `None` of one that is.
-    pub(super) fn unconfined(&self, sample: &Sample) -> Option<Reading> {
-        Some(self.confined_to_interval(sample)).filter(|reading| reading.dead_zone == 0.0)
+    /// The sample for filters that know no quantiser; `None` if it is confined to a quantisation interval.
+    pub(super) fn unconfined(&self, sample: &Measurement) -> Option<Measurement> {
+        Some(self.confined_to_interval(sample)).filter(|sample| sample.dead_zone == 0.0)
     }
 
     /// Number of samples that share a persistent error.
@@ -560,8 +537,8 @@ impl Encoder {
     }
 
     /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
-    pub(super) fn with_quantisation_interval(&self, expected: &PredictedSample, sample: &Sample) -> PredictedSample {
-        let &Sample { rate, sigma, quantum, unrevealed, innovation: Innovation { noise, .. }, .. } = sample;
+    pub(super) fn with_quantisation_interval(&self, expected: &Prediction, sample: &Measurement) -> Prediction {
+        let &Measurement { rate, sigma, quantum, unrevealed, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -597,7 +574,7 @@ mod tests {
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate);
             let innovation = Innovation { residual: 0.4 * quantum, row, noise };
-            let sample = Sample {
+            let sample = Measurement {
                 angle: 0.0,
                 before: None,
                 age: 0.0,
@@ -606,11 +583,12 @@ mod tests {
                 quantum,
                 persistent: 0.0,
                 unrevealed: 0.0,
+                dead_zone: 0.0,
                 innovation,
             };
-            let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&innovation);
+            let expected = Bank::new([known, 1.0, 1.0]).prediction(&innovation);
             let reading = encoder.confined_to_interval(&sample);
-            (encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known, reading.noise)
+            (encoder.with_quantisation_interval(&expected, &sample).each[0].1 - known, reading.innovation.noise)
         };
         let variance = |steps: f64| variances(steps).0;
         let rest = variance(0.0);
@@ -639,7 +617,7 @@ mod tests {
             let (bank, conditions) = (Bank::new([1e-6, 1.0, 1.0]), GateConditions { patient: true, witnessed: true });
             for &(residual, second_difference) in samples {
                 let innovation = Innovation { residual, row, noise };
-                let sample = Sample {
+                let sample = Measurement {
                     angle: 0.0,
                     before: Some(-second_difference / h),
                     age: 0.0,
@@ -648,9 +626,10 @@ mod tests {
                     quantum,
                     persistent: 0.0,
                     unrevealed: 0.0,
+                    dead_zone: 0.0,
                     innovation,
                 };
-                encoder.admit(&bank, (&bank.predict_sample(&innovation), &sample), conditions, || Fault::None);
+                encoder.admit(&bank, (&bank.prediction(&innovation), &sample), conditions, || Fault::None);
             }
             encoder.is_away()
         };

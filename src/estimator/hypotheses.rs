@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::belief::{Bank, Belief, Innovation};
+use super::belief::{Bank, Belief};
 use super::constants::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
     LARGEST_ODDS_AFTER_CROSSING, LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS,
@@ -21,7 +21,7 @@ use super::constants::{
     NEAR_SINGULARITY, NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE,
     SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
 };
-use super::encoder::{Reading, Sample};
+use super::encoder::Measurement;
 use super::error_state::{Error, FORCE, Transition, turn_errors};
 use super::flow::{self, Scene};
 use super::parameters::Constants;
@@ -224,7 +224,7 @@ impl Hypotheses {
     }
 
     /// Hypothesis that the first samples (innovation, angle) after a vertex favour by far.
-    pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<Sample>; 2]) -> Option<usize> {
+    pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<Measurement>; 2]) -> Option<usize> {
         if !self.are_after_vertex() {
             return None;
         }
@@ -234,7 +234,7 @@ impl Hypotheses {
                 let sample = sample.as_ref()?;
                 let about_other = sample.about(encoder, &other.motion, &frame);
                 let [own, of_estimate] = [(other.belief.bank, &about_other), (belief.bank, sample)]
-                    .map(|(bank, sample)| bank.predict_sample(&sample.innovation).log_likelihood());
+                    .map(|(bank, sample)| bank.prediction(&sample.innovation).log_likelihood());
                 Some(own - of_estimate)
             });
             told.sum()
@@ -244,9 +244,9 @@ impl Hypotheses {
 
     /// Measurement update of the hypotheses; `likelihood` is the log-likelihood of the samples in the estimate. Returns the hypothesis that
     /// replaces the estimate, if any.
-    pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2], likelihood: f64) -> Option<usize> {
+    pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<Measurement>; 2], likelihood: f64) -> Option<usize> {
         let told: ArrayVec<f64, MOST> =
-            self.list.iter_mut().map(|other| other.update(linkage, readings).map_or(f64::NAN, |(told, ..)| told)).collect();
+            self.list.iter_mut().map(|other| other.update(linkage, samples).map_or(f64::NAN, |(told, ..)| told)).collect();
         let reference = if self.are_quiet() { told[0] } else { likelihood };
         self.list.iter_mut().zip(told).for_each(|(other, own)| other.evidence += own - reference);
         self.drop_refuted();
@@ -398,20 +398,18 @@ impl Hypothesis {
 
     /// Measurement update; returns the log-likelihood, the error that was injected and the map between the tangent bases, `None` where the loop
     /// cannot be closed.
-    pub(super) fn update(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<(f64, Error, Matrix2<f64>)> {
+    pub(super) fn update(&mut self, linkage: &Linkage, samples: &[Option<Measurement>; 2]) -> Option<(f64, Error, Matrix2<f64>)> {
         let mut likelihood = 0.0;
         let frame = linkage.frame(&self.motion.theta);
-        for (encoder, reading) in readings.iter().enumerate() {
-            let Some(Reading { angle, noise, persistent, age, dead_zone }) = *reading else { continue };
-            // Hypotheses keep no history: a past angle is extrapolated by the rate.
-            let present = angle + age * self.motion.omega[MEASURED[encoder]];
-            let mut innovation = Innovation::new(&self.motion, &frame, encoder, present, [noise, persistent]);
+        for (i, sample) in samples.iter().enumerate() {
+            let Some(sample) = sample else { continue };
+            let Measurement { dead_zone, mut innovation, .. } = sample.about(i, &self.motion, &frame);
             let off = innovation.residual - innovation.row.dot(&self.belief.bank.mean());
             if off.abs() < dead_zone {
                 continue;
             }
             innovation.residual -= dead_zone.copysign(off);
-            let expected = self.belief.bank.predict_sample(&innovation);
+            let expected = self.belief.bank.prediction(&innovation);
             // Within the dead zone of a reading all motions are equally likely: the normalisation by the variance is left out.
             likelihood += if dead_zone > 0.0 { -0.5 * expected.nis() } else { expected.log_likelihood() };
             self.belief.bank.update(&expected);

@@ -22,7 +22,7 @@ use std::ops::Range;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
-use super::belief::{Bank, Innovation, Mixing, PredictedSample, bound, persistence};
+use super::belief::{Bank, Innovation, Mixing, Prediction, bound, persistence};
 use super::constants::{
     BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
     PRODUCTS,
@@ -330,12 +330,7 @@ impl Learning {
 
     /// Completes the expectation of a sample of encoder i by what it shows of lengths and mounting angles, by `row`; returns its covariance with the parameters in
     /// each model. Lengths and mounting angles that are not learned at present are part of its noise.
-    pub(super) fn expect(
-        &self,
-        expected: &mut PredictedSample,
-        (i, sample): (usize, &Innovation),
-        row: &Shown,
-    ) -> [Learned; MODELS] {
+    pub(super) fn expect(&self, expected: &mut Prediction, (i, sample): (usize, &Innovation), row: &Shown) -> [Learned; MODELS] {
         let row = if self.geometry { *row } else { Shown::zeros() };
         // Without delay a sample shows angles and a persistent error alone.
         let own = sample.row.fixed_rows::<2>(0);
@@ -365,7 +360,7 @@ impl Learning {
     /// that they explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n r d² as well.
     pub(super) fn update(
         &mut self,
-        expected: &mut PredictedSample,
+        expected: &mut Prediction,
         columns: &[Learned; MODELS],
         ([persistent, shown], samples): ([f64; 2], f64),
         rests: bool,
@@ -604,7 +599,7 @@ mod tests {
         let row = Error::from_fn(|i, _| [0.7, -0.4, 0.0, 0.0, 0.0, 0.0, persistent, 0.0][i]);
         let shown = Shown::from_fn(|i, _| 0.1 * (i as f64) - 0.2);
         let sample = Innovation { residual: 1.3, row, noise };
-        let mut expected = bank.predict_sample(&sample);
+        let mut expected = bank.prediction(&sample);
         let columns = learning.expect(&mut expected, (0, &sample), &shown);
         learning.update(&mut expected, &columns, ([persistent, shown_by_readings], samples), false);
         bank.update(&expected);

@@ -44,6 +44,7 @@ mod unaided;
 mod witness;
 
 use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::Matrix2;
 
 use alarm::Alarm;
 pub use belief::Belief;
@@ -56,8 +57,8 @@ use constants::{
 };
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
-use encoder::{GateConditions, Reading, Sample};
-use error_state::{GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
+use encoder::{GateConditions, Measurement};
+use error_state::{Error, GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
@@ -183,80 +184,83 @@ impl Estimator {
         }
     }
 
-    /// Measurement update, with a motion that closes the loop unless learning has begun anew.
+    /// Stages of a measurement update. The motion closes the loop unless learning has begun anew.
     fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let mut motion = *motion;
-        let mut frame = constants.linkage.frame(&motion.theta);
-        let mut errors = self.errors_beside_learned(constants, &motion, &frame);
-        let systematic = self.systematic_errors(constants, (&motion, &frame), errors.as_ref());
-        let mut samples =
-            [0, 1].map(|i| self.encoders[i].sample(i, constants, (&motion, &frame, &self.history), systematic[i], (measured, now)));
+        let mut estimate = self.estimated(constants, motion);
+        let mut measurements = self.receive(constants, &estimate, (measured, now));
+        if motion.fastest() >= HOPELESS_RATE {
+            self.reset(constants, &Reset::Runaway);
+            return Some(LinkState { omega: Links::zeros(), ..*motion });
+        }
+        if measurements.iter().all(Option::is_none) {
+            return None;
+        }
+        self.drop_single_encoder_track(constants, &estimate.frame);
+        if let Some(started) = self.restart(constants, motion, &measurements) {
+            return Some(started);
+        }
+        self.look_for_both(&measurements);
+        if self.held || self.adrift {
+            return None;
+        }
+        let switched = self.switch_branch(constants, &mut estimate, &mut measurements);
+        let residuals = self.update(constants, &estimate, &measurements);
+        if residuals.iter().all(|residual| residual.accepted().is_none()) {
+            return switched.then_some(estimate.motion);
+        }
+        self.forecast.end();
+        self.inject(constants, &mut estimate);
+        self.judge_motions(constants, &mut estimate, &residuals);
+        self.judge_force(constants, &estimate, &residuals);
+        Some(estimate.motion)
+    }
+
+    /// The estimate about a motion.
+    fn estimated(&self, constants: &Constants, motion: &LinkState) -> Estimated {
+        let frame = constants.linkage.frame(&motion.theta);
+        let errors = self.errors_beside_learned(constants, motion, &frame);
+        let [sigma, offset] = self.systematic_errors(constants, (motion, &frame), errors.as_ref());
+        Estimated { motion: *motion, frame, errors, sigma, offset }
+    }
+
+    /// New and valid samples, about the estimate.
+    fn receive(
+        &mut self,
+        constants: &Constants,
+        Estimated { motion, frame, sigma, offset, .. }: &Estimated,
+        measured: (&Measured, f64),
+    ) -> [Option<Measurement>; 2] {
+        let history = &self.history;
+        let mut receive =
+            |i: usize| self.encoders[i].measurement(i, constants, (motion, frame, history), (sigma[i], offset[i]), measured);
+        let measurements = [receive(0), receive(1)];
         // Samples of encoders that are believed end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
-        if motion.fastest() >= HOPELESS_RATE {
-            self.reset(constants, &Reset::Runaway);
-            return Some(LinkState { omega: Links::zeros(), ..motion });
-        }
-        if samples.iter().all(Option::is_none) {
-            return None;
-        }
-        self.give_up_by_one(constants, &frame);
-        if let Some(anew) = self.restart(constants, &motion, &samples) {
-            return Some(anew);
-        }
-        if self.adrift {
-            self.look_for_both(&samples);
-        }
-        if self.held || self.adrift {
-            return None;
-        }
-        // While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected.
-        let favoured = self.hypotheses.favoured(&constants.linkage, &self.belief, &samples);
-        if let Some(other) = favoured {
-            frame = self.take_over(other, constants, &mut motion);
-            errors = self.errors_beside_learned(constants, &motion, &frame);
-            samples = [0, 1].map(|i| samples[i].map(|sample| sample.about(i, &motion, &frame)));
-        }
-        let Update { used: samples, seen, likelihood, fit } = self.update(constants, (&motion, &frame), errors.as_ref(), &samples);
-        let used = samples.iter().flatten().count();
-        if used == 0 {
-            return favoured.map(|_| motion);
-        }
-        self.forecast.end();
-        self.inject(constants, (&mut motion, &mut frame), errors.as_ref(), &systematic);
-        let constants = &*constants;
-        let linkage = &constants.linkage;
-        let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
-        let readings = [0, 1].map(|i| {
-            let sample = Sample { rate: motion.omega[MEASURED[i]], ..samples[i]? };
-            Some(if confined { self.encoders[i].confined_to_interval(&sample) } else { sample.reading() })
-        });
-        if let Some(other) = self.hypotheses.correct(linkage, &readings, likelihood) {
-            frame = self.take_over(other, constants, &mut motion);
-        }
-        if let Some(other) = self.doubt.correct(constants, &readings, &seen) {
-            self.reset(constants, &Reset::Assembly(&other.belief));
-            (motion, frame) = (other.motion, linkage.frame(&other.motion.theta));
-        }
-        if used == 2 {
-            self.doubt.begin(constants, &motion);
-        }
-        let exceed_masses = || self.causes.exceed_masses(constants);
-        self.alarm.receive(&self.belief, &frame, constants.torque_scale(), (fit, used), exceed_masses);
-        Some(motion)
+        measurements
     }
 
-    /// Moves the motion by the mean of its error and learned values by that of theirs; the bank is about them then, and the frame that of
-    /// the corrected motion.
-    fn inject(
+    /// While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected. Returns whether it replaces the
+    /// estimate.
+    fn switch_branch(
         &mut self,
-        constants: &mut Constants,
-        (motion, frame): (&mut LinkState, &mut Frame),
-        errors: Option<&ReadingErrors>,
-        systematic: &[(f64, f64); 2],
-    ) {
+        constants: &Constants,
+        estimate: &mut Estimated,
+        measurements: &mut [Option<Measurement>; 2],
+    ) -> bool {
+        let Some(other) = self.hypotheses.favoured(&constants.linkage, &self.belief, measurements) else { return false };
+        self.take_over(other, constants, estimate);
+        let Estimated { motion, frame, errors, .. } = estimate;
+        *errors = self.errors_beside_learned(constants, motion, frame);
+        for (i, measurement) in measurements.iter_mut().enumerate() {
+            *measurement = measurement.map(|measurement| measurement.about(i, motion, frame));
+        }
+        true
+    }
+
+    /// Moves the motion by the mean of its error, and learned values by the mean of theirs: the bank is about the corrected ones.
+    fn inject(&mut self, constants: &mut Constants, Estimated { motion, frame, errors, sigma, .. }: &mut Estimated) {
         let learned = self.learning.as_mut().map(|learning| {
             let before = learning.values();
             let values = learning.corrected(&mut self.belief.bank, constants);
@@ -266,20 +270,57 @@ impl Estimator {
         let Some((mut error, turn, corrected)) = self.belief.inject_error(&constants.linkage, frame, motion) else {
             return self.reset(constants, &Reset::Unclosed);
         };
-        if let Some(((_, change), errors)) = learned.as_ref().zip(errors) {
+        if let Some(((_, change), errors)) = learned.as_ref().zip(errors.as_ref()) {
             // Persistent errors of the readings are those about what is learned.
             for i in 0..2 {
-                error[READINGS + i] = errors.rows[i].dot(&change.fixed_rows::<GEOMETRY>(LOADS)) / systematic[i].0;
+                error[READINGS + i] = errors.rows[i].dot(&change.fixed_rows::<GEOMETRY>(LOADS)) / sigma[i];
             }
         }
-        self.history.correct(&error, &turn);
-        self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
-        self.causes.correct(&error, &turn);
-        self.doubt.follow(&error, &turn);
-        if let Some((learning, (values, _))) = self.learning.as_mut().zip(learned) {
-            learning.correct(&self.belief.bank, &turn, values);
-        }
         *frame = corrected;
+        self.follow(&Correction { error, turn, values: learned.map(|(values, _)| values) });
+    }
+
+    /// Follows a correction: all that is about the estimate's motion moves with it.
+    fn follow(&mut self, correction: &Correction) {
+        let Correction { error, turn, values } = correction;
+        self.history.correct(error, turn);
+        self.unaided.iter_mut().for_each(|unaided| unaided.correct(error, turn));
+        self.causes.correct(error, turn);
+        self.doubt.follow(error, turn);
+        if let Some((learning, values)) = self.learning.as_mut().zip(*values) {
+            learning.correct(&self.belief.bank, turn, values);
+        }
+    }
+
+    /// Lets the samples that were used judge the other motions; one of them may replace the estimate.
+    fn judge_motions(&mut self, constants: &Constants, estimate: &mut Estimated, residuals: &[Residual; 2]) {
+        let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
+        let used = [0, 1].map(|i| {
+            let Accepted { measurement, .. } = residuals[i].accepted()?;
+            let measurement = Measurement { rate: estimate.motion.omega[MEASURED[i]], ..*measurement };
+            Some(if confined { self.encoders[i].confined_to_interval(&measurement) } else { measurement })
+        });
+        let likelihood =
+            residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.likelihood).fold(0.0, |sum, of| sum + of);
+        if let Some(other) = self.hypotheses.correct(&constants.linkage, &used, likelihood) {
+            self.take_over(other, constants, estimate);
+        }
+        let seen = [0, 1].map(|i| residuals[i].accepted()?.seen);
+        if let Some(other) = self.doubt.correct(constants, &used, &seen) {
+            self.reset(constants, &Reset::Assembly(&other.belief));
+            estimate.move_to(&constants.linkage, &other.motion);
+        }
+        if used.iter().all(Option::is_some) {
+            self.doubt.begin(constants, &estimate.motion);
+        }
+    }
+
+    /// Lets the samples that were used judge whether an unmodelled force acts.
+    fn judge_force(&mut self, constants: &Constants, estimate: &Estimated, residuals: &[Residual; 2]) {
+        let nis = || residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.nis);
+        let squares = (nis().fold(0.0, |sum, nis| sum + nis), nis().count());
+        let exceed_masses = || self.causes.exceed_masses(constants);
+        self.alarm.receive(&self.belief, &estimate.frame, constants.torque_scale(), squares, exceed_masses);
     }
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
@@ -292,88 +333,102 @@ impl Estimator {
         })
     }
 
-    /// Standard deviation and known part, rad, of the persistent error of each encoder.
+    /// Standard deviations, rad, and known parts, rad, of the persistent errors of both encoders.
     fn systematic_errors(
         &self,
         constants: &Constants,
         (motion, frame): (&LinkState, &Frame),
         errors: Option<&ReadingErrors>,
-    ) -> [(f64, f64); 2] {
+    ) -> [[f64; 2]; 2] {
         if let Some((learning, errors)) = self.learning.as_ref().zip(errors) {
             let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
-            return [0, 1].map(|i| (sigma[i], learning.values()[OFFSETS.start + i]));
+            return [sigma, [0, 1].map(|i| learning.values()[OFFSETS.start + i])];
         }
         let [length, offset] = constants.unlearned;
         let by_lengths = frame.motors_by_lengths(length);
         let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
-        [0, 1].map(|i| ((by_lengths[i] + offset * offset + by_encoders[i]).sqrt(), 0.0))
+        [[0, 1].map(|i| (by_lengths[i] + offset * offset + by_encoders[i]).sqrt()), [0.0; 2]]
     }
 
-    /// Measurement update of the bank by the samples that pass their gates, one after the other.
-    fn update(
+    /// Measurement update of the bank, one sample after the other.
+    fn update(&mut self, constants: &Constants, estimate: &Estimated, measurements: &[Option<Measurement>; 2]) -> [Residual; 2] {
+        if self.are_exchanged((&estimate.motion, &estimate.frame), measurements) {
+            for (i, measurement) in measurements.iter().flatten().enumerate() {
+                self.encoders[i].leave_out_lastingly(measurement.innovation.residual);
+            }
+        }
+        let models = self.models(constants, &estimate.motion);
+        let learns = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
+        let mut nis = 0.0;
+        let residuals = [0, 1].map(|i| {
+            let Some(measurement) = &measurements[i] else { return Residual::None };
+            let residual = self.update_by(constants, estimate, (&models, learns), (i, measurement));
+            nis += residual.nis();
+            residual
+        });
+        self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
+        residuals
+    }
+
+    /// Measurement update of the bank by a sample of encoder i: prediction, gate, gain and covariance. `models` are the prior probabilities of the
+    /// models; `learns`: lengths and mounting angles were being learned before the samples of both encoders.
+    fn update_by(
         &mut self,
         constants: &Constants,
-        (motion, frame): (&LinkState, &Frame),
-        errors: Option<&ReadingErrors>,
-        samples: &[Option<Sample>; 2],
-    ) -> Update {
-        if self.are_exchanged((motion, frame), samples) {
-            for (i, sample) in samples.iter().flatten().enumerate() {
-                self.encoders[i].leave_out_lastingly(sample.innovation.residual);
-            }
-        }
-        let mut update = Update { used: [None; 2], seen: [None; 2], likelihood: 0.0, fit: 0.0 };
-        let (mut nis, models) = (0.0, self.models(constants, motion));
-        let beside_learned = errors.filter(|_| self.learning.as_ref().is_some_and(|learning| learning.learns_geometry()));
-        for (i, sample) in samples.iter().enumerate() {
-            let Some(sample) = sample else { continue };
-            let alone = !self.encoders[1 - i].is_believed();
-            let by_one = alone.then(|| sample.alone(i, &self.encoders[i]));
-            let sample = by_one.as_ref().unwrap_or(sample);
-            let learned = beside_learned.map(|errors| sample.learned(i, errors.further[i]));
-            let used = learned.as_ref().unwrap_or(sample);
-            let mut expected = self.belief.bank.predict_sample(&used.innovation);
-            let by_learned = self.learning.as_ref().zip(errors);
-            let columns =
-                by_learned.map(|(learning, errors)| learning.expect(&mut expected, (i, &used.innovation), &errors.rows[i]));
-            let own = expected.nis();
-            nis += own;
-            self.watch(constants, (motion, frame), (i, sample), own, errors);
-            self.begin_unaided(i, frame, &models, errors);
-            let witnessed = self.encoders[1 - i].is_settled();
-            let conditions = GateConditions { patient: self.hypotheses.is_branch_known(), witnessed };
-            let (unaided, mut repetition) = (&mut self.unaided[i], Fault::None);
-            let judge = || {
-                repetition = unaided.judge(sample);
-                repetition
-            };
-            if let Some(mut told) = self.encoders[i].admit(&self.belief.bank, (&expected, used), conditions, judge) {
-                if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-                    let persistent = ([used.persistent, sample.persistent], self.encoders[i].samples_of_persistent_error());
-                    learning.update(&mut told, columns, persistent, used.rests());
-                }
-                self.belief.bank.update(&told);
-                if self.hypotheses.are_open() {
-                    update.likelihood += expected.log_likelihood();
-                }
-                update.fit += own;
-                update.used[i] = Some(*sample);
-                self.unaided[1 - i].update(&self.encoders[i], sample);
-                if self.doubt.is_open() {
-                    let encoder = &self.encoders[i];
-                    // Accelerations do not show what hardly changes.
-                    let told = sample.with_persistent_error(i, 0.0);
-                    update.seen[i] = encoder.unconfined(&told);
-                    if let Some(reading) = &update.seen[i] {
-                        self.doubt.receive(i, &told.innovation_of(reading));
-                    }
-                }
-            } else if repetition != Fault::None {
+        Estimated { motion, frame, errors, .. }: &Estimated,
+        (models, learns): (&[f64; MODELS], bool),
+        (i, measurement): (usize, &Measurement),
+    ) -> Residual {
+        let errors = errors.as_ref();
+        // Errors that the other encoder does not reveal, and those that are never learned, persist in the reading.
+        let alone = !self.encoders[1 - i].is_believed();
+        let measurement = if alone { &measurement.alone(i, &self.encoders[i]) } else { measurement };
+        let used = errors.filter(|_| learns).map_or(*measurement, |errors| measurement.learned(i, errors.further[i]));
+        // Prediction, before the sample counts.
+        let mut prediction = self.belief.bank.prediction(&used.innovation);
+        let columns = self
+            .learning
+            .as_ref()
+            .zip(errors)
+            .map(|(learning, errors)| learning.expect(&mut prediction, (i, &used.innovation), &errors.rows[i]));
+        let nis = prediction.nis();
+        self.watch(constants, (motion, frame), (i, measurement), nis, errors);
+        self.begin_unaided(i, frame, models, errors);
+        // Gate.
+        let witnessed = self.encoders[1 - i].is_settled();
+        let conditions = GateConditions { patient: self.hypotheses.is_branch_known(), witnessed };
+        let mut repetition = Fault::None;
+        let judge = || {
+            repetition = self.unaided[i].judge(measurement);
+            repetition
+        };
+        let admitted = self.encoders[i].admit(&self.belief.bank, (&prediction, &used), conditions, judge);
+        let Some(mut confined) = admitted else {
+            if repetition != Fault::None {
                 self.reset(constants, &Reset::Repetition(i, repetition));
             }
+            return Residual::Rejected { nis };
+        };
+        // Gain and covariance, of the parameters that are learned and of the motion.
+        if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
+            let persistent = ([used.persistent, measurement.persistent], self.encoders[i].samples_of_persistent_error());
+            learning.update(&mut confined, columns, persistent, used.rests());
         }
-        self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
-        update
+        self.belief.bank.update(&confined);
+        self.unaided[1 - i].update(&self.encoders[i], measurement);
+        let likelihood = if self.hypotheses.are_open() { prediction.log_likelihood() } else { 0.0 };
+        Residual::Accepted(Accepted { measurement: *measurement, nis, likelihood, seen: self.see(i, measurement) })
+    }
+
+    /// Lets the witness of a doubted start see a sample of encoder i that is used. Returns the sample as the witness sees it, `None` if it does not.
+    fn see(&mut self, i: usize, measurement: &Measurement) -> Option<Measurement> {
+        if !self.doubt.is_open() {
+            return None;
+        }
+        // Accelerations do not show what hardly changes.
+        let seen = self.encoders[i].unconfined(&measurement.with_persistent_error(i, 0.0))?;
+        self.doubt.receive(i, &seen.innovation);
+        Some(seen)
     }
 
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
@@ -381,7 +436,7 @@ impl Estimator {
         &mut self,
         constants: &Constants,
         (motion, frame): (&LinkState, &Frame),
-        (i, sample): (usize, &Sample),
+        (i, measurement): (usize, &Measurement),
         nis: f64,
         errors: Option<&ReadingErrors>,
     ) {
@@ -391,9 +446,9 @@ impl Estimator {
         };
         self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
         if self.causes.are_judged()
-            && let Some(reading) = self.encoders[i].unconfined(sample)
+            && let Some(seen) = self.encoders[i].unconfined(measurement)
         {
-            self.causes.receive(i, &sample.innovation_of(&reading));
+            self.causes.receive(i, &seen.innovation);
         }
     }
 
@@ -406,24 +461,23 @@ impl Estimator {
 
     /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later
     /// samples do not count: an estimate that is lost meets such angles by chance.
-    fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), samples: &[Option<Sample>; 2]) -> bool {
-        let [Some(left), Some(right)] = samples else { return false };
+    fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), measurements: &[Option<Measurement>; 2]) -> bool {
+        let [Some(left), Some(right)] = measurements else { return false };
         if self.encoders.iter().any(|encoder| encoder.interval() > 0.0)
             || [left, right].iter().any(|sample| sample.innovation.residual.abs() <= DIVERGED_INNOVATION)
         {
             return false;
         }
-        let nis =
-            |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.predict_sample(innovation).nis()).sum::<f64>();
+        let nis = |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.prediction(innovation).nis()).sum::<f64>();
         let exchanged = [left.about(1, motion, frame), right.about(0, motion, frame)].map(|sample| sample.innovation);
         nis([left.innovation, right.innovation]) > GATE && nis(exchanged) <= GATE
     }
 
     /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where
     /// samples are not used, one that is far suffices. Returns the motion.
-    fn restart(&mut self, constants: &Constants, motion: &LinkState, samples: &[Option<Sample>; 2]) -> Option<LinkState> {
+    fn restart(&mut self, constants: &Constants, motion: &LinkState, measurements: &[Option<Measurement>; 2]) -> Option<LinkState> {
         self.restarted = false;
-        let [Some(left), Some(right)] = samples else { return None };
+        let [Some(left), Some(right)] = measurements else { return None };
         if !self.encoders.iter().all(Encoder::is_believed) {
             return None;
         }
@@ -557,15 +611,15 @@ impl Estimator {
         self.learning.as_ref().map(|learning| learning.nees(&self.belief.bank, truth, which))
     }
 
-    /// Lets a hypothesis replace the estimate. Returns the frame of the new motion.
-    fn take_over(&mut self, other: usize, constants: &Constants, motion: &mut LinkState) -> Frame {
+    /// Lets a hypothesis replace the estimate.
+    fn take_over(&mut self, other: usize, constants: &Constants, estimate: &mut Estimated) {
         self.reset(constants, &Reset::Branch);
-        self.hypotheses.take_over(other, constants, (motion, &mut self.belief));
-        constants.linkage.frame(&motion.theta)
+        self.hypotheses.take_over(other, constants, (&mut estimate.motion, &mut self.belief));
+        estimate.frame = constants.linkage.frame(&estimate.motion.theta);
     }
 
     /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
-    fn give_up_by_one(&mut self, constants: &Constants, frame: &Frame) {
+    fn drop_single_encoder_track(&mut self, constants: &Constants, frame: &Frame) {
         let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
         let [left, right] = &self.encoders;
@@ -577,11 +631,14 @@ impl Estimator {
 
     /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
     /// them, as their samples never come together or the loop does not close, their samples correct it from anywhere.
-    fn look_for_both(&mut self, samples: &[Option<Sample>; 2]) {
+    fn look_for_both(&mut self, measurements: &[Option<Measurement>; 2]) {
+        if !self.adrift {
+            return;
+        }
         self.adrift = !self.encoders.iter().all(Encoder::is_settled);
-        for (i, sample) in samples.iter().enumerate() {
-            if let Some(sample) = sample {
-                self.encoders[i].stays_away(sample, false);
+        for (i, measurement) in measurements.iter().enumerate() {
+            if let Some(measurement) = measurement {
+                self.encoders[i].stays_away(measurement, false);
             }
             // An estimate that begins anywhere is itself off.
             if !self.adrift || !self.encoders[i].is_believed() {
@@ -804,14 +861,70 @@ enum Reset<'a> {
     Repetition(usize, Fault),
 }
 
-/// Measurement update by the samples of both encoders.
-struct Update {
-    /// Those that were used.
-    used: [Option<Sample>; 2],
-    /// Information of those of them that tell assemblies apart: all that are not confined to a quantisation interval.
-    seen: [Option<Reading>; 2],
-    /// Their log-likelihood.
+/// Motion that the simulation owns, as a measurement update changes it.
+struct Estimated {
+    motion: LinkState,
+    frame: Frame,
+    /// Errors of the readings beside those of the motion; `None` where nothing is learned.
+    errors: Option<ReadingErrors>,
+    /// Standard deviations of the persistent errors of both encoders, rad.
+    sigma: [f64; 2],
+    /// Mounting angles of both encoders that have been learned, rad.
+    offset: [f64; 2],
+}
+
+impl Estimated {
+    /// Replaces the motion.
+    fn move_to(&mut self, linkage: &Linkage, motion: &LinkState) {
+        (self.motion, self.frame) = (*motion, linkage.frame(&motion.theta));
+    }
+}
+
+/// Correction of the estimate by a measurement update.
+struct Correction {
+    /// Error by which motion, force and readings were corrected.
+    error: Error,
+    /// Map between the tangent bases before and after.
+    turn: Matrix2<f64>,
+    /// New values of the learned parameters.
+    values: Option<Learned>,
+}
+
+/// Outcome of the measurement update by a sample.
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+enum Residual {
+    /// There is no sample.
+    None,
+    /// The gate has rejected the sample.
+    Rejected { nis: f64 },
+    /// The sample has corrected the bank.
+    Accepted(Accepted),
+}
+
+/// Sample that has corrected the bank.
+struct Accepted {
+    measurement: Measurement,
+    /// Normalised innovation squared.
+    nis: f64,
+    /// Log-likelihood while hypotheses are open, otherwise 0.
     likelihood: f64,
-    /// Their normalised innovation squared, summed.
-    fit: f64,
+    /// The sample as the witness of a doubted start has seen it. Samples that are confined to a quantisation interval do not tell assemblies apart.
+    seen: Option<Measurement>,
+}
+
+impl Residual {
+    fn accepted(&self) -> Option<&Accepted> {
+        match self {
+            Self::Accepted(accepted) => Some(accepted),
+            Self::None | Self::Rejected { .. } => None,
+        }
+    }
+
+    /// Normalised innovation squared.
+    fn nis(&self) -> f64 {
+        match self {
+            Self::None => 0.0,
+            Self::Rejected { nis } | Self::Accepted(Accepted { nis, .. }) => *nis,
+        }
+    }
 }

@@ -4,12 +4,12 @@
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use super::belief::PredictedSample;
+use super::belief::Prediction;
 use super::constants::{
     FARTHEST_INTERVAL, INTERVAL_FLOORS, LARGEST_INNOVATION, LARGEST_VARIANCE, SUCCESSIVE_INTERVALS_FACTOR, WIDEST_SIGMA,
 };
 
-impl PredictedSample {
+impl Prediction {
     /// Expected sample whose reading stands for an interval of width `quantum`, rad, about the encoder's value.
     ///
     /// `noise` is the measurement variance that the models assume, rad², and `white` the part of it that is not due to the quantiser.

@@ -7,7 +7,7 @@ use nalgebra::Matrix2;
 
 use super::belief::Bank;
 use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
-use super::encoder::{Encoder, Fault, Sample};
+use super::encoder::{Encoder, Fault, Measurement};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
 
@@ -46,10 +46,10 @@ impl Unaided {
     /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
     /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
     /// reading repeats as well, the machine may be blocked: a fault if the estimate has settled and no force of any model blocks it so.
-    pub(super) fn judge(&mut self, sample: &Sample) -> Fault {
+    pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
-        let &Sample { sigma, quantum, innovation, .. } = sample;
-        let expected = bank.predict_sample(&innovation);
+        let &Measurement { sigma, quantum, innovation, .. } = sample;
+        let expected = bank.prediction(&innovation);
         let (off, variance) = expected.mixture_moments();
         let of_angle = (variance - innovation.noise).max(0.0).sqrt();
         let turned = off.abs() > OVERDUE[0] * quantum + OVERDUE[1] * sigma + OVERDUE[2] * of_angle;
@@ -64,9 +64,9 @@ impl Unaided {
     }
 
     /// Measurement update by a sample of the other encoder, with its quantisation interval.
-    pub(super) fn update(&mut self, other: &Encoder, sample: &Sample) {
+    pub(super) fn update(&mut self, other: &Encoder, sample: &Measurement) {
         if let Some(bank) = &mut self.bank {
-            bank.update(&other.with_quantisation_interval(&bank.predict_sample(&sample.innovation), sample));
+            bank.update(&other.with_quantisation_interval(&bank.prediction(&sample.innovation), sample));
             self.other_changed |= !other.repeats();
         }
     }
