@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, SMatrix, Vector4};
 use super::belief::{Bank, Belief, Member};
 use super::constants::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
 use super::error_state::{FORCE, GEOMETRY};
-use super::hypotheses::Hypothesis;
+use super::hypotheses::Alternative;
 use super::learning::Learning;
 use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
 use super::{Constants, Estimator};
@@ -87,7 +87,7 @@ impl Estimator {
             radius_of_95_percent(&models)
         };
         let beside =
-            |other: &Hypothesis| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
+            |other: &Alternative| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
         let own = radius(motion, &self.belief, self.learning.as_deref());
         own.max(self.doubt.other().map_or(0.0, beside)).min(constants.linkage.widest_reach())
     }

@@ -224,29 +224,25 @@ pub(super) const LARGEST_INVERSE: f64 = 1e12;
 
 // ---- Hypotheses: notes, "Hypotheses".
 
-/// Life and evidence of the hypotheses of a question.
+/// How long a question stays open, and what answers it.
 #[derive(Debug)]
-pub(super) struct HypothesisRules {
-    /// Life, s: by then samples have decided.
+pub(super) struct QuestionRules {
+    /// Longest time, s: by then samples have decided.
     pub(super) lifetime: f64,
-    /// Log-likelihood ratio at which a hypothesis is dropped.
+    /// Log-likelihood ratio at which an alternative is dropped.
     pub(super) refuted: f64,
-    /// Log-likelihood ratio at which a hypothesis replaces the estimate.
+    /// Log-likelihood ratio at which an alternative replaces the estimate.
     pub(super) decided: f64,
-    /// Torque scale of the unknown force relative to that of the estimate.
-    pub(super) force_scale: f64,
-    /// Prior probabilities of the models.
-    pub(super) models: [f64; MODELS],
 }
 
 /// Behind a vertex, by the passes of vertices of the table `singular`.
-pub(super) const AFTER_VERTEX: HypothesisRules =
-    HypothesisRules { lifetime: 0.5, refuted: -12.0, decided: 6.0, force_scale: 1.0, models: LIKELY_MODELS };
-/// In two assemblies, under nearly no unknown force. Under a real disturbance the loudest model takes over in both, so that the disturbance
-/// does not decide: of 150 slow crossings with a push of up to 0.05 N at 0.1° 45 were lost with the quietest model alone, 6 with both, 17 with
-/// all four and a scale of 0.003.
-pub(super) const QUIET: HypothesisRules =
-    HypothesisRules { lifetime: 5.0, refuted: -30.0, decided: 6.0, force_scale: 0.006, models: QUIET_MODELS };
+pub(super) const AFTER_VERTEX: QuestionRules = QuestionRules { lifetime: 0.5, refuted: -12.0, decided: 6.0 };
+/// In which of two assemblies.
+pub(super) const WHICH_ASSEMBLY: QuestionRules = QuestionRules { lifetime: 5.0, refuted: -30.0, decided: 6.0 };
+/// Torque scale of the unknown force of quiet alternatives, relative to that of the estimate. Under a real disturbance the loudest model takes over in both
+/// assemblies, so that the disturbance does not decide: of 150 slow crossings with a push of up to 0.05 N at 0.1° 45 were lost with the quietest model alone,
+/// 6 with both, 17 with all four and a scale of 0.003.
+pub(super) const QUIET_FORCE_SCALE: f64 = 0.006;
 /// Prior probabilities of the models under nearly no unknown force: the quietest and the loudest alone.
 pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
 /// Initial standard deviation of the unknown force in quiet hypotheses, in torque scales: 0.006 held a motion back from the line of the
@@ -254,14 +250,6 @@ pub(super) const QUIET_MODELS: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
 pub(super) const INITIAL_FORCE_SIGMA: f64 = 0.001;
 /// Variance of the unknown force added when the other assembly replaces the estimate, in squared torque scales.
 pub(super) const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;
-/// In the other assembly than the start. Nothing but the doubt ends it.
-pub(super) const OF_START: HypothesisRules = HypothesisRules {
-    lifetime: f64::MAX,
-    refuted: f64::NEG_INFINITY,
-    decided: f64::INFINITY,
-    force_scale: 1.0,
-    models: LIKELY_MODELS,
-};
 /// Model of the bank whose noise the witnesses of a doubted start have: the quietest.
 pub(super) const DOUBT_MODEL: usize = 0;
 /// Standard deviation of that noise, relative to the model's. With 1 the evidence drifts towards the assembly whose motors move more by it: 34 of 600 right

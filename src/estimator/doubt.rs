@@ -21,28 +21,28 @@ use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHE
 use super::encoder::Measurement;
 use super::error_state::{Error, independent};
 use super::flow::Scene;
-use super::hypotheses::{Hypothesis, is_distinguishable};
+use super::hypotheses::{Alternative, Moves, is_distinguishable};
 use super::parameters::Constants;
 use super::propagation::Propagation;
 use super::tangent::{LinkState, Linkage, Links};
 use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
-use crate::copies::clone_by_fields;
 
 /// Doubt about the assembly of a start.
-#[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Doubt {
-    /// Whether both encoders have not been heard yet.
-    pending: bool,
-    /// Both assemblies while they are followed.
-    branches: Option<Branches>,
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+pub(super) enum Doubt {
+    /// Both encoders have not been heard yet.
+    Pending,
+    /// Both assemblies are followed.
+    Open(Branches),
+    /// The assembly is known, or a later question asks for it.
+    Ended,
 }
-
-clone_by_fields!(Doubt { pending, branches });
 
 /// Estimate and motion in the other assembly, in comparison.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Branches {
-    other: Hypothesis,
+    other: Alternative,
     /// Witnesses about the estimate and about the other motion.
     witnesses: [Witness; 2],
     /// Logarithm of the odds of the start.
@@ -53,7 +53,7 @@ pub(super) struct Branches {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     /// Nothing yet.
-    None,
+    Open,
     /// The start is in the right assembly.
     Right,
     /// The start is in the wrong one.
@@ -61,39 +61,40 @@ enum Verdict {
 }
 
 impl Doubt {
-    /// Before the first sample.
-    pub(super) const NEW: Self = Self { pending: true, branches: None };
-    /// Ended.
-    pub(super) const ENDED: Self = Self { pending: false, branches: None };
-
     /// Whether both assemblies are followed.
     pub(super) fn is_open(&self) -> bool {
-        self.branches.is_some()
+        matches!(self, Self::Open(_))
+    }
+
+    /// Both assemblies, while they are followed.
+    fn branches(&mut self) -> Option<&mut Branches> {
+        if let Self::Open(branches) = self { Some(branches) } else { None }
     }
 
     /// Motion in the other assembly, while it is followed.
-    pub(super) fn other(&self) -> Option<&Hypothesis> {
-        self.branches.as_ref().map(|branches| &branches.other)
+    pub(super) fn other(&self) -> Option<&Alternative> {
+        if let Self::Open(branches) = self { Some(&branches.other) } else { None }
     }
 
     /// Begins with the first samples of both encoders, where the assemblies are not one.
     pub(super) fn begin(&mut self, constants: &Constants, motion: &LinkState) {
-        if std::mem::take(&mut self.pending) {
-            let other = Hypothesis::of_start(constants, motion);
-            self.branches = other.map(|other| Branches { other, witnesses: witnesses(constants), evidence: 0.0 });
+        if matches!(self, Self::Pending) {
+            let other = Alternative::of_start(constants, motion);
+            let open = |other| Self::Open(Branches { other, witnesses: witnesses(constants), evidence: 0.0 });
+            *self = other.map_or(Self::Ended, open);
         }
     }
 
     /// Receives a sample of encoder i, as the estimate has expected it, before its own update.
     pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
-        if let Some(branches) = &mut self.branches {
+        if let Some(branches) = self.branches() {
             branches.witnesses[0].receive(i, sample);
         }
     }
 
     /// Follows a correction of the estimate by an error that turns its tangent basis.
     pub(super) fn follow(&mut self, error: &Error, turn: &Matrix2<f64>) {
-        if let Some(branches) = &mut self.branches {
+        if let Some(branches) = self.branches() {
             branches.witnesses[0].correct(error, turn);
         }
     }
@@ -105,12 +106,12 @@ impl Doubt {
         constants: &Constants,
         samples: &[Option<Measurement>; 2],
         seen: &[Option<Measurement>; 2],
-    ) -> Option<Hypothesis> {
-        let branches = self.branches.as_mut()?;
+    ) -> Option<Alternative> {
+        let branches = self.branches()?;
         let verdict = branches.correct(constants, samples, seen);
         let other = branches.other;
-        if verdict != Verdict::None {
-            *self = Self::ENDED;
+        if verdict != Verdict::Open {
+            *self = Self::Ended;
         }
         (verdict == Verdict::Wrong).then_some(other)
     }
@@ -124,7 +125,7 @@ impl Doubt {
         (step, [from, to], force): (&Propagation, [&LinkState; 2], &Links),
         (has_intervals, h): (bool, f64),
     ) -> Option<f64> {
-        let Branches { other, witnesses: [own, mirrored], evidence } = self.branches.as_mut()?;
+        let Branches { other, witnesses: [own, mirrored], evidence } = self.branches()?;
         let follow = |witness: &mut Witness, step: &Propagation, [from, to]: [&LinkState; 2], force: &Links| {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
@@ -133,14 +134,14 @@ impl Doubt {
             witness.predict(step, (&step.noise(h), DOUBT_MODEL, scales), &by, None, h);
         };
         let (before, acts) = (other.motion, other.belief.force);
-        let Some(beside) = other.propagate(constants, scene, &acts, None, h) else {
+        let Some(beside) = other.propagate(constants, scene, Moves::Under(&acts), h) else {
             // No motion in the other assembly goes on.
-            *self = Self::ENDED;
+            *self = Self::Ended;
             return None;
         };
         if step.held || beside.held || ![to, &other.motion].into_iter().all(is_distinguishable) {
             let odds = START_ODDS - *evidence;
-            *self = Self::ENDED;
+            *self = Self::Ended;
             return Some(odds);
         }
         follow(own, step, [from, to], force);
@@ -150,9 +151,12 @@ impl Doubt {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        self.branches.as_ref().is_none_or(|Branches { other, witnesses, evidence }| {
-            other.is_of_start() && other.is_sound(linkage) && witnesses.iter().all(Witness::is_sound) && evidence.is_finite()
-        })
+        match self {
+            Self::Pending | Self::Ended => true,
+            Self::Open(Branches { other, witnesses, evidence }) => {
+                other.is_sound(linkage) && witnesses.iter().all(Witness::is_sound) && evidence.is_finite()
+            }
+        }
     }
 }
 
@@ -186,14 +190,14 @@ impl Branches {
         if !evidence.is_finite() || scatter > most && samples > enough {
             // Something acts that neither explains.
             (self.witnesses, self.evidence) = (witnesses(constants), 0.0);
-            return Verdict::None;
+            return Verdict::Open;
         }
         self.evidence = evidence;
         let [right, wrong] = DOUBT_ENDS;
         match () {
             () if evidence >= right => Verdict::Right,
             () if evidence <= -wrong => Verdict::Wrong,
-            () => Verdict::None,
+            () => Verdict::Open,
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Hypotheses: motions that encoders do not tell from the estimate at once, each with its evidence and age, until samples decide.
+//! Hypotheses: motions that encoders do not tell from the estimate at once. They are alternatives that answer one open question, until samples decide.
 //!
-//! | question | hypotheses | compared with |
+//! | question | alternatives | compared with |
 //! | --- | --- | --- |
 //! | behind a vertex, which way? | straight on, turned to either side | the estimate |
 //! | in a slow passage of a direct singularity, across or back? | the motion under nearly no unknown force | its mirror image |
@@ -15,11 +15,11 @@ use nalgebra::Matrix2;
 
 use super::belief::{Bank, Belief};
 use super::constants::{
-    AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, HypothesisRules, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA,
-    LARGEST_ODDS_AFTER_CROSSING, LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS,
-    LEAST_MOTOR_DETERMINANT, LEAST_ODDS_TO_OPEN, LEAST_RATE_CHANGE, LEAST_SINGULAR_VALUE, LIKELY_MODELS, MOST_FINE_STEPS,
-    NEAR_SINGULARITY, NEAR_VERTEX, NEGLIGIBLE_ODDS, OF_START, QUIET, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE,
-    SLOW_PASSAGE, START_DISTANCE, TURNING_STEPS,
+    AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA, LARGEST_ODDS_AFTER_CROSSING,
+    LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS, LEAST_MOTOR_DETERMINANT,
+    LEAST_ODDS_TO_OPEN, LEAST_RATE_CHANGE, LEAST_SINGULAR_VALUE, LIKELY_MODELS, MODELS, MOST_FINE_STEPS, NEAR_SINGULARITY,
+    NEAR_VERTEX, NEGLIGIBLE_ODDS, QUIET_FORCE_SCALE, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE, SLOW_PASSAGE,
+    START_DISTANCE, TURNING_STEPS, WHICH_ASSEMBLY,
 };
 use super::encoder::Measurement;
 use super::error_state::{Error, FORCE, Transition, turn_errors};
@@ -31,48 +31,67 @@ use crate::copies::clone_by_fields;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Assembly, Start, close};
 
-/// Largest number of hypotheses.
+/// Largest number of ways from a vertex.
 const MOST: usize = 3;
 
-/// Kind of a hypothesis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub(super) enum Kind {
-    /// Straight on through a vertex, under the estimate's unknown force.
-    Straight,
-    /// Turned in a vertex, under the estimate's unknown force.
-    Turned,
-    /// Under nearly no unknown force.
-    Quiet,
-    /// In the other assembly than the start, under an unknown force of its own.
-    Mirrored,
+/// Motion beside the estimate, with errors about it.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Alternative {
+    pub(super) motion: LinkState,
+    pub(super) belief: Belief,
 }
 
-impl Kind {
-    fn rules(self) -> &'static HypothesisRules {
+/// How an alternative moves.
+#[derive(Clone, Copy)]
+pub(super) enum Moves<'a> {
+    /// Straight on through a vertex, under this unknown force.
+    Straight(&'a Links),
+    /// Under this unknown force.
+    Under(&'a Links),
+    /// Under nearly no unknown force; with the transition of the estimate if the motion is close to the estimate.
+    Quiet(Option<&'a Propagation>),
+}
+
+impl Moves<'_> {
+    /// Unknown force, its torque scale relative to that of the estimate, and prior probabilities of the models.
+    fn force(self) -> (Links, f64, &'static [f64; MODELS]) {
         match self {
-            Self::Quiet => &QUIET,
-            Self::Mirrored => &OF_START,
-            Self::Straight | Self::Turned => &AFTER_VERTEX,
+            Self::Straight(force) | Self::Under(force) => (*force, 1.0, &LIKELY_MODELS),
+            Self::Quiet(_) => (Links::zeros(), QUIET_FORCE_SCALE, &QUIET_MODELS),
         }
     }
 }
 
-/// Motion beside the estimate.
+/// Way from a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Hypothesis {
-    kind: Kind,
-    pub(super) motion: LinkState,
-    pub(super) belief: Belief,
-    /// Log-likelihood relative to what it is compared with; of a passage, of the mirror image relative to the motion.
+struct Way {
+    other: Alternative,
+    /// Whether it goes straight on through the vertex.
+    straight: bool,
+    /// Log-likelihood relative to the estimate.
     evidence: f64,
-    /// Age, s.
-    age: f64,
 }
 
-/// Open hypotheses, and what is known for those to come.
+/// Question about the branch of the motion, with the motions that may answer it.
+#[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+enum Question {
+    /// None is open.
+    #[default]
+    None,
+    /// Which way from a vertex? There is at least one, as old as the others, s.
+    Vertex { ways: ArrayVec<Way, MOST>, age: f64 },
+    /// Across a direct singularity or back, in a slow passage? Largest log-likelihood so far of the mirror image of the quiet motion.
+    Passage { passing: Alternative, odds: f64 },
+    /// In which assembly? Quiet motions in that of the estimate and in the other one, with the log-likelihood of the other one relative to the
+    /// first, and the age of both, s.
+    Assemblies { own: Alternative, other: Alternative, evidence: f64, age: f64 },
+}
+
+/// The open question, and what is known for those to come.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Hypotheses {
-    list: ArrayVec<Hypothesis, MOST>,
+    question: Question,
     /// Time since the last vertex, s.
     since_vertex: f64,
     /// Whether the estimate approaches a vertex.
@@ -84,35 +103,31 @@ pub(super) struct Hypotheses {
     lost: f64,
 }
 
-clone_by_fields!(Hypotheses { list, since_vertex, approaches_vertex, mirror_odds, lost });
+clone_by_fields!(Hypotheses { question, since_vertex, approaches_vertex, mirror_odds, lost });
 
 impl Default for Hypotheses {
     fn default() -> Self {
-        Self { list: ArrayVec::new(), since_vertex: f64::MAX, approaches_vertex: false, mirror_odds: NEGLIGIBLE_ODDS, lost: 0.0 }
+        Self { question: Question::None, since_vertex: f64::MAX, approaches_vertex: false, mirror_odds: NEGLIGIBLE_ODDS, lost: 0.0 }
     }
 }
 
 impl Hypotheses {
     /// Whether several motions are followed: behind a vertex, or in both assemblies.
     pub(super) fn are_open(&self) -> bool {
-        self.are_after_vertex() || self.list.len() > 1
+        matches!(self.question, Question::Vertex { .. } | Question::Assemblies { .. })
     }
 
-    fn are_after_vertex(&self) -> bool {
-        self.list.first().is_some_and(|first| first.kind != Kind::Quiet)
-    }
-
-    /// Whether those that are followed move under nearly no unknown force.
+    /// Whether motions under nearly no unknown force are followed.
     pub(super) fn are_quiet(&self) -> bool {
-        self.list.first().is_some_and(|first| first.kind == Kind::Quiet)
+        matches!(self.question, Question::Passage { .. } | Question::Assemblies { .. })
     }
 
-    /// Whether the branch is known: the last vertex was left longer ago than a hypothesis lives.
+    /// Whether the branch is known: the last vertex was left longer ago than a question about it stays open.
     pub(super) fn is_branch_known(&self) -> bool {
         self.since_vertex > AFTER_VERTEX.lifetime
     }
 
-    /// Opens hypotheses where the estimate, whose macro step ends at `to` with frame `end`, leaves a vertex, since no sample has told on
+    /// Opens a question where the estimate, whose macro step ends at `to`, leaves a vertex, since no sample has told on
     /// which side it was passed. Called before the time update.
     pub(super) fn open_after_vertex(
         &mut self,
@@ -131,11 +146,11 @@ impl Hypotheses {
             && (to.omega - motion.omega).iter().any(|change| change.abs() > LEAST_RATE_CHANGE * fastest);
         let leaves = near && (turned || self.approaches_vertex && after > before);
         self.approaches_vertex = near && !leaves && after < before;
-        if leaves && !self.are_after_vertex() {
+        if leaves && !matches!(self.question, Question::Vertex { .. }) {
             let straight =
-                turned.then_some(Hypothesis { kind: Kind::Straight, motion: *motion, belief: *belief, evidence: 0.0, age: 0.0 });
+                turned.then_some(Way { other: Alternative { motion: *motion, belief: *belief }, straight: true, evidence: 0.0 });
             let aside = |side: f64| turned_aside(&constants.linkage, scene, (motion, belief), side * LATERAL_OFFSET);
-            self.list = [straight, aside(1.0), aside(-1.0)].into_iter().flatten().collect();
+            self.question = Question::of_ways([straight, aside(1.0), aside(-1.0)].into_iter().flatten().collect(), 0.0);
         }
     }
 
@@ -149,86 +164,92 @@ impl Hypotheses {
         h: f64,
     ) {
         self.since_vertex = (if step.held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
-        let in_passage = self.list.len() == 1;
-        if self.are_quiet() && (coasts || step.held) {
-            self.list.clear();
-        }
-        let mut fails = false;
-        for (i, other) in self.list.iter_mut().enumerate() {
-            // A hypothesis in the estimate's assembly is close to it.
-            let close = (other.kind == Kind::Quiet && i == 0).then_some(step);
-            let force = if other.kind == Kind::Quiet { Links::zeros() } else { belief.force };
-            other.age += if other.kind == Kind::Quiet && in_passage { 0.0 } else { h };
-            let goes_on = other.age < other.kind.rules().lifetime && other.propagate(constants, scene, &force, close, h).is_some();
-            if !goes_on {
-                (other.evidence, fails) = (f64::NAN, true);
+        let goes_on = |other: &mut Alternative, moves: Moves| other.propagate(constants, scene, moves, h).is_some();
+        let stays = match &mut self.question {
+            Question::None => true,
+            Question::Passage { .. } | Question::Assemblies { .. } if coasts || step.held => false,
+            Question::Passage { passing, .. } => goes_on(passing, Moves::Quiet(Some(step))),
+            Question::Assemblies { own, other, age, .. } => {
+                *age += h;
+                *age < WHICH_ASSEMBLY.lifetime && goes_on(own, Moves::Quiet(Some(step))) && goes_on(other, Moves::Quiet(None))
             }
-        }
-        if fails {
-            self.drop_refuted();
+            Question::Vertex { ways, age } => {
+                *age += h;
+                let open = ways.len();
+                ways.retain(|Way { other, straight, .. }| {
+                    let moves = if *straight { Moves::Straight(&belief.force) } else { Moves::Under(&belief.force) };
+                    *age < AFTER_VERTEX.lifetime && goes_on(other, moves)
+                });
+                if ways.len() < open {
+                    ways.retain(|way| way.evidence > AFTER_VERTEX.refuted);
+                }
+                !ways.is_empty()
+            }
+        };
+        if !stays {
+            self.question = Question::None;
         }
         match () {
             // Without samples nothing decides between assemblies.
             () if coasts => self.mirror_odds = NEGLIGIBLE_ODDS,
-            () if step.held || self.are_after_vertex() => self.mirror_odds = 0.0,
+            () if step.held || matches!(self.question, Question::Vertex { .. }) => self.mirror_odds = 0.0,
             () => self.follow_passage(constants, (motion, belief), &step.to),
         }
     }
 
-    /// Follows the passage of a direct singularity, and opens hypotheses in both assemblies behind it.
+    /// Follows the passage of a direct singularity, and asks for the assembly behind it.
     fn follow_passage(&mut self, constants: &Constants, (motion, belief): (&LinkState, &Belief), at: &Frame) {
-        let quiet = || Hypothesis::quiet(constants, motion, belief);
-        if let [passing] = self.list.as_mut_slice() {
-            let odds = mirror_odds(&passing.motion, &passing.belief, &constants.linkage.frame(&passing.motion.theta));
-            passing.evidence = passing.evidence.max(odds).clamp(NEGLIGIBLE_ODDS, 0.0);
+        let quiet = || Alternative::quiet(constants, motion, belief);
+        if let Question::Passage { passing, odds } = &mut self.question {
+            let now = mirror_odds(&passing.motion, &passing.belief, &constants.linkage.frame(&passing.motion.theta));
+            *odds = odds.max(now).clamp(NEGLIGIBLE_ODDS, 0.0);
         }
         let [side, rate] = motion.side().into();
         if side.abs() < DISTINGUISHABLE {
             if rate.abs() < SLOW_PASSAGE {
-                match *self.list.as_slice() {
-                    // The motion returns to the singularity undecided: the likelier hypothesis continues through it.
-                    [own, other] => {
-                        let evidence = other.evidence.clamp(NEGLIGIBLE_ODDS, 0.0 - NEGLIGIBLE_ODDS);
+                match self.question {
+                    // The motion returns to the singularity undecided: the likelier alternative continues through it.
+                    Question::Assemblies { own, other, evidence, .. } => {
+                        let evidence = evidence.clamp(NEGLIGIBLE_ODDS, 0.0 - NEGLIGIBLE_ODDS);
                         self.mirror_odds = evidence.min(0.0);
-                        let likelier = if evidence > 0.0 { other } else { own };
-                        self.list = [Hypothesis { evidence: -evidence.abs(), age: 0.0, ..likelier }].into_iter().collect();
+                        let passing = if evidence > 0.0 { other } else { own };
+                        self.question = Question::Passage { passing, odds: -evidence.abs() };
                     }
-                    [] if self.mirror_odds == NEGLIGIBLE_ODDS => self.list.push(quiet()),
-                    _ => (),
+                    Question::None if self.mirror_odds == NEGLIGIBLE_ODDS => {
+                        self.question = Question::Passage { passing: quiet(), odds: NEGLIGIBLE_ODDS };
+                    }
+                    Question::None | Question::Passage { .. } | Question::Vertex { .. } => (),
                 }
             }
             self.mirror_odds = self.mirror_odds.max(mirror_odds(motion, belief, at)).clamp(NEGLIGIBLE_ODDS, 0.0);
             return;
         }
         let prior = std::mem::replace(&mut self.mirror_odds, NEGLIGIBLE_ODDS);
-        let passed = if self.list.len() == 1 { self.list.pop() } else { None };
+        let passed = if let Question::Passage { passing, odds } = self.question { Some((passing, odds)) } else { None };
+        if passed.is_some() {
+            self.question = Question::None;
+        }
         if prior > LEAST_ODDS_TO_OPEN {
-            let (odds, own) = match passed {
-                Some(passed) => (passed.evidence.clamp(LEAST_INITIAL_ODDS, LARGEST_ODDS_AFTER_CROSSING), passed),
-                None => (prior.max(LEAST_INITIAL_ODDS), quiet()),
+            let (own, odds) = match passed {
+                Some((passed, odds)) => (passed, odds.clamp(LEAST_INITIAL_ODDS, LARGEST_ODDS_AFTER_CROSSING)),
+                None => (quiet(), prior.max(LEAST_INITIAL_ODDS)),
             };
-            let own = Hypothesis { evidence: 0.0, ..own };
-            self.list = own
-                .mirrored(constants)
-                .into_iter()
-                .flat_map(|mirrored| {
-                    if own.motion.side()[0] * side < 0.0 {
-                        // The estimate is in the mirrored assembly, and the next samples replace it.
-                        [mirrored, Hypothesis { evidence: (-odds).max(QUIET.decided + 1.0), ..own }]
-                    } else {
-                        [own, Hypothesis { evidence: odds, ..mirrored }]
-                    }
-                })
-                .collect();
+            self.question = match own.mirrored(constants) {
+                None => Question::None,
+                // The estimate is in the mirrored assembly, and the next samples replace it.
+                Some(mirrored) if own.motion.side()[0] * side < 0.0 => {
+                    let evidence = (-odds).max(WHICH_ASSEMBLY.decided + 1.0);
+                    Question::Assemblies { own: mirrored, other: own, evidence, age: 0.0 }
+                }
+                Some(mirrored) => Question::Assemblies { own, other: mirrored, evidence: odds, age: 0.0 },
+            };
         }
     }
 
-    /// Hypothesis that the first samples (innovation, angle) after a vertex favour by far.
+    /// Way that the first samples (innovation, angle) after a vertex favour by far.
     pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<Measurement>; 2]) -> Option<usize> {
-        if !self.are_after_vertex() {
-            return None;
-        }
-        let favour = self.list.iter().map(|other| {
+        let Question::Vertex { ways, .. } = &self.question else { return None };
+        let favour = ways.iter().map(|Way { other, .. }| {
             let frame = linkage.frame(&other.motion.theta);
             let told = samples.iter().enumerate().filter_map(|(encoder, sample)| {
                 let sample = sample.as_ref()?;
@@ -242,47 +263,53 @@ impl Hypotheses {
         largest(favour, IMMEDIATE_EVIDENCE)
     }
 
-    /// Measurement update of the hypotheses; `likelihood` is the log-likelihood of the samples in the estimate. Returns the hypothesis that
+    /// Measurement update of the alternatives; `likelihood` is the log-likelihood of the samples in the estimate. Returns the alternative that
     /// replaces the estimate, if any.
     pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<Measurement>; 2], likelihood: f64) -> Option<usize> {
-        let told: ArrayVec<f64, MOST> =
-            self.list.iter_mut().map(|other| other.update(linkage, samples).map_or(f64::NAN, |(told, ..)| told)).collect();
-        let reference = if self.are_quiet() { told[0] } else { likelihood };
-        self.list.iter_mut().zip(told).for_each(|(other, own)| other.evidence += own - reference);
-        self.drop_refuted();
-        if self.list.len() == 1 && self.are_quiet() {
-            return None;
+        let told = |other: &mut Alternative| other.update(linkage, samples).map(|(told, ..)| told);
+        let (stays, decided) = match &mut self.question {
+            Question::None => (true, None),
+            Question::Passage { passing, .. } => (told(passing).is_some_and(f64::is_finite), None),
+            Question::Assemblies { own, other, evidence, .. } => {
+                let told = told(own).zip(told(other)).filter(|(own, _)| own.is_finite());
+                *evidence += told.map_or(0.0, |(own, other)| other - own);
+                let stays = told.is_some() && *evidence > WHICH_ASSEMBLY.refuted;
+                (stays, (stays && *evidence > WHICH_ASSEMBLY.decided).then_some(1))
+            }
+            Question::Vertex { ways, .. } => {
+                ways.retain(|Way { other, evidence, .. }| {
+                    let told = told(other);
+                    *evidence += told.map_or(0.0, |told| told - likelihood);
+                    told.is_some() && *evidence > AFTER_VERTEX.refuted
+                });
+                (!ways.is_empty(), largest(ways.iter().map(|way| way.evidence), AFTER_VERTEX.decided))
+            }
+        };
+        if !stays {
+            self.question = Question::None;
         }
-        let decided = self.list.first()?.kind.rules().decided;
-        largest(self.list.iter().map(|other| other.evidence), decided)
+        decided
     }
 
-    /// Drops what the evidence refutes, or what failed and has an evidence that is no number; of two assemblies, both.
-    fn drop_refuted(&mut self) {
-        let is_refuted = |other: &Hypothesis| other.evidence.is_nan() || other.evidence <= other.kind.rules().refuted;
-        if self.list.len() == 1 && self.are_quiet() {
-            self.list.retain(|passing| !passing.evidence.is_nan());
-        } else if self.are_quiet() && self.list.iter().any(is_refuted) {
-            self.list.clear();
-        } else {
-            self.list.retain(|other| !is_refuted(other));
-        }
-    }
-
-    /// Lets a hypothesis replace the estimate. Behind a vertex the two change places; of two assemblies both go on beside the new estimate.
+    /// Lets an alternative replace the estimate. Behind a vertex the two change places; of two assemblies both go on beside the new estimate.
     pub(super) fn take_over(&mut self, which: usize, constants: &Constants, (motion, belief): (&mut LinkState, &mut Belief)) {
-        let ahead = self.list[which].evidence;
-        self.list.iter_mut().for_each(|other| other.evidence -= ahead);
-        let other = &mut self.list[which];
-        if other.kind == Kind::Quiet {
-            let mut bank = other.belief.bank.with_priors(LIKELY_MODELS);
-            bank.inflate([0.0, 0.0, REPLACEMENT_FORCE_VARIANCE * constants.torque_scale().powi(2)]);
-            (*motion, *belief) = (other.motion, Belief { bank, ..other.belief });
-            self.list.swap(0, which);
-        } else {
-            std::mem::swap(motion, &mut other.motion);
-            std::mem::swap(belief, &mut other.belief);
-            (other.evidence, other.kind) = (-ahead, Kind::Turned);
+        match &mut self.question {
+            Question::None | Question::Passage { .. } => (),
+            Question::Assemblies { own, other, evidence, .. } => {
+                let mut bank = other.belief.bank.with_priors(LIKELY_MODELS);
+                bank.inflate([0.0, 0.0, REPLACEMENT_FORCE_VARIANCE * constants.torque_scale().powi(2)]);
+                (*motion, *belief) = (other.motion, Belief { bank, ..other.belief });
+                std::mem::swap(own, other);
+                *evidence = 0.0 - *evidence;
+            }
+            Question::Vertex { ways, .. } => {
+                let ahead = ways[which].evidence;
+                ways.iter_mut().for_each(|way| way.evidence -= ahead);
+                let Way { other, straight, evidence } = &mut ways[which];
+                std::mem::swap(motion, &mut other.motion);
+                std::mem::swap(belief, &mut other.belief);
+                (*evidence, *straight) = (-ahead, false);
+            }
         }
     }
 
@@ -302,26 +329,38 @@ impl Hypotheses {
         Self { mirror_odds: 0.0, ..Self::default() }
     }
 
-    /// Whether stored hypotheses are possible.
+    /// Whether stored values are possible.
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        let first = self.list.first().map(|first| first.kind == Kind::Quiet);
         self.since_vertex >= 0.0
             && self.lost.is_finite()
             && (NEGLIGIBLE_ODDS..=0.0).contains(&self.mirror_odds)
-            && !(first == Some(true) && self.list.len() == MOST)
-            && self
-                .list
-                .iter()
-                .all(|other| first == Some(other.kind == Kind::Quiet) && other.kind != Kind::Mirrored && other.is_sound(linkage))
+            && match &self.question {
+                Question::None => true,
+                Question::Vertex { ways, age } => {
+                    let is_sound = |way: &Way| way.evidence.is_finite() && way.other.is_sound(linkage);
+                    !ways.is_empty() && (0.0..=AFTER_VERTEX.lifetime).contains(age) && ways.iter().all(is_sound)
+                }
+                Question::Passage { passing, odds } => (NEGLIGIBLE_ODDS..=0.0).contains(odds) && passing.is_sound(linkage),
+                Question::Assemblies { own, other, evidence, age } => {
+                    evidence.is_finite()
+                        && (0.0..=WHICH_ASSEMBLY.lifetime).contains(age)
+                        && [own, other].into_iter().all(|of| of.is_sound(linkage))
+                }
+            }
     }
 }
 
-impl Hypothesis {
-    /// Whether a stored hypothesis is possible.
+impl Question {
+    /// Which way from a vertex, of this age, s; no question where there is no way.
+    fn of_ways(ways: ArrayVec<Way, MOST>, age: f64) -> Self {
+        if ways.is_empty() { Self::None } else { Self::Vertex { ways, age } }
+    }
+}
+
+impl Alternative {
+    /// Whether a stored alternative is possible.
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        self.evidence.is_finite()
-            && (0.0..=self.kind.rules().lifetime).contains(&self.age)
-            && self.belief.is_sound(linkage, &self.motion)
+        self.belief.is_sound(linkage, &self.motion)
     }
 
     /// Motion of the estimate under nearly no unknown force.
@@ -329,23 +368,17 @@ impl Hypothesis {
         let sigma = INITIAL_FORCE_SIGMA * constants.torque_scale();
         let bank = belief.bank.with_priors(QUIET_MODELS).with_force(sigma * sigma);
         let belief = Belief { force: Links::zeros(), bank };
-        Self { kind: Kind::Quiet, motion: *motion, belief, evidence: NEGLIGIBLE_ODDS, age: 0.0 }
-    }
-
-    /// Whether this is in the other assembly than the start.
-    pub(super) fn is_of_start(&self) -> bool {
-        self.kind == Kind::Mirrored
+        Self { motion: *motion, belief }
     }
 
     /// Motion in the other assembly than the estimate's, with equal angles and rates of the motors, about which a start is as uncertain. `None`
     /// where the assemblies cannot be told apart.
     pub(super) fn of_start(constants: &Constants, motion: &LinkState) -> Option<Self> {
         let mirrored = mirror_image(constants, motion).filter(|_| is_distinguishable(motion))?;
-        let belief = Belief::new(constants.start_variances());
-        Some(Self { kind: Kind::Mirrored, motion: mirrored, belief, evidence: 0.0, age: 0.0 })
+        Some(Self { motion: mirrored, belief: Belief::new(constants.start_variances()) })
     }
 
-    /// Hypothesis in the mirrored assembly with equal angles and rates of the motors.
+    /// Alternative in the mirrored assembly with equal angles and rates of the motors.
     fn mirrored(&self, constants: &Constants) -> Option<Self> {
         let Self { motion, .. } = self;
         let mirrored = mirror_image(constants, motion)?;
@@ -357,30 +390,23 @@ impl Hypothesis {
         f.fixed_view_mut::<2, 2>(FORCE, FORCE).copy_from(&Matrix2::identity());
         let mut belief = Belief { force: Links::zeros(), ..self.belief };
         belief.bank.transform(&f);
-        Some(Self { motion: mirrored, belief, ..*self })
+        Some(Self { motion: mirrored, belief })
     }
 
-    /// Time update by h seconds under an unknown force, with the transition of a motion that is `close` where that is close enough; `None`
-    /// where it fails. Returns the step.
-    pub(super) fn propagate(
-        &mut self,
-        constants: &Constants,
-        scene: &impl Scene,
-        force: &Links,
-        close: Option<&Propagation>,
-        h: f64,
-    ) -> Option<Propagation> {
-        let (linkage, rules) = (&constants.linkage, self.kind.rules());
+    /// Time update by h seconds; `None` if the motion cannot go on. Returns the step.
+    pub(super) fn propagate(&mut self, constants: &Constants, scene: &impl Scene, moves: Moves, h: f64) -> Option<Propagation> {
+        let (linkage, (force, scale, models)) = (&constants.linkage, moves.force());
         let from = linkage.frame(&self.motion.theta);
+        let close = if let Moves::Quiet(close) = moves { close } else { None };
         let close = close.filter(|close| from.basis_map_to(&close.from).determinant().abs() >= LEAST_BASIS_OVERLAP);
         let (end, step) = if let Some(close) = close {
-            let (end, to) = linkage.closed(flow::motion(scene, &self.motion, force, h, close.steps))?;
+            let (end, to) = linkage.closed(flow::motion(scene, &self.motion, &force, h, close.steps))?;
             (end, close.transferred(&from, &to))
         } else {
             let turn = h * self.motion.fastest() / from.smallest.max(LEAST_SINGULAR_VALUE);
             let fine = (turn / LARGEST_TURN).ceil().clamp(1.0, MOST_FINE_STEPS) as u32;
-            let flow = flow::flow::<0>(linkage, scene, (&self.motion, &from), force, (h, fine));
-            let (end, to) = if self.kind == Kind::Straight && from.smallest < NEAR_VERTEX {
+            let flow = flow::flow::<0>(linkage, scene, (&self.motion, &from), &force, (h, fine));
+            let (end, to) = if matches!(moves, Moves::Straight(_)) && from.smallest < NEAR_VERTEX {
                 straight_on(linkage, &self.motion, h)?
             } else if linkage.posture(&flow.end.theta).gram(linkage.length).1 < NEAR_VERTEX {
                 // Next to a vertex J cannot close the loop.
@@ -390,8 +416,8 @@ impl Hypothesis {
             };
             (end, Propagation::along(&flow, scene.mass(&self.motion.theta), &from, (&end, &to), h))
         };
-        let (scale, timing) = (rules.force_scale * constants.torque_scale(), (h, constants.parameters.switch_time));
-        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, &rules.models);
+        let (scale, timing) = (scale * constants.torque_scale(), (h, constants.parameters.switch_time));
+        self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, models);
         self.motion = end;
         Some(step)
     }
@@ -479,7 +505,7 @@ pub(super) fn started_by_motors(constants: &Constants, motion: &LinkState, axes:
 
 /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that
 /// fails.
-fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkState, &Belief), aside: f64) -> Option<Hypothesis> {
+fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkState, &Belief), aside: f64) -> Option<Way> {
     let fastest = motion.fastest();
     // At rest in a vertex there is no past motion.
     if fastest < REST_RATE {
@@ -500,7 +526,8 @@ fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkS
     let mut bank: Bank = belief.bank;
     bank.change_basis(&linkage.frame(&motion.theta).basis_map_to(&linkage.frame(&turned.theta)));
     bank.inflate([aside * aside, (aside / START_DISTANCE * fastest).powi(2), 0.0]);
-    Some(Hypothesis { kind: Kind::Turned, motion: turned, belief: Belief { bank, ..*belief }, evidence: 0.0, age: 0.0 })
+    let other = Alternative { motion: turned, belief: Belief { bank, ..*belief } };
+    Some(Way { other, straight: false, evidence: 0.0 })
 }
 
 #[cfg(test)]

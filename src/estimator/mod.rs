@@ -8,7 +8,7 @@
 //! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
 //! | `learning.rs` | masses, friction, lengths and mounting angles as parameters behind the errors |
 //! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
-//! | `hypotheses.rs` | motions that encoders do not tell from the estimate at once |
+//! | `hypotheses.rs` | the open question about the branch, and the motions that may answer it |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
 //! | `doubt.rs` | whether the start is in the right assembly |
@@ -150,7 +150,7 @@ impl Estimator {
             held: false,
             coasts: true,
             hypotheses: Box::default(),
-            doubt: Box::new(Doubt::NEW),
+            doubt: Box::new(Doubt::Pending),
             unaided: Box::default(),
             learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
@@ -559,12 +559,12 @@ impl Estimator {
             Repetition(..) => (),
         }
         match kind {
-            Samples { .. } => (**hypotheses, **doubt) = (Hypotheses::of_unknown_side(), Doubt::ENDED),
+            Samples { .. } => (**hypotheses, **doubt) = (Hypotheses::of_unknown_side(), Doubt::Ended),
             Unclosed | Runaway | Adrift => {
                 if doubt.is_open() {
                     hypotheses.doubt_side(0.0);
                 }
-                **doubt = Doubt::ENDED;
+                **doubt = Doubt::Ended;
             }
             Branch | Assembly(_) | Repetition(..) => (),
         }
