@@ -70,11 +70,7 @@ fn docs_list_every_scene_with_its_effects() {
     for scene in Scene::all().expect("shipped scenes") {
         let active = active(&scene);
         let effects = if active.is_empty() { "none".into() } else { active.join(", ") };
-        assert!(
-            rows.remove(&(scene.name.clone(), effects.clone())),
-            "docs/scenes.md has no row for {} with {effects}",
-            scene.name
-        );
+        assert!(rows.remove(&(scene.name.clone(), effects.clone())), "docs/scenes.md has no row for {} with {effects}", scene.name);
     }
     assert!(rows.is_empty(), "no scenes: {rows:?}");
     let (_, example) = docs.split_once("```json\n").expect("an example");
