@@ -49,7 +49,7 @@ def test_results_are_equal_to_themselves_alone(stopped: Result) -> None:
 
 def test_a_result_is_shown_in_a_line_or_as_html(stopped: Result) -> None:
     assert repr(stopped) == (
-        f"<fivebar.Result of trial by i3alp: {len(stopped)} columns at 501 communication points, 0 to 0.5 s>"
+        f"<fivebar.Result of trial by automatic: {len(stopped)} columns at 501 communication points, 0 to 0.5 s>"
     )
     page = stopped._repr_html_()
     assert "tip at the end" in page and page.count("<img ") == 1 and "image/png;base64,iVBOR" in page
