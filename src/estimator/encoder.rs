@@ -13,6 +13,7 @@ use super::error_state::{Error, RATE};
 use super::history::History;
 use super::parameters::{Constants, Parameters};
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
+use super::trust::{Event, Trust};
 
 /// Time of an encoder that has no sample, s.
 pub(super) const NEVER: f64 = -1e30;
@@ -174,14 +175,9 @@ pub struct Encoder {
     repeated: bool,
     /// Difference of the last two valid samples, rad.
     change: f64,
-    /// Whether the encoder is stuck, until a valid reading has changed.
-    stuck: bool,
-    /// Number of samples rejected in a row.
-    rejected_in_a_row: u32,
+    trust: Trust,
     /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
     innovation: f64,
-    /// Innovation with which the reading jumped away from the estimate, rad; 0 where it has not.
-    jump: f64,
     /// Macro steps' time since the encoder was absent or a sample was rejected, or since the estimate began anew, s.
     believed_for: f64,
     /// Time between the last two valid samples, s; 0 before there are two.
@@ -206,10 +202,8 @@ impl Encoder {
         valid_time: NEVER,
         repeated: false,
         change: 0.0,
-        stuck: false,
-        rejected_in_a_row: 0,
+        trust: Trust::Good,
         innovation: 0.0,
-        jump: 0.0,
         believed_for: 0.0,
         interval: 0.0,
         time_since_sample: f64::INFINITY,
@@ -279,8 +273,10 @@ impl Encoder {
             return None;
         }
         self.repeated = has_sample && self.angle.to_bits() == angle.to_bits();
-        self.stuck &= self.repeated;
-        if self.stuck {
+        if !self.repeated {
+            self.trust = self.trust.after(Event::Changed);
+        }
+        if self.is_stuck() {
             self.fault = Fault::Stuck;
         }
         self.change = if has_sample { angle - self.angle } else { 0.0 };
@@ -297,7 +293,7 @@ impl Encoder {
             self.believed_for = 0.0;
         }
         if self.time_since_sample > NEW_AFTER_SILENCE {
-            self.jump = 0.0;
+            self.trust = self.trust.after(Event::Renewed);
         }
         self.time_since_sample = 0.0;
         let used = if age <= rounded { 0.0 } else { age.min(max_delay.max(rounded)) };
@@ -334,7 +330,7 @@ impl Encoder {
 
     /// Whether samples arrive that are believed, single outliers aside.
     pub(super) fn is_believed(&self) -> bool {
-        !(self.is_silent() || self.stuck || self.is_away())
+        !(self.is_silent() || self.is_stuck() || self.is_away())
     }
 
     /// Whether the encoder has been silent for so long that the estimate may have left it: longer than where single samples are lost.
@@ -344,11 +340,12 @@ impl Encoder {
 
     /// Whether stored values are possible.
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.valid_time, self.change, self.innovation, self.jump];
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.innovation];
         let durations =
             [self.interval, self.time_since_arrival, self.arrival_interval, self.jitter, self.timing, self.believed_for];
         numbers.iter().chain(&durations).all(|x| x.is_finite())
             && durations.iter().chain([&self.time_since_sample]).all(|x| *x >= 0.0)
+            && self.trust.is_sound()
     }
 
     /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
@@ -389,17 +386,22 @@ impl Encoder {
 
     /// Whether the encoder fails: it is stuck, or samples have been rejected in a row. A sample that is refused for its stamp is lost.
     pub(super) fn fails(&self) -> bool {
-        self.stuck || self.rejected_in_a_row > 1
+        self.is_stuck() || self.trust.is_lasting()
     }
 
     /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
     pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
-        (self.innovation, self.jump, self.rejected_in_a_row) = (residual, residual, self.rejected_in_a_row.max(2));
+        (self.innovation, self.trust) = (residual, self.trust.after(Event::Exchanged(residual)));
     }
 
     /// Whether the reading has jumped away from the estimate.
     pub(super) fn is_away(&self) -> bool {
-        self.jump != 0.0
+        matches!(self.trust, Trust::Away { .. })
+    }
+
+    /// Whether the reading repeats while the axis turns.
+    fn is_stuck(&self) -> bool {
+        matches!(self.trust, Trust::Stuck { .. })
     }
 
     /// Judges whether a reading that has jumped stays away, by how its innovation has changed since the last sample. One that
@@ -407,15 +409,14 @@ impl Encoder {
     /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
     /// other encoder.
     pub(super) fn stays_away(&mut self, sample: &Measurement, witnessed: bool) -> bool {
-        let (lasting, change) = (self.rejected_in_a_row > 1, wrapped(self.innovation_change(sample)).abs());
+        let (lasting, change) = (self.trust.is_lasting(), wrapped(self.innovation_change(sample)).abs());
         self.innovation = sample.innovation.residual;
         let second_difference = |before: f64| wrapped(self.change - before * self.interval).abs();
         let moved = if lasting { sample.before.map_or(change, |before| change.min(second_difference(before))) } else { change };
-        if self.is_away() && (moved > self.jump.abs() / 2.0 || !(witnessed || lasting)) {
-            self.jump = 0.0;
-            if lasting {
-                self.rejected_in_a_row = 0;
-            }
+        if let Trust::Away { jump, .. } = self.trust
+            && (moved > jump.abs() / 2.0 || !(witnessed || lasting))
+        {
+            self.trust = self.trust.after(Event::Returned);
         }
         self.is_away()
     }
@@ -447,6 +448,7 @@ impl Encoder {
         let repetition = if away { Fault::None } else { repetition() };
         let Innovation { residual, noise, .. } = sample.innovation;
         let least = expected.nis_of_loudest_model(noise - sample.single_variance());
+        let rejected = self.trust.rejected();
         let unexplained = patient && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL);
         self.fault = match self.fault {
             Fault::Stuck => Fault::Stuck,
@@ -454,21 +456,21 @@ impl Encoder {
             _ if away => Fault::Rejected,
             // NaN exceeds the gate.
             _ if expected.nis_with_less(sample.unrevealed) <= GATE => Fault::None,
-            _ if self.rejected_in_a_row < 1 || (unexplained && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
+            _ if rejected < 1 || (unexplained && rejected < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
-        self.stuck = self.fault == Fault::Stuck;
-        // A force that has moved an axis so far moves it on; the next sample tells.
-        if self.fault == Fault::Rejected && patient && witnessed && self.is_settled() && self.jumps(bank, sample, change) {
-            self.jump = residual;
+        let event = match self.fault {
+            Fault::None => Event::Accepted,
+            Fault::Stuck => Event::Froze,
+            // A force that has moved an axis so far moves it on; the next sample tells.
+            _ if patient && witnessed && self.is_settled() && self.jumps(bank, sample, change) => Event::Jumped(residual),
+            _ => Event::Rejected,
+        };
+        self.trust = self.trust.after(event);
+        if self.fault != Fault::None {
+            self.believed_for = 0.0;
         }
-        if self.fault == Fault::None {
-            self.rejected_in_a_row = 0;
-            return true;
-        }
-        self.rejected_in_a_row = self.rejected_in_a_row.saturating_add(1);
-        self.believed_for = 0.0;
-        false
+        self.fault == Fault::None
     }
 
     /// Change of the innovation from the last sample to this one, rad.
@@ -675,7 +677,7 @@ mod tests {
     fn refused_samples_free_no_encoder() {
         let mut encoder = Encoder::NEW;
         assert!(encoder.receive(2.0, 0.0, 0.0, 0.0).is_some());
-        encoder.stuck = true;
+        encoder.trust = encoder.trust.after(Event::Froze);
         assert!(encoder.receive(2.0, 5.0, 1.0, 0.0).is_none() && encoder.fault == Fault::Future && encoder.fails());
         assert!(encoder.receive(2.0, 1.1, 1.1, 0.0).is_some() && encoder.fault == Fault::Stuck);
         assert!(encoder.receive(2.1, 1.2, 1.2, 0.0).is_some() && encoder.fault == Fault::None && !encoder.fails());

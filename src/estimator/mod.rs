@@ -7,7 +7,7 @@
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
 //! | `learning.rs` | masses, friction, lengths and mounting angles as parameters behind the errors |
-//! | `encoder.rs`, `quantiser.rs`, `history.rs` | samples: validity, noise, intervals, delay |
+//! | `encoder.rs`, `trust.rs`, `quantiser.rs`, `history.rs` | samples: validity, trust, noise, intervals, delay |
 //! | `hypotheses.rs` | the open question about the branch, and the motions that may answer it |
 //! | `unaided.rs` | the estimate without an encoder that repeats itself |
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
@@ -40,6 +40,7 @@ mod propagation;
 mod quantiser;
 mod stored;
 pub mod tangent;
+mod trust;
 mod unaided;
 mod witness;
 
