@@ -12,9 +12,19 @@ from made_wheel import build
 
 pytestmark = pytest.mark.nightly
 
+TABLES = """
+import fivebar
+import pandas
 
-def test_the_twin_runs_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Path) -> None:
-    """Five seconds. Only wheels are installed: a version without one for this Python counts as too old."""
+fall = fivebar.run("end_stops", stop_time=0.3, outputs=("tip", "singular.type"))
+assert len(pandas.DataFrame(fall)) == 301 and fall.to_dataframe().attrs["units"]["tip.x"] == "m"
+assert fall.to_xarray()["singular.type"].attrs["flag_values"] == [1, 2, 3, 4, 5]
+assert fall.to_parquet("fall.parquet").is_file() and "image/png" in fall._repr_html_()
+"""
+
+
+def test_the_twin_and_tables_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Path) -> None:
+    """Five seconds, and a short run. Only wheels are installed: a version without one for this Python counts as too old."""
     environment = tmp_path / "environment"
     programs = environment / ("Scripts" if sys.platform == "win32" else "bin")
 
@@ -42,6 +52,9 @@ def test_the_twin_runs_with_the_oldest_allowed_packages(fmu: Path, tmp_path: Pat
         REPOSITORY / "python" / "pyproject.toml",
         "--extra",
         "twin",
+        "--extra",
+        "data",
     )
     run(*install, "--no-deps", build(fmu, tmp_path))
+    run(programs / "python", "-c", TABLES)
     run(programs / "fivebar", "twin", "--seconds", "5")
