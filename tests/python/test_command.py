@@ -329,6 +329,7 @@ print(len(blocked))
         ("none", "."),
         ("twin", "twin"),
         ("calibrate", "twin/calibrate"),
+        ("calibrate", "twin/importing"),
         ("ensemble", "twin/ensemble"),
         ("ensemble cluster", "twin/ensemble"),
     ],

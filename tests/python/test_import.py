@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fivebar import extras, simulate
 from fivebar import scene as scenes
-from fivebar import simulate
 from fivebar.commands import main
 from fivebar.kinematics import Machine as Kinematics
 from fivebar.statics import holding_torques
@@ -486,6 +486,22 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["import", str(file), "-o", str(tmp_path / "record.parquet")]) == 2
     assert "a name that ends in .csv is needed" in capsys.readouterr().err
     assert not (tmp_path / "record.csv").exists()
+
+
+def test_a_bag_without_its_package_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables need no package of ROS."""
+    bag = write_bag(tmp_path, ("/j", ["l"], GRID, LEFT[:, None]))
+    table = write_csv(tmp_path / "a.csv", "time,theta[1]", GRID, LEFT)
+    installed = extras._installed
+    monkeypatch.setattr(extras, "_installed", lambda name: None if name == "rosbags" else installed(name))
+    assert len(imported(tmp_path, table).time) == 400
+    capsys.readouterr()
+    record = ["-o", str(tmp_path / "record.csv")]
+    assert main(["import", str(bag), "--map", str(write_map(tmp_path, t1={"column": "/j/l/position"})), *record]) == 2
+    sentence = "rosbags is needed and not installed: pip install 'fivebar[ros]' installs what is needed"
+    assert capsys.readouterr().err == f"fivebar import: {sentence}\n"
 
 
 # --- real machines --------------------------------------------------------------------------------------------------------------------
