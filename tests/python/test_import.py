@@ -79,7 +79,7 @@ def imported(tmp_path: Path, *files: Path, given: Path | None = None) -> recordi
 def test_units_signs_scales_and_offsets(tmp_path: Path) -> None:
     file = write_csv(
         tmp_path / "a.csv",
-        "t,enc,q2,i",
+        "t,enc [counts],q2 [°],i [A]",
         1e3 * GRID,
         -np.round(LEFT * 8192 / (2 * np.pi)),
         np.degrees(RIGHT - 0.5),

@@ -74,6 +74,9 @@ class Entry:
         """What a number of the column is multiplied by; `head` is the unit in the table's head. Raises FiveBarError."""
         known = units_of(name)
         unit, in_head = self.unit, _plain(head)
+        if self.scale != 1 and in_head not in known:
+            # A scale converts from any unit, such as N.m per A.
+            in_head = ""
         if in_head and unit and in_head != unit:
             raise FiveBarError(
                 f"'{name}.unit' is '{unit}', but the head of the table says that {self.column} is in {head:.20}"
