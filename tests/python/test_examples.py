@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
 
 from conftest import REPOSITORY
@@ -86,6 +87,24 @@ def test_follow_push(fmu: Path, tmp_path: Path) -> None:
     assert float(re.findall(r"tip error (\S+) mm", printed)[0]) < 0.03
     assert 0 <= float(re.findall(r"alarm (\S+) ms after the push", printed)[0]) <= 20
     assert (tmp_path / "target" / "follow_push.svg").is_file()
+
+
+def test_encoder_resolution(fmu: Path, tmp_path: Path) -> None:
+    """Finer steps and more samples make the estimate better, and the page shows these figures."""
+    printed = output(fmu, tmp_path, "encoder_resolution.py")
+    assert printed in (REPOSITORY / "docs" / "questions.md").read_text(encoding="utf-8")
+    rows = [[float(word) for word in line.split()] for line in printed.splitlines()[1:]]
+    errors = np.array([row[2:5] for row in rows])
+    assert errors.shape == (5, 3) and np.all(np.diff(errors, axis=0) < 0) and np.all(np.diff(errors, axis=1) < 0)
+
+
+def test_accuracy_budget(fmu: Path, tmp_path: Path) -> None:
+    """The squares of the sources add up, and the page shows these figures."""
+    printed = output(fmu, tmp_path, "accuracy_budget.py")
+    assert printed in (REPOSITORY / "docs" / "questions.md").read_text(encoding="utf-8")
+    *sources, total = (float(line.split()[-1]) for line in printed.splitlines()[1:])
+    # Each figure is rounded to half a micrometre.
+    assert len(sources) == 6 and abs(sum(value**2 for value in sources) ** 0.5 - total) < 2e-3
 
 
 def test_resume(fmu: Path, tmp_path: Path) -> None:
