@@ -3,12 +3,12 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::belief::{Belief, on_basis};
-use super::constants::{
+use super::stored;
+use super::tangent::{Frame, Links, Pair};
+use super::tuning::{
     ALARM_DURATION, CONSISTENCY_LENGTH, LARGEST_CONSISTENT_NIS, LARGEST_NIS_IN_MEAN, LASTING_CHANGE, PROBABLE_CHANGE,
     REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE, VIOLENCE_PERSISTS,
 };
-use super::stored;
-use super::tangent::{Frame, Links, Pair};
 
 /// State of the alarm.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]

@@ -3,12 +3,12 @@
 use nalgebra::{Matrix2, SMatrix, Vector4};
 
 use super::belief::{Bank, Belief, Member};
-use super::constants::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
 use super::error_state::{FORCE, GEOMETRY};
 use super::hypotheses::Alternative;
 use super::learning::Learning;
 use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
-use super::{Constants, Estimator};
+use super::tuning::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
+use super::{Estimator, Machine};
 
 /// Squares of cosine and sine of eight angles evenly over a quarter turn.
 const DIRECTIONS: [[f64; 2]; 8] = [
@@ -29,13 +29,13 @@ const BISECTIONS: usize = 30;
 impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the start is doubted both assemblies count
     /// alike.
-    pub fn sigmas(&self, constants: &Constants, motion: &LinkState) -> [Links; 2] {
+    pub fn sigmas(&self, machine: &Machine, motion: &LinkState) -> [Links; 2] {
         let own = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>, points: Option<[Links; 2]>| {
-            let frame = constants.linkage.frame(&motion.theta);
+            let frame = machine.linkage.frame(&motion.theta);
             let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, belief));
             let added = mixed(
                 &belief.bank,
-                &by_geometry(constants, (motion, &frame), (belief, learning), (&frame.basis, &frame.links_by_geometry())),
+                &by_geometry(machine, (motion, &frame), (belief, learning), (&frame.basis, &frame.links_by_geometry())),
             );
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
@@ -48,8 +48,8 @@ impl Estimator {
     }
 
     /// Normalised estimation error squared of angles and rates against a true motion: 4 on average for a consistent covariance.
-    pub fn nees(&self, constants: &Constants, motion: &LinkState, truth: &LinkState) -> f64 {
-        let frame = constants.linkage.frame(&motion.theta);
+    pub fn nees(&self, machine: &Machine, motion: &LinkState, truth: &LinkState) -> f64 {
+        let frame = machine.linkage.frame(&motion.theta);
         let angles = frame.basis.tr_mul(&(truth.theta - motion.theta).map(wrapped));
         let rates = frame.basis.tr_mul(&(truth.omega - motion.omega));
         let error = Vector4::new(angles[0], angles[1], rates[0], rates[1]);
@@ -58,28 +58,28 @@ impl Estimator {
     }
 
     /// Covariance of the tip about that of a motion, m². While the start is doubted both assemblies count alike.
-    pub fn tip_covariance(&self, constants: &Constants, motion: &LinkState) -> Matrix2<f64> {
+    pub fn tip_covariance(&self, machine: &Machine, motion: &LinkState) -> Matrix2<f64> {
         let of_models = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| -> Matrix2<f64> {
-            tip_of_models(constants, motion, belief, learning).iter().map(|(weight, about)| about * *weight).sum()
+            tip_of_models(machine, motion, belief, learning).iter().map(|(weight, about)| about * *weight).sum()
         };
         let by_models = || of_models(motion, &self.belief, self.learning.as_deref());
-        let by_points = self.forecast.tip_covariance(motion, &constants.linkage).map(|about| {
-            let frame = constants.linkage.frame(&motion.theta);
-            let added = tip_by_geometry(constants, (motion, &frame), (&self.belief, self.learning.as_deref()));
+        let by_points = self.forecast.tip_covariance(motion, &machine.linkage).map(|about| {
+            let frame = machine.linkage.frame(&motion.theta);
+            let added = tip_by_geometry(machine, (motion, &frame), (&self.belief, self.learning.as_deref()));
             about + mixed(&self.belief.bank, &added)
         });
         // Sigma points of the motion may contradict the geometry that has been learned.
         let known = by_points.filter(|about| about.trace() > 0.0 && about.determinant() > 0.0).unwrap_or_else(by_models);
         let Some(other) = self.doubt.other() else { return known };
-        let apart = tip_apart(constants, motion, &other.motion);
+        let apart = tip_apart(machine, motion, &other.motion);
         (known + of_models(&other.motion, &other.belief, None) + apart * apart.transpose()) / 2.0
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
     /// doubted, in either assembly. No two places of the tip are further apart than the diameter of its reach.
-    pub fn tip_radius(&self, constants: &Constants, motion: &LinkState) -> f64 {
+    pub fn tip_radius(&self, machine: &Machine, motion: &LinkState) -> f64 {
         let radius = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| {
-            let models = tip_of_models(constants, motion, belief, learning).map(|(weight, about)| {
+            let models = tip_of_models(machine, motion, belief, learning).map(|(weight, about)| {
                 let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
                 let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
                 (weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
@@ -87,15 +87,15 @@ impl Estimator {
             radius_of_95_percent(&models)
         };
         let beside =
-            |other: &Alternative| tip_apart(constants, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
+            |other: &Alternative| tip_apart(machine, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
         let own = radius(motion, &self.belief, self.learning.as_deref());
-        own.max(self.doubt.other().map_or(0.0, beside)).min(constants.linkage.widest_reach())
+        own.max(self.doubt.other().map_or(0.0, beside)).min(machine.linkage.widest_reach())
     }
 
     /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where
     /// motors cannot exert it.
-    pub fn motor_torques(&self, constants: &Constants, motion: &LinkState) -> Option<([f64; 2], [f64; 2])> {
-        let frame = constants.linkage.frame(&motion.theta);
+    pub fn motor_torques(&self, machine: &Machine, motion: &LinkState) -> Option<([f64; 2], [f64; 2])> {
+        let frame = machine.linkage.frame(&motion.theta);
         // Torques τ of the motors have the effect N_Mᵀ τ on the tangent basis.
         let effect = frame.motors().transpose();
         let inverse = effect.try_inverse().filter(|_| effect.determinant().abs() >= LEAST_TORQUE_DETERMINANT)?;
@@ -123,19 +123,19 @@ fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) ->
 /// derivatives, and lengths and mounting angles by the second. Those that are not learned persist while encoders hold the motors as far as possible, as
 /// further errors of encoders do at any time.
 fn by_geometry<const R: usize>(
-    constants: &Constants,
+    machine: &Machine,
     (motion, frame): (&LinkState, &Frame),
     (belief, learning): (&Belief, Option<&Learning>),
     (by_error, by_parameters): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, GEOMETRY>),
 ) -> [SMatrix<f64, R, R>; MODELS] {
-    let parameters = &constants.parameters;
+    let parameters = &machine.parameters;
     if learning.is_none() && parameters.has_exact_geometry() {
         return [SMatrix::zeros(); MODELS];
     }
     let by_encoders = by_error * frame.holding();
     let variances = Matrix2::from_diagonal(&parameters.variances_of_encoders(&motion.theta).into());
     let while_held = by_parameters + by_error * frame.held_by_geometry();
-    let moved = while_held * SMatrix::from_diagonal(&constants.unlearned_geometry());
+    let moved = while_held * SMatrix::from_diagonal(&machine.unlearned_geometry());
     let further = by_encoders * variances * by_encoders.transpose() + moved * moved.transpose();
     let added = learning.map_or([SMatrix::zeros(); MODELS], |learning| {
         learning.added_moments(&belief.bank, by_error, [by_parameters, &while_held])
@@ -145,24 +145,24 @@ fn by_geometry<const R: usize>(
 
 /// Second moments, in each model, that errors of lengths and encoders add to those of the tip, m².
 fn tip_by_geometry(
-    constants: &Constants,
+    machine: &Machine,
     (motion, frame): (&LinkState, &Frame),
     belief: (&Belief, Option<&Learning>),
 ) -> [Matrix2<f64>; MODELS] {
-    by_geometry(constants, (motion, frame), belief, (&frame.tip(), &frame.tip_by_geometry()))
+    by_geometry(machine, (motion, frame), belief, (&frame.tip(), &frame.tip_by_geometry()))
 }
 
 /// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
 fn tip_of_models(
-    constants: &Constants,
+    machine: &Machine,
     motion: &LinkState,
     belief: &Belief,
     learning: Option<&Learning>,
 ) -> [(f64, Matrix2<f64>); MODELS] {
-    let frame = constants.linkage.frame(&motion.theta);
-    let (tip, added) = (frame.tip(), tip_by_geometry(constants, (motion, &frame), (belief, learning)));
+    let frame = machine.linkage.frame(&motion.theta);
+    let (tip, added) = (frame.tip(), tip_by_geometry(machine, (motion, &frame), (belief, learning)));
     // Where exact links lie folded back onto each other, the tip is on the motors' axis whatever their angles are.
-    let least = Matrix2::from_diagonal_element((LEAST_SIGMA * constants.linkage.length).powi(2));
+    let least = Matrix2::from_diagonal_element((LEAST_SIGMA * machine.linkage.length).powi(2));
     std::array::from_fn(|j| {
         let Member { weight, error, covariance } = &belief.bank.members[j];
         let off: Pair = tip * error.fixed_rows::<2>(0);
@@ -171,8 +171,8 @@ fn tip_of_models(
 }
 
 /// Way from the tip of a motion to that of another, m.
-fn tip_apart(constants: &Constants, from: &LinkState, to: &LinkState) -> Pair {
-    constants.linkage.tip(&to.theta) - constants.linkage.tip(&from.theta)
+fn tip_apart(machine: &Machine, from: &LinkState, to: &LinkState) -> Pair {
+    machine.linkage.tip(&to.theta) - machine.linkage.tip(&from.theta)
 }
 
 /// Radius that holds 95 % of a mixture of normal distributions about one centre, m, by probability and variances along both axes, m².

@@ -7,10 +7,6 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::constants::{
-    CAUSE_MODEL, Intensities, LARGEST_ANGLE_VARIANCES, LARGEST_RATE, LARGEST_RATE_VARIANCE, LEAST_LIKELIHOOD, LIKELY_MODELS,
-    MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
-};
 use super::error_state::{
     ERRORS, Error, FORCE, MOVING, Matrix, READINGS, Transition, combine, independent, is_covariance, isolate_force,
     move_covariance, move_errors, reduce, turn_covariance, turn_errors,
@@ -19,6 +15,10 @@ use super::flow::unit_forces;
 use super::propagation::ProcessNoise;
 use super::stored;
 use super::tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
+use super::tuning::{
+    CAUSE_MODEL, Intensities, LARGEST_ANGLE_VARIANCES, LARGEST_RATE, LARGEST_RATE_VARIANCE, LEAST_LIKELIHOOD, LIKELY_MODELS,
+    MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
+};
 
 /// Unknown force, and errors about it and about a motion that stands elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -428,7 +428,7 @@ pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, mut
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::constants::{BY_INTERVALS, BY_NOISE};
+    use crate::estimator::tuning::{BY_INTERVALS, BY_NOISE};
 
     /// Without samples the probabilities become [`LIKELY_MODELS`]; evidence of samples stays; models of probability 0 stay out.
     #[test]

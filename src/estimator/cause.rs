@@ -7,14 +7,14 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::belief::Innovation;
-use super::constants::{
-    BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
-};
 use super::error_state::{Error, MASSES, Matrix};
-use super::parameters::Constants;
+use super::machine::Machine;
 use super::propagation::{ProcessNoise, Propagation};
 use super::tangent::Pair;
-use super::witness::{ByFaults, DELAY, FAULTS, Faults, OFFSETS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};
+use super::tuning::{
+    BEYOND_MASSES, CAUSE_MODEL, CAUSE_PERSISTS, DOUBT_TIME, EVIDENCE_TIME, LEAST_SCATTER, SAME_SURPRISE, SURPRISE, UNEXPLAINED,
+};
+use super::witness::{ByFaults, DELAY, FAULTS, Faults, JUMPS, PARAMETERS, TIP, TORQUES, Witness, prior_sizes};
 
 /// Explanation of an alarm or a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -91,9 +91,9 @@ impl Causes {
 
     /// Whether a force, parameters or timing explain the samples since the last surprise that errors of masses do not. Encoders have gates of their
     /// own, and an offset looks like a mass in a fast passage.
-    pub(super) fn exceed_masses(&self, constants: &Constants) -> bool {
+    pub(super) fn exceed_masses(&self, machine: &Machine) -> bool {
         self.surprise.as_ref().is_some_and(|surprise| {
-            let [masses, left, right, tip, _, _, parameters, timing] = surprise.evidence(constants, None);
+            let [masses, left, right, tip, _, _, parameters, timing] = surprise.evidence(machine, None);
             [left, right, tip, parameters, timing].iter().any(|evidence| evidence - masses > BEYOND_MASSES)
         })
     }
@@ -102,7 +102,7 @@ impl Causes {
     /// estimate on its tangent basis, rad/s, and mean and covariance of its errors.
     pub(super) fn begin_where_surprised(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         (nis, alarm): (f64, bool),
         start: impl FnOnce() -> (Pair, (Error, Matrix)),
     ) {
@@ -113,7 +113,7 @@ impl Causes {
         };
         if begins {
             if let Some(surprise) = self.confirmed() {
-                let (cause, probability) = surprise.most_probable(constants, None);
+                let (cause, probability) = surprise.most_probable(machine, None);
                 self.last = Some((cause.number() as u8, probability));
             }
             let (rates, (error, covariance)) = start();
@@ -181,9 +181,9 @@ impl Causes {
     }
 
     /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
-    pub(super) fn most_probable(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
+    pub(super) fn most_probable(&self, machine: &Machine, away: Option<usize>) -> (Cause, f64) {
         match (self.confirmed(), self.last) {
-            (Some(surprise), _) => surprise.most_probable(constants, away),
+            (Some(surprise), _) => surprise.most_probable(machine, away),
             (None, Some((cause, probability))) if self.calm < CAUSE_PERSISTS => (Cause::ALL[usize::from(cause)], probability),
             _ => (Cause::None, 1.0),
         }
@@ -203,15 +203,15 @@ impl Surprise {
     }
 
     /// Most probable cause and its probability.
-    fn most_probable(&self, constants: &Constants, away: Option<usize>) -> (Cause, f64) {
-        let probabilities = self.probabilities(constants, away);
+    fn most_probable(&self, machine: &Machine, away: Option<usize>) -> (Cause, f64) {
+        let probabilities = self.probabilities(machine, away);
         let best = (1..Cause::ALL.len()).fold(0, |best, k| if probabilities[k] > probabilities[best] { k } else { best });
         (Cause::ALL[best], probabilities[best])
     }
 
     /// Probabilities of all causes.
-    fn probabilities(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
-        let evidence = self.evidence(constants, away);
+    fn probabilities(&self, machine: &Machine, away: Option<usize>) -> [f64; Cause::ALL.len()] {
+        let evidence = self.evidence(machine, away);
         let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));
         let probabilities = evidence.map(|of| libm::exp(of - best));
         let sum: f64 = probabilities.iter().sum();
@@ -219,14 +219,14 @@ impl Surprise {
     }
 
     /// Logarithms of the evidence of all causes, that of masses which are off for none of them.
-    fn evidence(&self, constants: &Constants, away: Option<usize>) -> [f64; Cause::ALL.len()] {
-        let (sizes, known) = (prior_sizes(constants), PARAMETERS + MASSES.start..PARAMETERS + MASSES.end);
+    fn evidence(&self, machine: &Machine, away: Option<usize>) -> [f64; Cause::ALL.len()] {
+        let (sizes, known) = (prior_sizes(machine), PARAMETERS + MASSES.start..PARAMETERS + MASSES.end);
         let explained = Cause::ALL.map(|cause| {
             let free = match cause {
                 Cause::None => 0..0,
-                Cause::Torque(i) => TORQUES + i..TORQUES + i + 1,
-                Cause::TipForce => TIP..OFFSETS,
-                Cause::Encoder(i) => OFFSETS + i..OFFSETS + i + 1,
+                Cause::Torque(i) => TORQUES.start + i..TORQUES.start + i + 1,
+                Cause::TipForce => TIP,
+                Cause::Encoder(i) => JUMPS.start + i..JUMPS.start + i + 1,
                 Cause::Parameters => known.end..FAULTS,
                 Cause::Timing => DELAY..PARAMETERS,
             };

@@ -17,14 +17,14 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::belief::Innovation;
-use super::constants::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
 use super::encoder::Measurement;
 use super::error_state::{Error, independent};
 use super::flow::Scene;
 use super::hypotheses::{Alternative, Moves, is_distinguishable};
-use super::parameters::Constants;
+use super::machine::Machine;
 use super::propagation::Propagation;
 use super::tangent::{LinkState, Linkage, Links};
+use super::tuning::{DOUBT_ENDS, DOUBT_FORCE, DOUBT_MODEL, DOUBT_NOISE, NEITHER_FITS, START_ODDS};
 use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
 
 /// Doubt about the assembly of a start.
@@ -77,10 +77,10 @@ impl Doubt {
     }
 
     /// Begins with the first samples of both encoders, where the assemblies are not one.
-    pub(super) fn begin(&mut self, constants: &Constants, motion: &LinkState) {
+    pub(super) fn begin(&mut self, machine: &Machine, motion: &LinkState) {
         if matches!(self, Self::Pending) {
-            let other = Alternative::of_start(constants, motion);
-            let open = |other| Self::Open(Branches { other, witnesses: witnesses(constants), evidence: 0.0 });
+            let other = Alternative::of_start(machine, motion);
+            let open = |other| Self::Open(Branches { other, witnesses: witnesses(machine), evidence: 0.0 });
             *self = other.map_or(Self::Ended, open);
         }
     }
@@ -103,12 +103,12 @@ impl Doubt {
     /// estimate. Returns the motion that replaces the estimate, if any.
     pub(super) fn correct(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         samples: &[Option<Measurement>; 2],
         seen: &[Option<Measurement>; 2],
     ) -> Option<Alternative> {
         let branches = self.branches()?;
-        let verdict = branches.correct(constants, samples, seen);
+        let verdict = branches.correct(machine, samples, seen);
         let other = branches.other;
         if verdict != Verdict::Open {
             *self = Self::Ended;
@@ -120,7 +120,7 @@ impl Doubt {
     /// the odds of the other assembly where the doubt ends undecided: at a direct singularity both assemblies are one.
     pub(super) fn step(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         scene: &impl Scene,
         (step, [from, to], force): (&Propagation, [&LinkState; 2], &Links),
         (has_intervals, h): (bool, f64),
@@ -130,11 +130,11 @@ impl Doubt {
             let alpha = (to.omega - from.omega) / h;
             let inertia = if has_intervals { step.inertia_torque(&alpha) } else { 0.0 };
             let by = ByFaults::new(scene, [from, to], force, h);
-            let scales = [DOUBT_NOISE * constants.torque_scale(), DOUBT_NOISE * inertia];
+            let scales = [DOUBT_NOISE * machine.torque_scale(), DOUBT_NOISE * inertia];
             witness.predict(step, (&step.noise(h), DOUBT_MODEL, scales), &by, None, h);
         };
         let (before, acts) = (other.motion, other.belief.force);
-        let Some(beside) = other.propagate(constants, scene, Moves::Under(&acts), h) else {
+        let Some(beside) = other.propagate(machine, scene, Moves::Under(&acts), h) else {
             // No motion in the other assembly goes on.
             *self = Self::Ended;
             return None;
@@ -162,22 +162,22 @@ impl Doubt {
 
 impl Branches {
     /// Measurement update of the other motion and its witness.
-    fn correct(&mut self, constants: &Constants, samples: &[Option<Measurement>; 2], seen: &[Option<Measurement>; 2]) -> Verdict {
+    fn correct(&mut self, machine: &Machine, samples: &[Option<Measurement>; 2], seen: &[Option<Measurement>; 2]) -> Verdict {
         let Self { other, witnesses: [_, mirrored], .. } = self;
-        let frame = constants.linkage.frame(&other.motion.theta);
+        let frame = machine.linkage.frame(&other.motion.theta);
         for (i, sample) in seen.iter().enumerate() {
             if let Some(sample) = sample {
                 mirrored.receive(i, &sample.about(i, &other.motion, &frame).innovation);
             }
         }
-        let Some((_, error, turn)) = other.update(&constants.linkage, samples) else { return Verdict::Right };
+        let Some((_, error, turn)) = other.update(&machine.linkage, samples) else { return Verdict::Right };
         mirrored.correct(&error, &turn);
-        self.judge(constants)
+        self.judge(machine)
     }
 
     /// Weighs the evidence.
-    fn judge(&mut self, constants: &Constants) -> Verdict {
-        let sizes = prior_sizes(constants);
+    fn judge(&mut self, machine: &Machine) -> Verdict {
+        let sizes = prior_sizes(machine);
         let free = Faults::from_fn(|k, _| if k < DELAY { 0.0 } else { sizes[k] });
         let [own, other] = self.witnesses.each_ref().map(|witness| {
             let (less, freedom) = witness.explained(&free);
@@ -189,7 +189,7 @@ impl Branches {
         let evidence = 0.5 * ((other.0 - own.0) / scatter.max(1.0) + other.1 - own.1);
         if !evidence.is_finite() || scatter > most && samples > enough {
             // Something acts that neither explains.
-            (self.witnesses, self.evidence) = (witnesses(constants), 0.0);
+            (self.witnesses, self.evidence) = (witnesses(machine), 0.0);
             return Verdict::Open;
         }
         self.evidence = evidence;
@@ -203,8 +203,8 @@ impl Branches {
 }
 
 /// Witnesses that have seen nothing, of errors as of a start, and of an unknown force of any size.
-fn witnesses(constants: &Constants) -> [Witness; 2] {
-    let [angles, rates, _] = constants.start_variances();
-    let force = (DOUBT_FORCE * constants.torque_scale()).powi(2);
+fn witnesses(machine: &Machine) -> [Witness; 2] {
+    let [angles, rates, _] = machine.start_variances();
+    let force = (DOUBT_FORCE * machine.torque_scale()).powi(2);
     [Witness::new(Error::zeros(), independent([angles, rates, force])); 2]
 }

@@ -4,16 +4,16 @@ use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::belief::{Bank, Innovation, Prediction};
-use super::constants::{
+use super::error_state::{Error, RATE};
+use super::history::History;
+use super::machine::{Machine, Parameters};
+use super::tangent::{Frame, LinkState, MEASURED, wrapped};
+use super::trust::{Event, Trust};
+use super::tuning::{
     CORRELATION_TIME, DITHER, EDGE_SIGMA, ERROR_ALONE, GATE, GATE_OF_LOUDEST_MODEL, LARGEST_ANGLE, LEAST_SIGMA, LEAST_VARIANCE,
     MOST_REJECTED_IN_A_ROW, NEW_AFTER_SILENCE, PERSISTENT_TIME, SAMPLES_OF_JITTER, SETTLING_TIME, SILENT_AFTER_INTERVALS,
     SINGLE_EDGE, TIME_ALONE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
-use super::error_state::{Error, RATE};
-use super::history::History;
-use super::parameters::{Constants, Parameters};
-use super::tangent::{Frame, LinkState, MEASURED, wrapped};
-use super::trust::{Event, Trust};
 
 /// Time of an encoder that has no sample, s.
 pub(super) const NEVER: f64 = -1e30;
@@ -219,12 +219,12 @@ impl Encoder {
     pub(super) fn measurement(
         &mut self,
         i: usize,
-        constants: &Constants,
+        machine: &Machine,
         (motion, frame, history): (&LinkState, &Frame, &History),
         (persistent, offset): (f64, f64),
         (measured, now): (&Measured, f64),
     ) -> Option<Measurement> {
-        let Parameters { sigma, quantum, max_delay, .. } = constants.parameters;
+        let Parameters { sigma, quantum, max_delay, .. } = machine.parameters;
         let (angle, rate) = (measured.theta[i], motion.omega[MEASURED[i]]);
         let before = *self;
         let age = self.receive(angle, measured.time[i], now, max_delay)?;

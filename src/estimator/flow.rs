@@ -5,11 +5,11 @@
 
 use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 
-use super::constants::{
-    EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
-};
 use super::error_state::{LENGTHS, LOADS, OFFSETS};
 use super::tangent::{Frame, LinkState, Linkage, Links, Pair};
+use super::tuning::{
+    EFFECT_REGULARIZATION, LEAST_STEP_RATES, MOST_STEPS, STEPS_PER_DAMPER_TIME, STEPS_PER_RADIAN, VERTEX_STEP_FLOOR,
+};
 
 /// Equations of motion linearised at a state.
 #[derive(Clone, Copy, Debug)]

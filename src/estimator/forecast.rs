@@ -5,12 +5,12 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Cholesky, Matrix2, Matrix4x2};
 
 use super::belief::Belief;
-use super::constants::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_POINT};
 use super::error_state::{FORCE, MOVING};
 use super::flow::{self, Scene, unit_forces};
-use super::parameters::Constants;
+use super::machine::Machine;
 use super::stored;
 use super::tangent::{LinkState, Linkage, Links, Pair, wrapped};
+use super::tuning::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_POINT};
 
 /// Number of sigma points.
 const POINTS: usize = 2 * MOVING;
@@ -125,12 +125,12 @@ impl Forecast {
     /// Time update of the sigma points, before that of the estimate.
     pub(super) fn step(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, belief): (&LinkState, &Belief),
         scene: &impl Scene,
         over: (f64, [f64; 2]),
     ) {
-        let linkage = &constants.linkage;
+        let linkage = &machine.linkage;
         self.sigma_points
             .get_or_insert_with(|| SigmaPoints::around(linkage, motion, belief, [belief.bank.walk(), FORECAST_MASS_WALK]))
             .step(linkage, scene, &belief.force, over);
@@ -166,12 +166,12 @@ impl Forecast {
     /// fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows counts as one that meets a singularity.
     pub(super) fn singularity_probability(
         &self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, belief): (&LinkState, &Belief),
         scene: &impl Scene,
         step: f64,
     ) -> f64 {
-        let linkage = &constants.linkage;
+        let linkage = &machine.linkage;
         // The force is constant: its random walk makes covariances consistent, but blurs the prediction of a singularity.
         let mut sigma_points = self.sigma_points.unwrap_or_else(|| SigmaPoints::around(linkage, motion, belief, [0.0; 2]));
         let side = motion.side()[0];
@@ -180,7 +180,7 @@ impl Forecast {
             let now = point.motion.side()[0] * side;
             now.is_nan() || now <= 0.0
         };
-        let horizon = constants.parameters.horizon.max(0.0);
+        let horizon = machine.parameters.horizon.max(0.0);
         let checks = (horizon / step).ceil().min(MOST_CHECKS) as u64;
         let step = step.max(horizon / MOST_CHECKS);
         let most = MOST_STEPS_OF_POINT * checks as f64 * flow::steps_at_rest(scene, step);

@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix, SVector};
 
-use super::constants::{MOTOR_REGULARIZATION, NEAR_VERTEX};
 use super::error_state::GEOMETRY;
 use super::tangent::{CLOSURE_SIGNS, Frame, MEASURED};
+use super::tuning::{MOTOR_REGULARIZATION, NEAR_VERTEX};
 
 /// Lengths of the closed loop: four links and the base.
 pub(super) const LENGTH_COUNT: usize = 5;

@@ -7,10 +7,10 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
-use super::constants::{LARGEST_INVERSE, LEAST_TURN};
 use super::error_state::{Error, MOVING, Transition, turn_errors};
 use super::stored;
 use super::tangent::{Frame, LinkState, MEASURED, wrapped};
+use super::tuning::{LARGEST_INVERSE, LEAST_TURN};
 use crate::copies::clone_by_fields;
 
 /// Number of macro steps whose angles the history holds.

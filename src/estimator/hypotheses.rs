@@ -14,19 +14,19 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::belief::{Bank, Belief};
-use super::constants::{
+use super::encoder::Measurement;
+use super::error_state::{Error, FORCE, Transition, turn_errors};
+use super::flow::{self, Scene};
+use super::machine::Machine;
+use super::propagation::Propagation;
+use super::tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair};
+use super::tuning::{
     AFTER_VERTEX, DISTINGUISHABLE, DIVERGENCE_TIME, IMMEDIATE_EVIDENCE, INITIAL_FORCE_SIGMA, LARGEST_ODDS_AFTER_CROSSING,
     LARGEST_RATE, LARGEST_TURN, LATERAL_OFFSET, LEAST_BASIS_OVERLAP, LEAST_INITIAL_ODDS, LEAST_MOTOR_DETERMINANT,
     LEAST_ODDS_TO_OPEN, LEAST_RATE_CHANGE, LEAST_SINGULAR_VALUE, LIKELY_MODELS, MODELS, MOST_FINE_STEPS, NEAR_SINGULARITY,
     NEAR_VERTEX, NEGLIGIBLE_ODDS, QUIET_FORCE_SCALE, QUIET_MODELS, REPLACEMENT_FORCE_VARIANCE, REST_RATE, SLOW_PASSAGE,
     START_DISTANCE, TURNING_STEPS, WHICH_ASSEMBLY,
 };
-use super::encoder::Measurement;
-use super::error_state::{Error, FORCE, Transition, turn_errors};
-use super::flow::{self, Scene};
-use super::parameters::Constants;
-use super::propagation::Propagation;
-use super::tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair};
 use crate::copies::clone_by_fields;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Assembly, Start, close};
@@ -131,7 +131,7 @@ impl Hypotheses {
     /// which side it was passed. Called before the time update.
     pub(super) fn open_after_vertex(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, belief): (&LinkState, &Belief),
         scene: &impl Scene,
         step: &Propagation,
@@ -149,7 +149,7 @@ impl Hypotheses {
         if leaves && !matches!(self.question, Question::Vertex { .. }) {
             let straight =
                 turned.then_some(Way { other: Alternative { motion: *motion, belief: *belief }, straight: true, evidence: 0.0 });
-            let aside = |side: f64| turned_aside(&constants.linkage, scene, (motion, belief), side * LATERAL_OFFSET);
+            let aside = |side: f64| turned_aside(&machine.linkage, scene, (motion, belief), side * LATERAL_OFFSET);
             self.question = Question::of_ways([straight, aside(1.0), aside(-1.0)].into_iter().flatten().collect(), 0.0);
         }
     }
@@ -157,14 +157,14 @@ impl Hypotheses {
     /// Time update by a macro step of h seconds, after that of the estimate. `coasts`: no samples come.
     pub(super) fn step(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, belief): (&LinkState, &Belief),
         scene: &impl Scene,
         (step, coasts): (&Propagation, bool),
         h: f64,
     ) {
         self.since_vertex = (if step.held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
-        let goes_on = |other: &mut Alternative, moves: Moves| other.propagate(constants, scene, moves, h).is_some();
+        let goes_on = |other: &mut Alternative, moves: Moves| other.propagate(machine, scene, moves, h).is_some();
         let stays = match &mut self.question {
             Question::None => true,
             Question::Passage { .. } | Question::Assemblies { .. } if coasts || step.held => false,
@@ -193,15 +193,15 @@ impl Hypotheses {
             // Without samples nothing decides between assemblies.
             () if coasts => self.mirror_odds = NEGLIGIBLE_ODDS,
             () if step.held || matches!(self.question, Question::Vertex { .. }) => self.mirror_odds = 0.0,
-            () => self.follow_passage(constants, (motion, belief), &step.to),
+            () => self.follow_passage(machine, (motion, belief), &step.to),
         }
     }
 
     /// Follows the passage of a direct singularity, and asks for the assembly behind it.
-    fn follow_passage(&mut self, constants: &Constants, (motion, belief): (&LinkState, &Belief), at: &Frame) {
-        let quiet = || Alternative::quiet(constants, motion, belief);
+    fn follow_passage(&mut self, machine: &Machine, (motion, belief): (&LinkState, &Belief), at: &Frame) {
+        let quiet = || Alternative::quiet(machine, motion, belief);
         if let Question::Passage { passing, odds } = &mut self.question {
-            let now = mirror_odds(&passing.motion, &passing.belief, &constants.linkage.frame(&passing.motion.theta));
+            let now = mirror_odds(&passing.motion, &passing.belief, &machine.linkage.frame(&passing.motion.theta));
             *odds = odds.max(now).clamp(NEGLIGIBLE_ODDS, 0.0);
         }
         let [side, rate] = motion.side().into();
@@ -234,7 +234,7 @@ impl Hypotheses {
                 Some((passed, odds)) => (passed, odds.clamp(LEAST_INITIAL_ODDS, LARGEST_ODDS_AFTER_CROSSING)),
                 None => (quiet(), prior.max(LEAST_INITIAL_ODDS)),
             };
-            self.question = match own.mirrored(constants) {
+            self.question = match own.mirrored(machine) {
                 None => Question::None,
                 // The estimate is in the mirrored assembly, and the next samples replace it.
                 Some(mirrored) if own.motion.side()[0] * side < 0.0 => {
@@ -292,12 +292,12 @@ impl Hypotheses {
     }
 
     /// Lets an alternative replace the estimate. Behind a vertex the two change places; of two assemblies both go on beside the new estimate.
-    pub(super) fn take_over(&mut self, which: usize, constants: &Constants, (motion, belief): (&mut LinkState, &mut Belief)) {
+    pub(super) fn take_over(&mut self, which: usize, machine: &Machine, (motion, belief): (&mut LinkState, &mut Belief)) {
         match &mut self.question {
             Question::None | Question::Passage { .. } => (),
             Question::Assemblies { own, other, evidence, .. } => {
                 let mut bank = other.belief.bank.with_priors(LIKELY_MODELS);
-                bank.inflate([0.0, 0.0, REPLACEMENT_FORCE_VARIANCE * constants.torque_scale().powi(2)]);
+                bank.inflate([0.0, 0.0, REPLACEMENT_FORCE_VARIANCE * machine.torque_scale().powi(2)]);
                 (*motion, *belief) = (other.motion, Belief { bank, ..other.belief });
                 std::mem::swap(own, other);
                 *evidence = 0.0 - *evidence;
@@ -364,8 +364,8 @@ impl Alternative {
     }
 
     /// Motion of the estimate under nearly no unknown force.
-    fn quiet(constants: &Constants, motion: &LinkState, belief: &Belief) -> Self {
-        let sigma = INITIAL_FORCE_SIGMA * constants.torque_scale();
+    fn quiet(machine: &Machine, motion: &LinkState, belief: &Belief) -> Self {
+        let sigma = INITIAL_FORCE_SIGMA * machine.torque_scale();
         let bank = belief.bank.with_priors(QUIET_MODELS).with_force(sigma * sigma);
         let belief = Belief { force: Links::zeros(), bank };
         Self { motion: *motion, belief }
@@ -373,17 +373,17 @@ impl Alternative {
 
     /// Motion in the other assembly than the estimate's, with equal angles and rates of the motors, about which a start is as uncertain. `None`
     /// where the assemblies cannot be told apart.
-    pub(super) fn of_start(constants: &Constants, motion: &LinkState) -> Option<Self> {
-        let mirrored = mirror_image(constants, motion).filter(|_| is_distinguishable(motion))?;
-        Some(Self { motion: mirrored, belief: Belief::new(constants.start_variances()) })
+    pub(super) fn of_start(machine: &Machine, motion: &LinkState) -> Option<Self> {
+        let mirrored = mirror_image(machine, motion).filter(|_| is_distinguishable(motion))?;
+        Some(Self { motion: mirrored, belief: Belief::new(machine.start_variances()) })
     }
 
     /// Alternative in the mirrored assembly with equal angles and rates of the motors.
-    fn mirrored(&self, constants: &Constants) -> Option<Self> {
+    fn mirrored(&self, machine: &Machine) -> Option<Self> {
         let Self { motion, .. } = self;
-        let mirrored = mirror_image(constants, motion)?;
+        let mirrored = mirror_image(machine, motion)?;
         // Equal errors of the motors on the other tangent basis.
-        let [from, to] = [motion, &mirrored].map(|of| constants.linkage.frame(&of.theta).motors());
+        let [from, to] = [motion, &mirrored].map(|of| machine.linkage.frame(&of.theta).motors());
         let turn = to.try_inverse().filter(|_| to.determinant().abs() >= LEAST_MOTOR_DETERMINANT)? * from;
         let mut f = Transition::identity();
         turn_errors(&turn, &mut f);
@@ -394,8 +394,8 @@ impl Alternative {
     }
 
     /// Time update by h seconds; `None` if the motion cannot go on. Returns the step.
-    pub(super) fn propagate(&mut self, constants: &Constants, scene: &impl Scene, moves: Moves, h: f64) -> Option<Propagation> {
-        let (linkage, (force, scale, models)) = (&constants.linkage, moves.force());
+    pub(super) fn propagate(&mut self, machine: &Machine, scene: &impl Scene, moves: Moves, h: f64) -> Option<Propagation> {
+        let (linkage, (force, scale, models)) = (&machine.linkage, moves.force());
         let from = linkage.frame(&self.motion.theta);
         let close = if let Moves::Quiet(close) = moves { close } else { None };
         let close = close.filter(|close| from.basis_map_to(&close.from).determinant().abs() >= LEAST_BASIS_OVERLAP);
@@ -416,7 +416,7 @@ impl Alternative {
             };
             (end, Propagation::along(&flow, scene.mass(&self.motion.theta), &from, (&end, &to), h))
         };
-        let (scale, timing) = (scale * constants.torque_scale(), (h, constants.parameters.switch_time));
+        let (scale, timing) = (scale * machine.torque_scale(), (h, machine.parameters.switch_time));
         self.belief.bank.predict(&step.f, &step.noise(h), [scale, 0.0, 0.0], timing, models);
         self.motion = end;
         Some(step)
@@ -474,15 +474,15 @@ pub(super) fn is_distinguishable(motion: &LinkState) -> bool {
 }
 
 /// State of the other assembly with equal angles and rates of the motors.
-fn mirror_image(constants: &Constants, motion: &LinkState) -> Option<LinkState> {
+fn mirror_image(machine: &Machine, motion: &LinkState) -> Option<LinkState> {
     let assembly = if assembly_of(motion) == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
-    closed_by_motors(constants, MEASURED.map(|link| Pair::new(motion.theta[link], motion.omega[link])), assembly)
+    closed_by_motors(machine, MEASURED.map(|link| Pair::new(motion.theta[link], motion.omega[link])), assembly)
 }
 
 /// State of an assembly with these angles, rad, and rates, rad/s, of the motors.
-fn closed_by_motors(constants: &Constants, [left, right]: [Pair; 2], assembly: Assembly) -> Option<LinkState> {
+fn closed_by_motors(machine: &Machine, [left, right]: [Pair; 2], assembly: Assembly) -> Option<LinkState> {
     let start = Start { theta: [left[0], right[0]], omega: [left[1], right[1]], assembly };
-    let (q, v) = close(&constants.geometry, &start).ok()?;
+    let (q, v) = close(&machine.geometry, &start).ok()?;
     Some(LinkState::new(THETA.map(|i| q[i]), THETA.map(|i| v[i])))
 }
 
@@ -496,11 +496,11 @@ fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkSta
 
 /// Motion from the angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if possible. `None` if the loop cannot be
 /// closed or the assemblies coincide.
-pub(super) fn started_by_motors(constants: &Constants, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
+pub(super) fn started_by_motors(machine: &Machine, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
     let own = assembly_of(motion);
     let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
-    let started = [own, other].into_iter().find_map(|assembly| closed_by_motors(constants, axes, assembly))?;
-    (started.side()[0].abs() >= DISTINGUISHABLE && constants.linkage.is_closed(&started)).then_some(started)
+    let started = [own, other].into_iter().find_map(|assembly| closed_by_motors(machine, axes, assembly))?;
+    (started.side()[0].abs() >= DISTINGUISHABLE && machine.linkage.is_closed(&started)).then_some(started)
 }
 
 /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that

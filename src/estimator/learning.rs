@@ -23,19 +23,19 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{ArrayStorage, Matrix2, SMatrix, SVector};
 
 use super::belief::{Bank, Innovation, Mixing, Prediction, bound, persistence};
-use super::constants::{
-    BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
-    PRODUCTS,
-};
 use super::error_state::{
     DRY, ERRORS, Error, FORCE, GEOMETRY, LEARNED, LENGTHS, LOADS, Learned, MASSES, Matrix, READINGS, Transition, combine,
     is_correlation, is_covariance, move_errors, reduce_in_part, turn_errors,
 };
 use super::flow::Flow;
-use super::parameters::{Constants, Prior};
+use super::machine::{Machine, Prior};
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::Frame;
+use super::tuning::{
+    BOUNDS_LEFT_AFTER, LARGEST_FACTORS, LARGEST_MISFIT, LARGEST_STRAIN, LEARNT, LEAST_SIGMA, MODELS, NEGLIGIBLE_PROBABILITY,
+    PRODUCTS,
+};
 use crate::copies::clone_by_fields;
 
 /// Covariance of the errors of motion and force with those of the parameters.
@@ -131,9 +131,9 @@ impl Learning {
     }
 
     /// Parameters that have been moved to a bound since the last call, with the bounds: each once, and again only after all values have been within theirs.
-    pub(super) fn take_bounds(&mut self, constants: &Constants) -> impl Iterator<Item = (usize, [f64; 2])> {
+    pub(super) fn take_bounds(&mut self, machine: &Machine) -> impl Iterator<Item = (usize, [f64; 2])> {
         let news = self.at_bound & !std::mem::replace(&mut self.told, self.at_bound);
-        (0..LEARNED).filter(move |i| news >> i & 1 == 1).map(|i| (i, bounds(i, constants)))
+        (0..LEARNED).filter(move |i| news >> i & 1 == 1).map(|i| (i, bounds(i, machine)))
     }
 
     /// Whether lengths and mounting angles are learned at present.
@@ -393,10 +393,10 @@ impl Learning {
 
     /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
     /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
-    pub(super) fn corrected(&mut self, own: &mut Bank, constants: &Constants) -> Learned {
+    pub(super) fn corrected(&mut self, own: &mut Bank, machine: &Machine) -> Learned {
         let (carried, mut values) = (self.carried(), self.with_error(&self.mean(own)));
         for i in 0..LEARNED {
-            let [least, most] = bounds(i, constants);
+            let [least, most] = bounds(i, machine);
             let beyond = values[i].clamp(least, most) - values[i];
             if beyond != 0.0 {
                 // A payload or a friction of 0 is that of a machine without.
@@ -414,7 +414,7 @@ impl Learning {
                 // Round-off, and a bound that another one has led beyond.
                 let moved = self.with_error(&self.mean(own));
                 values = Learned::from_fn(|k, _| {
-                    let [least, most] = bounds(k, constants);
+                    let [least, most] = bounds(k, machine);
                     if k > i { moved[k] } else { moved[k].clamp(least, most) }
                 });
             }
@@ -433,9 +433,9 @@ impl Learning {
     }
 
     /// Whether stored values are possible beside a bank.
-    pub(super) fn is_sound(&self, own: &Bank, constants: &Constants) -> bool {
+    pub(super) fn is_sound(&self, own: &Bank, machine: &Machine) -> bool {
         let is_within = |(i, value): (usize, &f64)| {
-            let [least, most] = bounds(i, constants);
+            let [least, most] = bounds(i, machine);
             (least..=most).contains(value)
         };
         self.values.iter().enumerate().all(is_within)
@@ -534,14 +534,14 @@ fn explained(column: &Learned, covariance: &Square) -> f64 {
 }
 
 /// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.
-fn bounds(parameter: usize, constants: &Constants) -> [f64; 2] {
+fn bounds(parameter: usize, machine: &Machine) -> [f64; 2] {
     let about_0 = |most: f64| [-most, most];
     match parameter {
         _ if MASSES.contains(&parameter) => about_0(LARGEST_FACTORS[0]),
         DRY => about_0(LARGEST_FACTORS[1]),
         _ if parameter >= LOADS => {
-            let misfit = LARGEST_MISFIT * constants.prior.as_ref().map_or(0.0, |prior| prior.sigma[parameter]);
-            let length = constants.nominal.get(parameter - LENGTHS.start);
+            let misfit = LARGEST_MISFIT * machine.prior.as_ref().map_or(0.0, |prior| prior.sigma[parameter]);
+            let length = machine.nominal.get(parameter - LENGTHS.start);
             about_0(length.map_or(misfit, |length| misfit.min(LARGEST_STRAIN * length)))
         }
         _ => [0.0, f64::MAX],

@@ -13,7 +13,7 @@
 //! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
 //! | `doubt.rs` | whether the start is in the right assembly |
 //! | `witness.rs`, `cause.rs` | filter that knows of no fault; explanations of an alarm, compared |
-//! | `constants.rs`, `parameters.rs` | tuned constants; the master's parameters |
+//! | `machine.rs`, `tuning.rs` | the machine as it is believed, with the master's parameters; tuned constants |
 //! | `stored.rs` | matrices in stored states |
 //!
 //! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
@@ -25,7 +25,6 @@ mod alarm;
 mod bands;
 pub mod belief;
 mod cause;
-mod constants;
 mod doubt;
 mod encoder;
 pub mod error_state;
@@ -35,12 +34,13 @@ mod geometry;
 mod history;
 mod hypotheses;
 mod learning;
-mod parameters;
+mod machine;
 mod propagation;
 mod quantiser;
 mod stored;
 pub mod tangent;
 mod trust;
+mod tuning;
 mod unaided;
 mod witness;
 
@@ -52,10 +52,6 @@ pub use belief::Belief;
 use belief::{Bank, Innovation};
 pub use cause::Cause;
 use cause::Causes;
-use constants::{
-    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, HOPELESS_RATE, LARGEST_NIS,
-    LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
-};
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Measurement};
@@ -67,9 +63,13 @@ use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, started_by_motors};
 use learning::{Learning, ReadingErrors, without_parameters};
-pub use parameters::{Bands, Constants, Parameters, Prior, set_lengths};
+pub use machine::{Bands, Machine, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
+use tuning::{
+    BY_INTERVALS, BY_NOISE, CARRIED_WALK, DIVERGED_INNOVATION, FORECAST_MASS_WALK, GATE, HOPELESS_RATE, LARGEST_NIS,
+    LARGEST_SIGMA_ALONE, LEARNING_PERSISTENCES, LIKELY_MODELS, LONGEST_SAMPLE_TIME, MODELS, NEAR_SINGULARITY,
+};
 use unaided::Unaided;
 use witness::ByFaults;
 
@@ -145,15 +145,15 @@ clone_by_fields!(Estimator {
 
 impl Estimator {
     /// Initial estimate of a scene.
-    pub fn new(constants: &Constants) -> Self {
+    pub fn new(machine: &Machine) -> Self {
         Self {
-            belief: Belief::new(constants.start_variances()),
+            belief: Belief::new(machine.start_variances()),
             held: false,
             coasts: true,
             hypotheses: Box::default(),
             doubt: Box::new(Doubt::Pending),
             unaided: Box::default(),
-            learning: constants.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
+            learning: machine.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
             history: Box::default(),
             forecast: Forecast::default(),
@@ -173,67 +173,67 @@ impl Estimator {
     /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion,
     /// `None` where no sample has changed the estimate.
     /// Lengths that are learned change those of the closed loop.
-    pub fn correct(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let corrected = self.corrected(constants, motion, measured, now);
+    pub fn correct(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
+        let corrected = self.corrected(machine, motion, measured, now);
         match self.learned() {
             // Learning has begun anew.
-            Some(learned) if constants.learn(&learned) => {
+            Some(learned) if machine.learn(&learned) => {
                 let corrected = corrected.unwrap_or(*motion);
-                Some(constants.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
+                Some(machine.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
             }
             _ => corrected,
         }
     }
 
     /// Stages of a measurement update. The motion closes the loop unless learning has begun anew.
-    fn corrected(&mut self, constants: &mut Constants, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let mut estimate = self.estimated(constants, motion);
-        let mut measurements = self.receive(constants, &estimate, (measured, now));
+    fn corrected(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
+        let mut estimate = self.estimated(machine, motion);
+        let mut measurements = self.receive(machine, &estimate, (measured, now));
         if motion.fastest() >= HOPELESS_RATE {
-            self.reset(constants, &Reset::Runaway);
+            self.reset(machine, &Reset::Runaway);
             return Some(LinkState { omega: Links::zeros(), ..*motion });
         }
         if measurements.iter().all(Option::is_none) {
             return None;
         }
-        self.drop_single_encoder_track(constants, &estimate.frame);
-        if let Some(started) = self.restart(constants, motion, &measurements) {
+        self.drop_single_encoder_track(machine, &estimate.frame);
+        if let Some(started) = self.restart(machine, motion, &measurements) {
             return Some(started);
         }
         self.look_for_both(&measurements);
         if self.held || self.adrift {
             return None;
         }
-        let switched = self.switch_branch(constants, &mut estimate, &mut measurements);
-        let residuals = self.update(constants, &estimate, &measurements);
+        let switched = self.switch_branch(machine, &mut estimate, &mut measurements);
+        let residuals = self.update(machine, &estimate, &measurements);
         if residuals.iter().all(|residual| residual.accepted().is_none()) {
             return switched.then_some(estimate.motion);
         }
         self.forecast.end();
-        self.inject(constants, &mut estimate);
-        self.judge_motions(constants, &mut estimate, &residuals);
-        self.judge_force(constants, &estimate, &residuals);
+        self.inject(machine, &mut estimate);
+        self.judge_motions(machine, &mut estimate, &residuals);
+        self.judge_force(machine, &estimate, &residuals);
         Some(estimate.motion)
     }
 
     /// The estimate about a motion.
-    fn estimated(&self, constants: &Constants, motion: &LinkState) -> Estimated {
-        let frame = constants.linkage.frame(&motion.theta);
-        let errors = self.errors_beside_learned(constants, motion, &frame);
-        let [sigma, offset] = self.systematic_errors(constants, (motion, &frame), errors.as_ref());
+    fn estimated(&self, machine: &Machine, motion: &LinkState) -> Estimated {
+        let frame = machine.linkage.frame(&motion.theta);
+        let errors = self.errors_beside_learned(machine, motion, &frame);
+        let [sigma, offset] = self.systematic_errors(machine, (motion, &frame), errors.as_ref());
         Estimated { motion: *motion, frame, errors, sigma, offset }
     }
 
     /// New and valid samples, about the estimate.
     fn receive(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         Estimated { motion, frame, sigma, offset, .. }: &Estimated,
         measured: (&Measured, f64),
     ) -> [Option<Measurement>; 2] {
         let history = &self.history;
         let mut receive =
-            |i: usize| self.encoders[i].measurement(i, constants, (motion, frame, history), (sigma[i], offset[i]), measured);
+            |i: usize| self.encoders[i].measurement(i, machine, (motion, frame, history), (sigma[i], offset[i]), measured);
         let measurements = [receive(0), receive(1)];
         // Samples of encoders that are believed end a forecast even where their values cannot be used.
         if !self.is_coasting() {
@@ -244,16 +244,11 @@ impl Estimator {
 
     /// While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected. Returns whether it replaces the
     /// estimate.
-    fn switch_branch(
-        &mut self,
-        constants: &Constants,
-        estimate: &mut Estimated,
-        measurements: &mut [Option<Measurement>; 2],
-    ) -> bool {
-        let Some(other) = self.hypotheses.favoured(&constants.linkage, &self.belief, measurements) else { return false };
-        self.take_over(other, constants, estimate);
+    fn switch_branch(&mut self, machine: &Machine, estimate: &mut Estimated, measurements: &mut [Option<Measurement>; 2]) -> bool {
+        let Some(other) = self.hypotheses.favoured(&machine.linkage, &self.belief, measurements) else { return false };
+        self.take_over(other, machine, estimate);
         let Estimated { motion, frame, errors, .. } = estimate;
-        *errors = self.errors_beside_learned(constants, motion, frame);
+        *errors = self.errors_beside_learned(machine, motion, frame);
         for (i, measurement) in measurements.iter_mut().enumerate() {
             *measurement = measurement.map(|measurement| measurement.about(i, motion, frame));
         }
@@ -261,15 +256,15 @@ impl Estimator {
     }
 
     /// Moves the motion by the mean of its error, and learned values by the mean of theirs: the bank is about the corrected ones.
-    fn inject(&mut self, constants: &mut Constants, Estimated { motion, frame, errors, sigma, .. }: &mut Estimated) {
+    fn inject(&mut self, machine: &mut Machine, Estimated { motion, frame, errors, sigma, .. }: &mut Estimated) {
         let learned = self.learning.as_mut().map(|learning| {
             let before = learning.values();
-            let values = learning.corrected(&mut self.belief.bank, constants);
-            constants.learn(&values);
+            let values = learning.corrected(&mut self.belief.bank, machine);
+            machine.learn(&values);
             (values, values - before)
         });
-        let Some((mut error, turn, corrected)) = self.belief.inject_error(&constants.linkage, frame, motion) else {
-            return self.reset(constants, &Reset::Unclosed);
+        let Some((mut error, turn, corrected)) = self.belief.inject_error(&machine.linkage, frame, motion) else {
+            return self.reset(machine, &Reset::Unclosed);
         };
         if let Some(((_, change), errors)) = learned.as_ref().zip(errors.as_ref()) {
             // Persistent errors of the readings are those about what is learned.
@@ -294,7 +289,7 @@ impl Estimator {
     }
 
     /// Lets the samples that were used judge the other motions; one of them may replace the estimate.
-    fn judge_motions(&mut self, constants: &Constants, estimate: &mut Estimated, residuals: &[Residual; 2]) {
+    fn judge_motions(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
         let used = [0, 1].map(|i| {
             let Accepted { measurement, .. } = residuals[i].accepted()?;
@@ -303,32 +298,32 @@ impl Estimator {
         });
         let likelihood =
             residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.likelihood).fold(0.0, |sum, of| sum + of);
-        if let Some(other) = self.hypotheses.correct(&constants.linkage, &used, likelihood) {
-            self.take_over(other, constants, estimate);
+        if let Some(other) = self.hypotheses.correct(&machine.linkage, &used, likelihood) {
+            self.take_over(other, machine, estimate);
         }
         let seen = [0, 1].map(|i| residuals[i].accepted()?.seen);
-        if let Some(other) = self.doubt.correct(constants, &used, &seen) {
-            self.reset(constants, &Reset::Assembly(&other.belief));
-            estimate.move_to(&constants.linkage, &other.motion);
+        if let Some(other) = self.doubt.correct(machine, &used, &seen) {
+            self.reset(machine, &Reset::Assembly(&other.belief));
+            estimate.move_to(&machine.linkage, &other.motion);
         }
         if used.iter().all(Option::is_some) {
-            self.doubt.begin(constants, &estimate.motion);
+            self.doubt.begin(machine, &estimate.motion);
         }
     }
 
     /// Lets the samples that were used judge whether an unmodelled force acts.
-    fn judge_force(&mut self, constants: &Constants, estimate: &Estimated, residuals: &[Residual; 2]) {
+    fn judge_force(&mut self, machine: &Machine, estimate: &Estimated, residuals: &[Residual; 2]) {
         let nis = || residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.nis);
         let squares = (nis().fold(0.0, |sum, nis| sum + nis), nis().count());
-        let exceed_masses = || self.causes.exceed_masses(constants);
-        self.alarm.receive(&self.belief, &estimate.frame, constants.torque_scale(), squares, exceed_masses);
+        let exceed_masses = || self.causes.exceed_masses(machine);
+        self.alarm.receive(&self.belief, &estimate.frame, machine.torque_scale(), squares, exceed_masses);
     }
 
     /// Errors of both readings beside those of the motion; `None` where nothing is learned.
-    fn errors_beside_learned(&self, constants: &Constants, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
+    fn errors_beside_learned(&self, machine: &Machine, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
         self.learning.is_some().then(|| {
-            let by_lengths = frame.motors_by_lengths(constants.unlearned[0]);
-            let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
+            let by_lengths = frame.motors_by_lengths(machine.unlearned[0]);
+            let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
             let further = [0, 1].map(|i| (by_lengths[i] + by_encoders[i]).sqrt());
             ReadingErrors { rows: frame.readings_by_geometry(), further }
         })
@@ -337,7 +332,7 @@ impl Estimator {
     /// Standard deviations, rad, and known parts, rad, of the persistent errors of both encoders.
     fn systematic_errors(
         &self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, frame): (&LinkState, &Frame),
         errors: Option<&ReadingErrors>,
     ) -> [[f64; 2]; 2] {
@@ -345,25 +340,25 @@ impl Estimator {
             let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
             return [sigma, [0, 1].map(|i| learning.values()[OFFSETS.start + i])];
         }
-        let [length, offset] = constants.unlearned;
+        let [length, offset] = machine.unlearned;
         let by_lengths = frame.motors_by_lengths(length);
-        let by_encoders = constants.parameters.variances_of_encoders(&motion.theta);
+        let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
         [[0, 1].map(|i| (by_lengths[i] + offset * offset + by_encoders[i]).sqrt()), [0.0; 2]]
     }
 
     /// Measurement update of the bank, one sample after the other.
-    fn update(&mut self, constants: &Constants, estimate: &Estimated, measurements: &[Option<Measurement>; 2]) -> [Residual; 2] {
+    fn update(&mut self, machine: &Machine, estimate: &Estimated, measurements: &[Option<Measurement>; 2]) -> [Residual; 2] {
         if self.are_exchanged((&estimate.motion, &estimate.frame), measurements) {
             for (i, measurement) in measurements.iter().flatten().enumerate() {
                 self.encoders[i].leave_out_lastingly(measurement.innovation.residual);
             }
         }
-        let models = self.models(constants, &estimate.motion);
+        let models = self.models(machine, &estimate.motion);
         let learns = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
         let mut nis = 0.0;
         let residuals = [0, 1].map(|i| {
             let Some(measurement) = &measurements[i] else { return Residual::None };
-            let residual = self.update_by(constants, estimate, (&models, learns), (i, measurement));
+            let residual = self.update_by(machine, estimate, (&models, learns), (i, measurement));
             nis += residual.nis();
             residual
         });
@@ -375,7 +370,7 @@ impl Estimator {
     /// models; `learns`: lengths and mounting angles were being learned before the samples of both encoders.
     fn update_by(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         Estimated { motion, frame, errors, .. }: &Estimated,
         (models, learns): (&[f64; MODELS], bool),
         (i, measurement): (usize, &Measurement),
@@ -393,7 +388,7 @@ impl Estimator {
             .zip(errors)
             .map(|(learning, errors)| learning.expect(&mut prediction, (i, &used.innovation), &errors.rows[i]));
         let nis = prediction.nis();
-        self.watch(constants, (motion, frame), (i, measurement), nis, errors);
+        self.watch(machine, (motion, frame), (i, measurement), nis, errors);
         self.begin_unaided(i, frame, models, errors);
         // Gate.
         let witnessed = self.encoders[1 - i].is_settled();
@@ -406,7 +401,7 @@ impl Estimator {
         let admitted = self.encoders[i].admit(&self.belief.bank, (&prediction, &used), conditions, judge);
         let Some(mut confined) = admitted else {
             if repetition != Fault::None {
-                self.reset(constants, &Reset::Repetition(i, repetition));
+                self.reset(machine, &Reset::Repetition(i, repetition));
             }
             return Residual::Rejected { nis };
         };
@@ -435,7 +430,7 @@ impl Estimator {
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
     fn watch(
         &mut self,
-        constants: &Constants,
+        machine: &Machine,
         (motion, frame): (&LinkState, &Frame),
         (i, measurement): (usize, &Measurement),
         nis: f64,
@@ -445,7 +440,7 @@ impl Estimator {
             let belief = Belief { bank: without_parameters(self.learning.as_deref(), &self.belief.bank, errors), ..self.belief };
             belief.with_force(&(self.alarm.reference_force(frame) - belief.tangent_force(frame)))
         };
-        self.causes.begin_where_surprised(constants, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
+        self.causes.begin_where_surprised(machine, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
         if self.causes.are_judged()
             && let Some(seen) = self.encoders[i].unconfined(measurement)
         {
@@ -476,7 +471,7 @@ impl Estimator {
 
     /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where
     /// samples are not used, one that is far suffices. Returns the motion.
-    fn restart(&mut self, constants: &Constants, motion: &LinkState, measurements: &[Option<Measurement>; 2]) -> Option<LinkState> {
+    fn restart(&mut self, machine: &Machine, motion: &LinkState, measurements: &[Option<Measurement>; 2]) -> Option<LinkState> {
         self.restarted = false;
         let [Some(left), Some(right)] = measurements else { return None };
         if !self.encoders.iter().all(Encoder::is_believed) {
@@ -494,20 +489,20 @@ impl Estimator {
             let rate = self.encoders[i].rate();
             Pair::new(sample.angle + sample.age * rate, rate)
         });
-        let anew = started_by_motors(constants, motion, axes)?;
-        let Parameters { sigma, quantum, .. } = constants.parameters;
-        let mut variances = constants.start_variances();
+        let anew = started_by_motors(machine, motion, axes)?;
+        let Parameters { sigma, quantum, .. } = machine.parameters;
+        let mut variances = machine.start_variances();
         for i in 0..2 {
             let noise = sigma[i] * sigma[i] + quantum[i] * quantum[i] / 12.0;
             variances[0] = variances[0].max(noise);
             variances[1] = variances[1].max(2.0 * noise / (intervals[i] * intervals[i]));
         }
-        self.reset(constants, &Reset::Samples { variances, innovations: [left, right].map(|sample| sample.innovation.residual) });
+        self.reset(machine, &Reset::Samples { variances, innovations: [left, right].map(|sample| sample.innovation.residual) });
         Some(anew)
     }
 
     /// Starts the estimate again; the caller replaces the motion. Each field says which kinds of reset concern it.
-    fn reset(&mut self, constants: &Constants, kind: &Reset) {
+    fn reset(&mut self, machine: &Machine, kind: &Reset) {
         use Reset::{Adrift, Assembly, Branch, Repetition, Runaway, Samples, Unclosed};
         let Self {
             belief,
@@ -526,7 +521,7 @@ impl Estimator {
             restarted,
             nis: _,
         } = self;
-        if let (Some(learning), Some(prior)) = (learning, &constants.prior) {
+        if let (Some(learning), Some(prior)) = (learning, &machine.prior) {
             match kind {
                 Branch => learning.pause(&belief.bank),
                 Repetition(_, fault) if *fault != Fault::Stuck => learning.pause(&belief.bank),
@@ -539,8 +534,8 @@ impl Estimator {
             Branch => (),
             Assembly(other) => *belief = **other,
             Samples { variances, .. } => *belief = Belief::new(*variances),
-            Unclosed => belief.bank = Bank::new(constants.start_variances()),
-            Runaway | Adrift => *belief = Belief::new(constants.variances_anywhere()),
+            Unclosed => belief.bank = Bank::new(machine.start_variances()),
+            Runaway | Adrift => *belief = Belief::new(machine.variances_anywhere()),
             Repetition(i, _) => belief.bank = unaided[*i].bank().unwrap_or(belief.bank),
         }
         match kind {
@@ -584,8 +579,8 @@ impl Estimator {
     }
 
     /// Parameters that the master has set to other values begin anew; `tuned` is the prior with these values.
-    pub fn begin_anew_where_tuned(&mut self, constants: &Constants, tuned: Option<&Prior>) {
-        if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &constants.prior, tuned) {
+    pub fn begin_anew_where_tuned(&mut self, machine: &Machine, tuned: Option<&Prior>) {
+        if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &machine.prior, tuned) {
             for i in (0..LEARNED).filter(|i| before.values[*i] != tuned.values[*i]) {
                 learning.begin_anew(tuned, i);
             }
@@ -603,8 +598,8 @@ impl Estimator {
     }
 
     /// Learned parameters that have been moved to a bound since the last call, and their bounds.
-    pub fn take_bounds(&mut self, constants: &Constants) -> impl Iterator<Item = (usize, [f64; 2])> {
-        self.learning.iter_mut().flat_map(|learning| learning.take_bounds(constants))
+    pub fn take_bounds(&mut self, machine: &Machine) -> impl Iterator<Item = (usize, [f64; 2])> {
+        self.learning.iter_mut().flat_map(|learning| learning.take_bounds(machine))
     }
 
     /// Normalised error squared of the learned parameters among `which` that are not known, against true values, and their number.
@@ -613,20 +608,20 @@ impl Estimator {
     }
 
     /// Lets a hypothesis replace the estimate.
-    fn take_over(&mut self, other: usize, constants: &Constants, estimate: &mut Estimated) {
-        self.reset(constants, &Reset::Branch);
-        self.hypotheses.take_over(other, constants, (&mut estimate.motion, &mut self.belief));
-        estimate.frame = constants.linkage.frame(&estimate.motion.theta);
+    fn take_over(&mut self, other: usize, machine: &Machine, estimate: &mut Estimated) {
+        self.reset(machine, &Reset::Branch);
+        self.hypotheses.take_over(other, machine, (&mut estimate.motion, &mut self.belief));
+        estimate.frame = machine.linkage.frame(&estimate.motion.theta);
     }
 
     /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
-    fn drop_single_encoder_track(&mut self, constants: &Constants, frame: &Frame) {
+    fn drop_single_encoder_track(&mut self, machine: &Machine, frame: &Frame) {
         let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
         let [left, right] = &self.encoders;
         let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
         if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
-            self.reset(constants, &Reset::Adrift);
+            self.reset(machine, &Reset::Adrift);
         }
     }
 
@@ -649,11 +644,11 @@ impl Estimator {
     }
 
     /// Time update by a macro step of h seconds from a motion to another, in a scene without the unknown force.
-    pub fn predict(&mut self, constants: &Constants, scene: &impl Scene, [from, to]: [&LinkState; 2], h: f64) {
-        let Constants { linkage, parameters, .. } = constants;
+    pub fn predict(&mut self, machine: &Machine, scene: &impl Scene, [from, to]: [&LinkState; 2], h: f64) {
+        let Machine { linkage, parameters, .. } = machine;
         let frame = linkage.frame(&from.theta);
         let coasts = self.is_coasting();
-        let models = self.models(constants, from);
+        let models = self.models(machine, from);
         if coasts && !self.coasts {
             self.belief.bank.reset_priors(&models);
         }
@@ -667,11 +662,11 @@ impl Estimator {
             (Propagation::along(&flow, mass, &frame, (to, &ahead), h), None)
         };
         let inertia = step.inertia_torque(&((to.omega - from.omega) / h));
-        let scale = constants.torque_scale();
+        let scale = machine.torque_scale();
         if coasts && !self.adrift && parameters.forecast == Bands::SigmaPoints {
-            self.forecast.step(constants, (from, &self.belief), scene, (h, [scale, inertia]));
+            self.forecast.step(machine, (from, &self.belief), scene, (h, [scale, inertia]));
         }
-        self.hypotheses.open_after_vertex(constants, (from, &self.belief), scene, &step, to);
+        self.hypotheses.open_after_vertex(machine, (from, &self.belief), scene, &step, to);
         self.history.step((from, &frame), &step.f, h, parameters.max_delay);
         // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
         let observable = if self.has_intervals(parameters) { inertia } else { 0.0 };
@@ -715,10 +710,10 @@ impl Estimator {
         }
         self.held = step.held;
         let about = (&step, [from, to], &self.belief.force);
-        if let Some(odds) = self.doubt.step(constants, scene, about, (observable > 0.0, h)) {
+        if let Some(odds) = self.doubt.step(machine, scene, about, (observable > 0.0, h)) {
             self.hypotheses.doubt_side(odds);
         }
-        self.hypotheses.step(constants, (to, &self.belief), scene, (&step, coasts), h);
+        self.hypotheses.step(machine, (to, &self.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h, inertia);
     }
@@ -729,8 +724,8 @@ impl Estimator {
     }
 
     /// Prior probabilities of the models while samples arrive.
-    fn models(&self, constants: &Constants, motion: &LinkState) -> [f64; MODELS] {
-        match self.has_intervals(&constants.parameters) {
+    fn models(&self, machine: &Machine, motion: &LinkState) -> [f64; MODELS] {
+        match self.has_intervals(&machine.parameters) {
             true if motion.side()[0].abs() < NEAR_SINGULARITY => LIKELY_MODELS,
             true => BY_INTERVALS,
             false => BY_NOISE,
@@ -799,7 +794,7 @@ impl Estimator {
     }
 
     /// Most probable cause of the last alarm or fault, and its probability: 1 where an encoder's own samples show it.
-    pub fn cause(&self, constants: &Constants) -> (Cause, f64) {
+    pub fn cause(&self, machine: &Machine) -> (Cause, f64) {
         let first = |is: &dyn Fn(&Encoder) -> bool| self.encoders.iter().position(is);
         if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {
             return (Cause::Timing, 1.0);
@@ -809,19 +804,19 @@ impl Estimator {
             |encoder: &Encoder| encoder.is_silent() && encoder.has_received() && !self.encoders.iter().all(Encoder::is_silent);
         match first(&|encoder| matches!(encoder.fault, Fault::Stuck | Fault::Invalid) || is_missing(encoder)) {
             Some(i) => (Cause::Encoder(i), 1.0),
-            None => self.causes.most_probable(constants, first(&Encoder::is_away)),
+            None => self.causes.most_probable(machine, first(&Encoder::is_away)),
         }
     }
 
     /// Probability of a direct singularity within the horizon under the held inputs of `scene`, which include the unknown force: the fraction
     /// of 13 motions, those of the sigma points and of their mean, that meet one.
-    pub fn singularity_probability(&self, constants: &Constants, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
-        self.forecast.singularity_probability(constants, (motion, &self.belief), scene, step)
+    pub fn singularity_probability(&self, machine: &Machine, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
+        self.forecast.singularity_probability(machine, (motion, &self.belief), scene, step)
     }
 
     /// Refuses a stored estimator that is not possible for this mechanism and motion.
-    pub fn check(&self, constants: &Constants, motion: &LinkState) -> Result<(), &'static str> {
-        let linkage = &constants.linkage;
+    pub fn check(&self, machine: &Machine, motion: &LinkState) -> Result<(), &'static str> {
+        let linkage = &machine.linkage;
         if !self.belief.is_sound(linkage, motion)
             || !self.hypotheses.is_sound(linkage)
             || !self.doubt.is_sound(linkage)
@@ -835,8 +830,8 @@ impl Estimator {
         if !self.nis.is_finite() || !self.alarm.is_sound() || !self.causes.is_sound() {
             return Err("a number of its estimator is not finite");
         }
-        if self.learning.is_some() != constants.prior.is_some()
-            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank, constants))
+        if self.learning.is_some() != machine.prior.is_some()
+            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank, machine))
         {
             return Err("what its estimator has learned is not valid");
         }

@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix2, Matrix4};
 
-use super::constants::{AGREEMENT, COMPARED_BELOW, LARGEST_GROWTH, NEAR_VERTEX, PERSISTENT_TIME};
 use super::error_state::{FORCE, Matrix, Transition, turn_errors};
 use super::flow::Flow;
 use super::tangent::{Frame, LinkState, Links, wrapped};
+use super::tuning::{AGREEMENT, COMPARED_BELOW, LARGEST_GROWTH, NEAR_VERTEX, PERSISTENT_TIME};
 use crate::vector::Vector;
 
 /// Transition of errors along a motion from one tangent space to another.

@@ -5,7 +5,7 @@
 use std::f64::consts::{FRAC_1_PI, PI};
 
 use super::belief::Prediction;
-use super::constants::{
+use super::tuning::{
     FARTHEST_INTERVAL, INTERVAL_FLOORS, LARGEST_INNOVATION, LARGEST_VARIANCE, SUCCESSIVE_INTERVALS_FACTOR, WIDEST_SIGMA,
 };
 

@@ -14,9 +14,9 @@ use std::ops::Deref;
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Matrix4x2, Vector2, Vector4};
 
-use super::constants::{CLOSURE_TOLERANCES, NEAR_VERTEX, NEWTON_STEPS, NEWTON_TOLERANCE, RANK_LOSS};
 use super::error_state::{ERRORS, Error};
 use super::stored;
+use super::tuning::{CLOSURE_TOLERANCES, NEAR_VERTEX, NEWTON_STEPS, NEWTON_TOLERANCE, RANK_LOSS};
 use crate::mechanism::Geometry;
 use crate::mechanism::legs::{Legs, sin_cos};
 

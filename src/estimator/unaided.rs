@@ -6,10 +6,10 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
 
 use super::belief::Bank;
-use super::constants::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 use super::encoder::{Encoder, Fault, Measurement};
 use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
+use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 
 /// Errors about the motion of the estimate that an encoder has no part in since its reading last changed.
 #[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]

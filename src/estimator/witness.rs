@@ -13,25 +13,27 @@
 //! Samples that are late by a time d show the motion of d seconds ago, which the inputs of then move: B is minus the rate of the accelerations by
 //! the inputs. Where samples begin to be late, V begins with minus the rates and accelerations of the motion.
 
+use std::ops::Range;
+
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector};
 
 use super::belief::Innovation;
-use super::constants::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 use super::error_state::{
     ERRORS, Error, FORCE, LOADS, MASSES, Matrix, PAYLOAD, VISCOUS, is_covariance, move_covariance, move_errors, reduce,
     turn_covariance, turn_errors,
 };
 use super::flow::Scene;
-use super::parameters::Constants;
+use super::machine::Machine;
 use super::propagation::{ProcessNoise, Propagation};
 use super::stored;
 use super::tangent::{Frame, LinkState, Links, Pair};
+use super::tuning::{LARGEST_NIS, SIZES, TAKEN_AS_KNOWN};
 
-/// First columns of the responses: torques of both motors, force at the tip, offsets of both encoders, delay, parameters.
-pub(super) const TORQUES: usize = 0;
-pub(super) const TIP: usize = 2;
-pub(super) const OFFSETS: usize = 4;
+/// Columns of the responses: torques of both motors, force at the tip, jumps of both encoders, delay, parameters.
+pub(super) const TORQUES: Range<usize> = 0..2;
+pub(super) const TIP: Range<usize> = 2..4;
+pub(super) const JUMPS: Range<usize> = 4..6;
 pub(super) const DELAY: usize = 6;
 pub(super) const PARAMETERS: usize = 7;
 /// Number of columns.
@@ -128,7 +130,7 @@ impl Witness {
         let column = self.covariance * row;
         let (off, variance) = (residual - row.dot(&self.error), row.dot(&column) + noise);
         let mut response: Faults = self.responses.tr_mul(row);
-        response[OFFSETS + i] += 1.0;
+        response[JUMPS.start + i] += 1.0;
         let gain = column / variance;
         self.error += gain * off;
         reduce(&mut self.covariance, &column, variance);
@@ -192,7 +194,7 @@ impl Witness {
 /// Generalised forces on the tangent basis by faults of unit size, N·m.
 fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &ByFaults) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
-    forces.fixed_columns_mut::<4>(TORQUES).copy_from(&at.basis.tr_mul(&at.by_inputs()));
+    forces.fixed_columns_mut::<4>(TORQUES.start).copy_from(&at.basis.tr_mul(&at.by_inputs()));
     let inertia = at.basis.tr_mul(mass);
     forces.set_column(DELAY, &(inertia * by.delay));
     forces.fixed_columns_mut::<LOADS>(PARAMETERS).copy_from(&(inertia * by.loads));
@@ -200,12 +202,12 @@ fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &ByFaults) -> SMatrix<f64, 2
 }
 
 /// Standard deviations of the sizes of all faults before any sample.
-pub(super) fn prior_sizes(constants: &Constants) -> Faults {
-    let (torque, length) = (constants.torque_scale(), constants.linkage.length);
+pub(super) fn prior_sizes(machine: &Machine) -> Faults {
+    let (torque, length) = (machine.torque_scale(), machine.linkage.length);
     Faults::from_fn(|k, _| match k {
-        _ if k < TIP => SIZES.torque * torque,
-        _ if k < OFFSETS => SIZES.torque * torque / length,
-        _ if k < DELAY => SIZES.offset,
+        _ if TORQUES.contains(&k) => SIZES.torque * torque,
+        _ if TIP.contains(&k) => SIZES.torque * torque / length,
+        _ if JUMPS.contains(&k) => SIZES.jump,
         DELAY => SIZES.delay,
         _ if MASSES.contains(&(k - PARAMETERS)) => SIZES.mass,
         _ if k - PARAMETERS == PAYLOAD => SIZES.torque * torque / (9.81 * length),

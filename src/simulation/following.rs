@@ -13,7 +13,7 @@ use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailu
 use crate::copies::clone_by_fields;
 use crate::effects;
 use crate::estimator::error_state::{DRY, LENGTHS, Learned, MASSES};
-use crate::estimator::{self, Cause, Constants, Estimator, Fault, LinkState, MEASURED, Measured, Status};
+use crate::estimator::{self, Cause, Estimator, Fault, LinkState, MEASURED, Machine, Measured, Status};
 use crate::mechanism::SceneError;
 
 /// A simulation with an estimator. A clone continues independently, equal to the bit.
@@ -23,12 +23,12 @@ pub struct Following {
     parameters: Parameters,
     /// Simulation of the machine as it has been learned.
     simulation: Simulation,
-    constants: Constants,
+    believed: Machine,
     /// Boxed: larger than the rest together.
     estimate: Box<Estimate>,
 }
 
-clone_by_fields!(Following { parameters, simulation, constants, estimate });
+clone_by_fields!(Following { parameters, simulation, believed, estimate });
 
 /// Changing part of the estimation.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -47,8 +47,8 @@ clone_by_fields!(Estimate { estimator, inputs, beyond, reported });
 impl Estimate {
     /// Estimate of a start, in a function of its own because of what it takes of the stack.
     #[inline(never)]
-    fn new(constants: &Constants, inputs: &Inputs) -> Box<Self> {
-        Box::new(Self { estimator: Estimator::new(constants), inputs: *inputs, beyond: [0; 2], reported: [0; 2] })
+    fn new(believed: &Machine, inputs: &Inputs) -> Box<Self> {
+        Box::new(Self { estimator: Estimator::new(believed), inputs: *inputs, beyond: [0; 2], reported: [0; 2] })
     }
 }
 
@@ -68,35 +68,35 @@ impl Following {
             )));
         }
         let simulation = Simulation::new(parameters, inputs)?;
-        let constants = constants_of(parameters);
-        let estimate = Estimate::new(&constants, inputs);
-        Ok(Self { parameters: parameters.clone(), simulation, constants, estimate })
+        let believed = machine_of(parameters);
+        let estimate = Estimate::new(&believed, inputs);
+        Ok(Self { parameters: parameters.clone(), simulation, believed, estimate })
     }
 
     /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
     pub fn restored(parameters: &Parameters, run: Run, estimate: Box<Estimate>) -> Result<Self, SceneError> {
         Model::new(parameters)?;
         let mut machine = parameters.clone();
-        let mut constants = constants_of(parameters);
+        let mut believed = machine_of(parameters);
         if let Some(learned) = estimate.estimator.learned() {
             machine.learn(parameters, &learned);
-            constants.learn(&learned);
+            believed.learn(&learned);
         }
         let simulation = Simulation::continued(&machine, Box::new(Model::within_bounds(&machine)?), run)?;
-        estimate.estimator.check(&constants, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
+        estimate.estimator.check(&believed, &simulation.run.motion(&simulation.model)).map_err(|what| SceneError(what.into()))?;
         if !estimate.inputs.are_finite() {
             return Err(SceneError("an input of its estimator is not finite".into()));
         }
-        Ok(Self { parameters: parameters.clone(), simulation, constants, estimate })
+        Ok(Self { parameters: parameters.clone(), simulation, believed, estimate })
     }
 
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
-        let Self { parameters, simulation, constants, estimate } = self;
+        let Self { parameters, simulation, believed, estimate } = self;
         let Estimate { estimator, inputs, beyond, .. } = &mut **estimate;
         let Simulation { model, run, parameters: machine } = simulation;
         let (before, at) = (estimator.learned(), run.motion(model));
-        let corrected = estimator.correct(constants, &at, measured, now);
+        let corrected = estimator.correct(believed, &at, measured, now);
         for (i, link) in MEASURED.into_iter().enumerate() {
             if corrected.is_some() && estimator.has_restarted() {
                 // An estimate that was lost has counted turns of its own.
@@ -130,7 +130,7 @@ impl Following {
 
     /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
-        let Self { parameters, simulation: Simulation { model, run, parameters: machine }, constants, estimate } = self;
+        let Self { parameters, simulation: Simulation { model, run, parameters: machine }, believed, estimate } = self;
         let before = std::mem::replace(&mut estimate.inputs, *inputs);
         let (turns, from) = (run.turns, run.motion(model));
         let learned = estimate.estimator.learned();
@@ -138,7 +138,7 @@ impl Following {
         run.advance(model, &with_unknown_force(inputs, &estimate.estimator.belief().force), one)?;
         let perturbed = estimate.estimator.asks_for_parameters().then(|| Perturbed::new(machine, parameters.learns_lengths()));
         let scene = FollowedScene { model, inputs, before, turns: &turns, learned: perturbed.as_ref() };
-        estimate.estimator.predict(constants, &scene, [&from, &run.motion(model)], one.h);
+        estimate.estimator.predict(believed, &scene, [&from, &run.motion(model)], one.h);
         Ok(())
     }
 
@@ -170,13 +170,13 @@ impl Following {
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters.clone() };
         // Refused by what the master has set: learned values within their bounds are no reason to refuse it.
         Model::new(&tuned)?;
-        self.estimate.estimator.begin_anew_where_tuned(&self.constants, tuned.prior().as_ref());
+        self.estimate.estimator.begin_anew_where_tuned(&self.believed, tuned.prior().as_ref());
         let mut machine = tuned.clone();
         // A payload that joins changes the masses.
-        self.constants = constants_of(&tuned);
+        self.believed = machine_of(&tuned);
         if let Some(learned) = self.estimate.estimator.learned() {
             machine.learn(&tuned, &learned);
-            self.constants.learn(&learned);
+            self.believed.learn(&learned);
         }
         self.simulation.tune_within_bounds(machine)?;
         self.parameters = tuned;
@@ -190,13 +190,13 @@ impl Following {
 
     /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` where no motor torques are.
     pub fn motor_torques(&self) -> Option<([f64; 2], [f64; 2])> {
-        self.estimate.estimator.motor_torques(&self.constants, &self.motion())
+        self.estimate.estimator.motor_torques(&self.believed, &self.motion())
     }
 
     /// Normalised estimation error squared against the true angles, rad, and rates, rad/s, of links 1 to 4: 4 on average for a consistent
     /// covariance.
     pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
-        self.estimate.estimator.nees(&self.constants, &self.motion(), &LinkState::new(*theta, *omega))
+        self.estimate.estimator.nees(&self.believed, &self.motion(), &LinkState::new(*theta, *omega))
     }
 
     /// Learned values with standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of dry
@@ -213,30 +213,30 @@ impl Following {
         match i {
             _ if MASSES.contains(&i) => self.parameters().geometry.links[i].mass * libm::exp(value),
             DRY => libm::exp(value),
-            _ if LENGTHS.contains(&i) => self.constants.length(i - LENGTHS.start) + value,
+            _ if LENGTHS.contains(&i) => self.believed.length(i - LENGTHS.start) + value,
             _ => value,
         }
     }
 
-    /// Data of the estimator that stay constant between changes of parameters.
-    pub fn constants(&self) -> &Constants {
-        &self.constants
+    /// The machine as the estimator believes it to be.
+    pub fn believed(&self) -> &Machine {
+        &self.believed
     }
 
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4.
     pub fn sigmas(&self) -> [[f64; 4]; 2] {
-        self.estimate.estimator.sigmas(&self.constants, &self.motion()).map(Into::into)
+        self.estimate.estimator.sigmas(&self.believed, &self.motion()).map(Into::into)
     }
 
     /// Covariance of the tip position, m²: xx, xy, yy.
     pub fn tip_covariance(&self) -> [f64; 3] {
-        let covariance = self.estimate.estimator.tip_covariance(&self.constants, &self.motion());
+        let covariance = self.estimate.estimator.tip_covariance(&self.believed, &self.motion());
         [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
     /// Radius about the tip, m, that holds it with 95 % of probability.
     pub fn tip_radius(&self) -> f64 {
-        self.estimate.estimator.tip_radius(&self.constants, &self.motion())
+        self.estimate.estimator.tip_radius(&self.believed, &self.motion())
     }
 
     /// Probability of a direct singularity within the horizon under held `held` inputs, the unknown force included: see
@@ -245,12 +245,12 @@ impl Following {
         let Simulation { model, run, parameters } = &self.simulation;
         let scene = FollowedScene { model, inputs: held, before: held, turns: &run.turns, learned: None };
         let step = parameters.settings.step_size;
-        self.estimate.estimator.singularity_probability(&self.constants, &self.motion(), &scene, step)
+        self.estimate.estimator.singularity_probability(&self.believed, &self.motion(), &scene, step)
     }
 
     /// Most probable cause of what is wrong, and its probability.
     pub fn cause(&self) -> (Cause, f64) {
-        self.estimate.estimator.cause(&self.constants)
+        self.estimate.estimator.cause(&self.believed)
     }
 
     /// The estimator.
@@ -282,14 +282,14 @@ impl Following {
     /// Learned parameters that have been moved to a bound since the last call, in the order of [`estimator::error_state`]: value and both bounds, in the
     /// units of [`learned`](Self::learned); each once, and again only after all values have been within theirs for 1 s.
     pub fn take_bounds(&mut self) -> Vec<(usize, f64, [f64; 2])> {
-        let reached: Vec<(usize, [f64; 2])> = self.estimate.estimator.take_bounds(&self.constants).collect();
+        let reached: Vec<(usize, [f64; 2])> = self.estimate.estimator.take_bounds(&self.believed).collect();
         let told = |(i, bounds): (usize, [f64; 2])| (i, self.learned()[0][i], bounds.map(|bound| self.natural(i, bound)));
         reached.into_iter().map(told).collect()
     }
 }
 
-/// Constants of the estimator of a scene, whatever it has learned.
-fn constants_of(parameters: &Parameters) -> Constants {
+/// Machine of a scene, before anything is learned.
+fn machine_of(parameters: &Parameters) -> Machine {
     let geometry = parameters.effects.with_added_masses(&parameters.geometry);
-    Constants::new(&geometry, &parameters.estimator, parameters.prior())
+    Machine::new(&geometry, &parameters.estimator, parameters.prior())
 }

@@ -888,7 +888,7 @@ fn a_forecast_of_singularities_takes_bounded_work() {
         (own.enabled, own.horizon, own.sigma0_theta, own.sigma0_omega) = (true, 10.0, 1e-9, 1e-9);
         let twin = Following::new(&parameters, &default_inputs()).expect("a scene");
         let scene = Turning { count: Cell::new(0), is_stiff };
-        let found = twin.estimator().singularity_probability(twin.constants(), &twin.motion(), &scene, 1e-3);
+        let found = twin.estimator().singularity_probability(twin.believed(), &twin.motion(), &scene, 1e-3);
         assert_eq!(found, probability, "at {rate} rad/s");
         // Of 13 points each takes 10,000 choices of a number of steps, of which it may make half as many again as at rest, and up to 64 more.
         let evaluations = scene.count.get();

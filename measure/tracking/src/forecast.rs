@@ -86,7 +86,7 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     if members == 0 {
         return 0.0;
     }
-    let (linkage, estimate, belief) = (&twin.constants().linkage, twin.motion(), twin.estimator().belief());
+    let (linkage, estimate, belief) = (&twin.believed().linkage, twin.motion(), twin.estimator().belief());
     let frame = linkage.frame(&estimate.theta);
     let (units, root) =
         (unit_forces(linkage, &frame), root(&belief.bank.covariance().transpose().fixed_view::<6, 6>(0, 0).into_owned().into()));

@@ -8,7 +8,7 @@ use tracking::{benchmark, causes, detection, faults, geometry, singular};
 
 /// Whether the estimate can be stored and read back.
 fn soundness(twin: &Following) -> Result<(), &'static str> {
-    twin.estimator().check(twin.constants(), &twin.motion())
+    twin.estimator().check(twin.believed(), &twin.motion())
 }
 
 /// Three runs of the published benchmark stay within 1.10 times the best row of its table.

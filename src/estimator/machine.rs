@@ -1,12 +1,12 @@
-//! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast; and what stays constant between their changes.
+//! Parameters of the estimator (encoders, initial uncertainty, unknown force, forecast), and the machine as it is believed.
 
 use nalgebra::SVector;
 
-use super::constants::{ANYWHERE, LARGEST_RATE_VARIANCE, UNKNOWN_FORCE};
 use super::error_state::{GEOMETRY, LENGTHS, Learned, OFFSETS};
 use super::geometry::LENGTH_COUNT;
 use super::history::REMEMBERED;
 use super::tangent::{Linkage, Links, MEASURED};
+use super::tuning::{ANYWHERE, LARGEST_RATE_VARIANCE, UNKNOWN_FORCE};
 use crate::copies::clone_by_fields;
 use crate::mechanism::{Geometry, SceneError};
 
@@ -116,13 +116,14 @@ pub struct Prior {
     pub sigma: Learned,
 }
 
-/// Data of the estimator that stay constant between changes of parameters.
+/// Machine as it is believed: by the parameters, with the lengths that have been learned.
 #[derive(Debug, PartialEq)]
-pub struct Constants {
+pub struct Machine {
+    /// Lengths as they are believed.
     pub(super) geometry: Geometry,
     /// Lengths of links and base as the parameters say, m.
     pub(super) nominal: [f64; LENGTH_COUNT],
-    /// Lengths of the closed loop.
+    /// The closed loop of these lengths.
     pub linkage: Linkage,
     /// The parameters in force.
     pub parameters: Parameters,
@@ -134,10 +135,10 @@ pub struct Constants {
     pub(super) prior: Option<Box<Prior>>,
 }
 
-clone_by_fields!(Constants { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior });
+clone_by_fields!(Machine { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior });
 
-impl Constants {
-    /// Constant data for a geometry that includes all masses.
+impl Machine {
+    /// Machine of a geometry that includes all masses, before anything is learned.
     pub fn new(geometry: &Geometry, parameters: &Parameters, prior: Option<Prior>) -> Self {
         // Mean over the legs of the torque that carries their weight, (m_P a_P + m_D l_P)·9.81 m/s².
         let weight = |p: usize, d: usize| {

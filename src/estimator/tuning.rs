@@ -355,8 +355,8 @@ pub(super) const UNEXPLAINED: f64 = 0.05;
 pub(super) struct Sizes {
     /// Of torques, in torque scales; forces and weights are as large at the mean length.
     pub(super) torque: f64,
-    /// Of the offset of an encoder, rad.
-    pub(super) offset: f64,
+    /// Of the jump of an encoder's reading, rad.
+    pub(super) jump: f64,
     /// Of the delay of the samples, s.
     pub(super) delay: f64,
     /// Of the logarithm of a mass.
@@ -367,4 +367,4 @@ pub(super) struct Sizes {
     pub(super) friction: f64,
 }
 /// Sizes of faults: of the order of what raises an alarm. Masses of 0.1 name as many.
-pub(super) const SIZES: Sizes = Sizes { torque: 1.0, offset: 0.1, delay: 5e-3, mass: 0.05, rate: 10.0, friction: 1.0 };
+pub(super) const SIZES: Sizes = Sizes { torque: 1.0, jump: 0.1, delay: 5e-3, mass: 0.05, rate: 10.0, friction: 1.0 };
