@@ -1,7 +1,8 @@
 """What a recording says twice: which encoder is left, which way it counts and where its zero is, weighed against all that depends on it.
 
 An `Assignment` exchanges the encoders or not, and reverses each or not. A kind of evidence (angles of the distal links, a tracked tip, commands,
-torques at rest, the reach of the machine) gives each assignment a misfit, after it has fitted the zeros that it can tell. The scene's lengths, its
+torques at rest, the reach of the machine) gives each assignment a misfit, after it has fitted the zeros that it can tell. The scene's lengths (to
+`estimator.sigma0.length`), its
 assembly, commands and torques are taken as right.
 """
 

@@ -21,7 +21,7 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
     scene = scenes.read(given)
     relative = [name in used.entries and used.entries[name].relative for name in PASSIVE]
     verdict = redundancy.weigh(found, scene, (relative[0], relative[1]))
-    told = [f"by the scene {scene.name}, whose lengths and assembly are taken as right:"]
+    told = [f"by the scene {scene.name}, whose assembly is taken as right:"]
     for each in verdict.evidence:
         order = sorted(range(len(each.fits)), key=lambda k: float(f"{each.fits[k].misfit:.3g}"))
         best, next_ = (f"{ASSIGNMENTS[k].words()} ({each.fits[k].misfit:.3g} {each.unit})" for k in order[:2])
