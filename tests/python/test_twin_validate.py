@@ -2,12 +2,18 @@
 
 import json
 import math
+import os
+import sqlite3
+import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from conftest import REPOSITORY
 from fivebar import table
 from fivebar.commands import main
 from fivebar.twin import figures, held_out, scene, setup
@@ -196,6 +202,15 @@ def test_other_predictors_are_what_they_say(tmp_path: Path, fmu: Path) -> None:
     )
 
 
+def test_an_encoder_that_rests_is_told(tmp_path: Path, fmu: Path) -> None:
+    """All errors of a machine at rest are 0, and nothing is known of its twin."""
+    resting, moving = (
+        judged(made(angle), tmp_path, fmu).not_judged for angle in (lambda t: 0.0 * t, lambda t: 0.3 * t)
+    )
+    said = [f"motion of encoder {i}: it rests in the held-out part, which every predictor knows" for i in (1, 2)]
+    assert resting[-2:] == said and not set(said) & set(moving)
+
+
 def test_the_delay_of_commands_is_found_and_used(tmp_path: Path, fmu: Path) -> None:
     """Commands of the next 0.2 s are known: 0.1 s ahead they tell the angle, up to the line between two samples, and 0.5 s ahead they do not."""
     found = judged(made(lambda t: np.sin(3 * t), commands=True), tmp_path, fmu)
@@ -215,3 +230,95 @@ def test_readings_may_jump_by_whole_turns(tmp_path: Path, fmu: Path) -> None:
     for one, other in zip(first.forecasts, second.forecasts, strict=True):
         assert other.errors.error == pytest.approx(one.errors.error, abs=1e-9, nan_ok=True)
         assert other.others["hold"] == pytest.approx(one.others["hold"], abs=1e-9, nan_ok=True)
+
+
+# --- recordings of real machines -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def recordings() -> Path:
+    """The folder of recordings that FIVEBAR_RECORDINGS names: they are other people's, and not in the repository."""
+    folder = os.environ.get("FIVEBAR_RECORDINGS")
+    if not folder:
+        pytest.skip("FIVEBAR_RECORDINGS names no folder of recordings of real machines")
+    return Path(folder)
+
+
+def joint_state(message: bytes) -> tuple[float, dict[str, float]]:
+    """Stamp, s, and positions by the joint's name of a message sensor_msgs/JointState, little-endian CDR."""
+    # Offsets are aligned from behind the four bytes of the encapsulation.
+    data, at = message[4:], 8
+
+    def count() -> int:
+        nonlocal at
+        at += -at % 4 + 4
+        return int(struct.unpack_from("<I", data, at - 4)[0])
+
+    def text() -> str:
+        nonlocal at
+        size = count()
+        at += size
+        return data[at - size : at - 1].decode()
+
+    second, nanosecond = struct.unpack_from("<iI", data)
+    text()
+    names = [text() for _ in range(count())]
+    positions = struct.unpack_from(f"<{count()}d", data, at + -at % 8)
+    return second + 1e-9 * nanosecond, dict(zip(names, positions, strict=True))
+
+
+def joint_states(bag: Path) -> list[tuple[float, dict[str, float]]]:
+    """Those in a bag of ROS 2."""
+    connection = sqlite3.connect(f"file:{bag}?mode=ro&immutable=1", uri=True)
+    query = (
+        "select data from messages join topics on topic_id = topics.id where name = '/joint_states' order by timestamp"
+    )
+    found = [joint_state(message) for (message,) in connection.execute(query)]
+    connection.close()
+    return found
+
+
+def test_a_haptic_pantograph(recordings: Path, judge: Judge) -> None:
+    """Moved in jerks by a hand and drives that nobody recorded, its masses and friction guessed: followed, and no twin to forecast with, as is said."""
+    (bag,) = (recordings / "haptic_pantograph").glob("*.db3")
+    # It rests before and after.
+    states = joint_states(bag)[2400:5000]
+    columns = {"time": np.array([stamp - states[0][0] for stamp, _ in states])}
+    columns |= {
+        f"measured.theta[{i}]": np.array([joints[f"joint{i}"] for _, joints in states]) + math.radians(zero)
+        for i, zero in ((1, 147), (2, 33))
+    }
+    machine = {
+        "description": "Haptic pantograph",
+        "experiment": {"stopTime": 10, "stepSize": 0.01},
+        "base.distance": 0.085,
+    }
+    machine |= {"gravity.enabled": False, "init.assembly": "plus"}
+    machine |= {f"init.theta[{i}]": float(columns[f"measured.theta[{i}]"][0]) for i in (1, 2)}
+    for i, length in enumerate((0.1, 0.165, 0.165, 0.1), 1):
+        # An assumed weight: 0.1 kg/m.
+        mass = 0.1 * length
+        machine |= {f"link[{i}].length": length, f"link[{i}].com": length / 2}
+        machine |= {f"link[{i}].mass": mass, f"link[{i}].inertia": mass * length**2 / 12}
+    machine |= {f"estimator.quantum[{i}]": 3.14e-4 for i in (1, 2)}
+    code, content = judge(columns, machine)
+    part = content["held_out"]
+    assert content["samples"]["followed"] == content["samples"]["estimated"] == 2600
+    assert len(part["not_judged"]) == 3 and part["forecasts"]["0.1"]["coverage95"] > 0.9
+    assert code == 1 and "forecasts of encoder 1 0.1 s ahead are" in content["missed"][-2]
+
+
+def test_a_serial_arm(recordings: Path, fmu: Path, tmp_path: Path) -> None:
+    """Four runs by both motors, torques known: 0.1 s ahead the twin is three times as good as a constant velocity. Its friction is not the model's:
+    the bands are too narrow, and the exit code says so."""
+    command = [sys.executable, str(REPOSITORY / "examples" / "serial_arm.py")]
+    subprocess.run([*command, str(recordings / "dfki_double_pendulum"), str(tmp_path)], check=True)
+    words = ["validate", str(tmp_path / "record.csv"), "--scene", str(tmp_path / "scene.json"), "--fmu", str(fmu)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 1
+    content = json.loads((tmp_path / "out" / "validation.json").read_text(encoding="utf-8"))
+    part = content["held_out"]
+    near = part["forecasts"]["0.1"]
+    assert part["series"] == 4 and content["samples"]["followed"] == 19987 and content["alarms"] == 0
+    assert part["innovations"]["coverage95"] > 0.95 and 0.8 < near["coverage95"] < 0.9
+    velocity = near["others"]["constant velocity"]["rms_mrad"]
+    assert all(2.5 * own < other for own, other in zip(near["rms_mrad"], velocity, strict=True))

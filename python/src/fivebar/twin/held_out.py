@@ -42,6 +42,9 @@ RATED: Final = 5
 WORSE: Final = 1.2
 """Error of the nearer forecasts that is allowed, relative to the best predictor without mechanics."""
 
+RESTS: Final = 10.0
+"""Standard deviations of a reading within which the readings of an encoder stay that rests: white noise spans some seven, a step between two readings 3.5."""
+
 LONGEST_DELAY: Final = 0.5
 """s between a command and the angle, at most."""
 
@@ -193,6 +196,12 @@ class Series(NamedTuple):
         """Time from which on it is held out, s."""
         return float(self.time[-1] - SHARE * (self.time[-1] - self.time[0]))
 
+    def held_out(self, i: int) -> Array:
+        """Readings of encoder `i` in the held-out part, rad."""
+        column: Array = self.angles[self.time >= self.begin, i]
+        known: Array = column[np.isfinite(column)]
+        return known
+
 
 def judge(config: Config, story: Story) -> HeldOut:
     """Judges a run by its record."""
@@ -210,6 +219,12 @@ def judge(config: Config, story: Story) -> HeldOut:
         for place in JUDGED:
             found.forecasts += _forecasts(story, series, place, found.noise, delay)
     found.not_judged += _not_judged(story, found)
+    for i in range(2):
+        spans = [np.ptp(known) for each in series if len(known := each.held_out(i))]
+        if spans and max(spans) <= RESTS * found.noise[i]:
+            found.not_judged.append(
+                f"motion of encoder {i + 1}: it rests in the held-out part, which every predictor knows"
+            )
     return found
 
 

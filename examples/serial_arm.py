@@ -1,0 +1,86 @@
+"""A serial arm as a five-bar: recordings of a double pendulum become a record and a scene for `fivebar validate`.
+
+    python examples/serial_arm.py dfki_double_pendulum out
+    fivebar validate out/record.csv --scene out/scene.json
+
+The folder has the CSV files and `model_parameters.yml` of data/experiment_records/design_C.1/sys_id/20230629 in the repository
+dfki-ric-underactuated-lab/double_pendulum. Links 1 and 2 are the arm's; links 3 and 4 weigh nearly nothing and are never in line.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from fivebar import table
+
+RIGHT = 3.0 + 0.35j  # axis of the right motor, m, from the shoulder; x is horizontal
+LINK_3, LINK_4 = 3.0, 0.7  # m
+TURNED = np.angle(RIGHT)  # rad: the unit's x axis goes through both motors
+LIGHT = 1e-5  # kg
+STEP = 2 * np.pi / 2**14  # rad: of the arm's encoders
+SMALLEST = 0.02  # of b: near a direct singularity no torque of the right motor is the elbow's
+
+
+def columns(file, arm):
+    """Columns of a run. The arm's angles are 0 hanging down, and its elbow's is relative."""
+    given = np.genfromtxt(file, delimiter=",", names=True)
+    theta1 = given["pos_meas1"] - np.pi / 2 - TURNED
+    theta2 = theta1 + given["pos_meas2"]
+    tip = arm["l1"] * np.exp(1j * theta1) + arm["l2"] * np.exp(1j * theta2) - abs(RIGHT)
+    theta4 = np.unwrap(np.angle(tip) - np.arccos((LINK_4**2 + abs(tip) ** 2 - LINK_3**2) / (2 * LINK_4 * abs(tip))))
+    theta3 = np.angle(tip - LINK_4 * np.exp(1j * theta4))
+    # Rates obey theta4' = a theta1' + b theta2'; both pairs of motors have the same power. The arm's elbow motor turns with link 1.
+    a = arm["l1"] * np.sin(theta3 - theta1) / (LINK_4 * np.sin(theta3 - theta4))
+    b = arm["l2"] * np.sin(theta3 - theta2) / (LINK_4 * np.sin(theta3 - theta4))
+    shoulder, elbow = given["tau_meas1"], given["tau_meas2"]
+    right = elbow / np.copysign(np.maximum(np.abs(b), SMALLEST), b)
+    motors = {"tau[1]": shoulder - elbow - a * right, "tau[2]": right}
+    return {"time": given["time"], "measured.theta[1]": theta1, "measured.theta[2]": theta4} | motors
+
+
+def scene(arm, first):
+    """The arm, beginning with the first readings."""
+    values = {
+        "description": "A serial arm with two joints as a five-bar.",
+        "experiment": {"stopTime": 10, "stepSize": 0.002},
+        "base.distance": abs(RIGHT),
+        "gravity.direction": -np.pi / 2 - TURNED,
+        "init.theta[1]": first["measured.theta[1]"],
+        "init.theta[2]": first["measured.theta[2]"],
+        "init.assembly": "minus",
+        "rotor.enabled": True,
+        "rotor.inertia[1]": arm["Ir"],
+        "rotor.gearRatio[1]": arm["gr"],
+        "rotor.inertia[2]": 0,
+        "viscous.enabled": True,
+        "friction.enabled": True,
+        "estimator.quantum[1]": STEP,
+        "estimator.quantum[2]": 0,  # computed of both encoders
+        "estimator.sigma[2]": STEP / 2,
+    }
+    links = [
+        (arm[f"l{i}"], arm[f"m{i}"], arm[f"r{i}"], arm[f"I{i}"] - arm[f"m{i}"] * arm[f"r{i}"] ** 2) for i in (1, 2)
+    ]
+    links += [(length, LIGHT, length / 2, LIGHT * length**2 / 12) for length in (LINK_3, LINK_4)]
+    for i, link in enumerate(links, 1):
+        values |= zip((f"link[{i}].{name}" for name in ("length", "mass", "com", "inertia")), link, strict=True)
+    for joint in range(1, 6):
+        # The authors' law cf arctan(100 w) is at most pi/2 cf.
+        dry = np.pi / 2 * arm.get(f"cf{joint}", 0.0)
+        values |= {f"friction.coulomb[{joint}]": dry, f"friction.breakaway[{joint}]": dry}
+        values[f"viscous.b[{joint}]"] = arm.get(f"b{joint}", 0.0)
+    return values
+
+
+if __name__ == "__main__":
+    source, out = map(Path, sys.argv[1:])
+    lines = (source / "model_parameters.yml").read_text(encoding="utf-8").splitlines()
+    arm = {name: float(value) for name, value in (line.split(":") for line in lines if ":" in line)}
+    runs = [columns(file, arm) for file in sorted(source.glob("*.csv"))]
+    out.mkdir(parents=True, exist_ok=True)
+    # The clock of each run begins at 0: each becomes a series of its own.
+    table.write_columns(out / "record.csv", {name: np.concatenate([run[name] for run in runs]) for name in runs[0]})
+    first = {name: float(column[0]) for name, column in runs[0].items()}
+    (out / "scene.json").write_text(json.dumps(scene(arm, first), indent=2) + "\n", encoding="utf-8")
