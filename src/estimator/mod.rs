@@ -288,8 +288,18 @@ impl Estimator {
         }
     }
 
-    /// Lets the samples that were used judge the other motions; one of them may replace the estimate.
+    /// Lets the samples that were used judge the other motions, if any are followed; the first samples of both encoders begin the doubt about the start.
     fn judge_motions(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
+        if self.hypotheses.are_open() || self.hypotheses.are_quiet() || self.doubt.is_open() {
+            self.judge_alternatives(machine, estimate, residuals);
+        }
+        if residuals.iter().all(|residual| residual.accepted().is_some()) {
+            self.doubt.begin(machine, &estimate.motion);
+        }
+    }
+
+    /// Lets the samples that were used judge the alternatives; one of them may replace the estimate.
+    fn judge_alternatives(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
         let used = [0, 1].map(|i| {
             let Accepted { measurement, .. } = residuals[i].accepted()?;
@@ -305,9 +315,6 @@ impl Estimator {
         if let Some(other) = self.doubt.correct(machine, &used, &seen) {
             self.reset(machine, &Reset::Assembly(&other.belief));
             estimate.move_to(&machine.linkage, &other.motion);
-        }
-        if used.iter().all(Option::is_some) {
-            self.doubt.begin(machine, &estimate.motion);
         }
     }
 
@@ -355,13 +362,13 @@ impl Estimator {
         }
         let models = self.models(machine, &estimate.motion);
         let learns = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
-        let mut nis = 0.0;
-        let residuals = [0, 1].map(|i| {
-            let Some(measurement) = &measurements[i] else { return Residual::None };
-            let residual = self.update_by(machine, estimate, (&models, learns), (i, measurement));
-            nis += residual.nis();
-            residual
-        });
+        let (mut nis, mut residuals) = (0.0, [Residual::None, Residual::None]);
+        for (i, measurement) in measurements.iter().enumerate() {
+            if let Some(measurement) = measurement {
+                residuals[i] = self.update_by(machine, estimate, (&models, learns), (i, measurement));
+                nis += residuals[i].nis();
+            }
+        }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         residuals
     }
@@ -379,7 +386,8 @@ impl Estimator {
         // Errors that the other encoder does not reveal, and those that are never learned, persist in the reading.
         let alone = !self.encoders[1 - i].is_believed();
         let measurement = if alone { &measurement.alone(i, &self.encoders[i]) } else { measurement };
-        let used = errors.filter(|_| learns).map_or(*measurement, |errors| measurement.learned(i, errors.further[i]));
+        let learned = errors.filter(|_| learns).map(|errors| measurement.learned(i, errors.further[i]));
+        let used = learned.as_ref().unwrap_or(measurement);
         // Prediction, before the sample counts.
         let mut prediction = self.belief.bank.prediction(&used.innovation);
         let columns = self
@@ -398,7 +406,7 @@ impl Estimator {
             repetition = self.unaided[i].judge(measurement);
             repetition
         };
-        let admitted = self.encoders[i].admit(&self.belief.bank, (&prediction, &used), conditions, judge);
+        let admitted = self.encoders[i].admit(&self.belief.bank, (&prediction, used), conditions, judge);
         let Some(mut confined) = admitted else {
             if repetition != Fault::None {
                 self.reset(machine, &Reset::Repetition(i, repetition));
