@@ -311,7 +311,7 @@ impl Estimator {
         if let Some(other) = self.hypotheses.correct(&machine.linkage, &used, likelihood) {
             self.take_over(other, machine, estimate);
         }
-        let seen = [0, 1].map(|i| residuals[i].accepted()?.seen);
+        let seen = [0, 1].map(|i| self.seen(i, &residuals[i].accepted()?.measurement));
         if let Some(other) = self.doubt.correct(machine, &used, &seen) {
             self.reset(machine, &Reset::Assembly(&other.belief));
             estimate.move_to(&machine.linkage, &other.motion);
@@ -420,19 +420,17 @@ impl Estimator {
         }
         self.belief.bank.update(&confined);
         self.unaided[1 - i].update(&self.encoders[i], measurement);
+        if let Some(seen) = self.seen(i, measurement) {
+            self.doubt.receive(i, &seen.innovation);
+        }
         let likelihood = if self.hypotheses.are_open() { prediction.log_likelihood() } else { 0.0 };
-        Residual::Accepted(Accepted { measurement: *measurement, nis, likelihood, seen: self.see(i, measurement) })
+        Residual::Accepted(Accepted { measurement: *measurement, nis, likelihood })
     }
 
-    /// Lets the witness of a doubted start see a sample of encoder i that is used. Returns the sample as the witness sees it, `None` if it does not.
-    fn see(&mut self, i: usize, measurement: &Measurement) -> Option<Measurement> {
-        if !self.doubt.is_open() {
-            return None;
-        }
+    /// Sample of encoder i as the witness of a doubted start sees it. Samples that are confined to a quantisation interval do not tell assemblies apart.
+    fn seen(&self, i: usize, measurement: &Measurement) -> Option<Measurement> {
         // Accelerations do not show what hardly changes.
-        let seen = self.encoders[i].unconfined(&measurement.with_persistent_error(i, 0.0))?;
-        self.doubt.receive(i, &seen.innovation);
-        Some(seen)
+        self.doubt.is_open().then(|| self.encoders[i].unconfined(&measurement.with_persistent_error(i, 0.0)))?
     }
 
     /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
@@ -912,8 +910,6 @@ struct Accepted {
     nis: f64,
     /// Log-likelihood while hypotheses are open, otherwise 0.
     likelihood: f64,
-    /// The sample as the witness of a doubted start has seen it. Samples that are confined to a quantisation interval do not tell assemblies apart.
-    seen: Option<Measurement>,
 }
 
 impl Residual {
