@@ -18,6 +18,7 @@ import pytest
 
 from fivebar import scene as scenes_of
 from fivebar.commands import main
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, setup
 from fivebar.twin import scene as twin_scene
@@ -26,7 +27,6 @@ from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import BEGIN, configured, machine
-from fivebar.twin.unit import Library
 
 BASE = {name: value for name, value in trials.MACHINE.items() if name != "friction.enabled"}
 """Without dry friction, which is the dearest effect."""

@@ -20,13 +20,13 @@ from websockets.exceptions import InvalidStatus
 from browser import open_browser
 from conftest import PATIENCE, wait_until
 from fivebar.colours import COLOURS
+from fivebar.library import Library
 from fivebar.twin import dashboard, scene
 from fivebar.twin.config import Broker, Config
 from fivebar.twin.dashboard import FILES, KEPT, TRAIL, Pace, Server, packet_from, topic_of
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import machine
 from fivebar.twin.starter import free_port
-from fivebar.twin.unit import Library
 from fivebar.variables import of_unit
 from twin_support import follower
 

@@ -22,6 +22,8 @@ from distributed import LocalCluster
 from distributed.comm import CommClosedError
 
 from conftest import PATIENCE, wait_until
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.twin.ensemble import command, results, rows, what_if
 from fivebar.twin.ensemble.cluster import Cluster
 from fivebar.twin.ensemble.member import Plan, Runner
@@ -31,7 +33,6 @@ from fivebar.twin.forecast import Forecaster
 from fivebar.twin.messages import Message, decode, encode
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.starter import free_port
-from fivebar.twin.unit import Library, Unit
 from twin_support import follower
 
 FALL = {"init.theta[2]": 2.0943951023931953}
@@ -47,20 +48,18 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
     assert (
         a["drawn"] == b["drawn"] and a["singular.time"] == b["singular.time"] and np.array_equal(a["shown"], b["shown"])
     )
-    unit = Unit(library)
+    unit = Unit.of(library)
     values = {"init.theta[1]": a["drawn"]["theta[1]"], "solver.method": 4, **FALL}
     for leg in (1, 4):
         values |= {
             f"link[{leg}].mass": 0.017 * a["drawn"]["link[1,4].mass"],
             f"link[{leg}].inertia": 6.23e-5 * a["drawn"]["link[1,4].mass"],
         }
-    unit.start(values)
+    unit.reset(**values)
     # Within half a thousandth of a step of 50 ms.
     for time, passed in ((a["singular.time"] - 5e-5, 0), (a["singular.time"] + 5e-5, 1)):
         unit.step_to(time)
-        assert (
-            unit.get(["singular.passes.inverse[2]"])["singular.passes.inverse[2]"] == passed and a["singular.kind"] == 3
-        )
+        assert unit["singular.passes.inverse[2]"] == passed and a["singular.kind"] == 3
     unit.close()
     first.close()
     second.close()
@@ -204,7 +203,7 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
 def test_what_if(fmu: Path) -> None:
     """From a state at rest each command leads where it says, and the goal decides."""
     library = Library(fmu)
-    unit = Unit(library)
+    unit = Unit.of(library)
     told = {"servo.theta[1]": 2.2, "servo.theta[2]": 0.94, "servo.omega[1]": 0.0, "servo.omega[2]": 0.0}
     values = {
         "base.distance": 0.1,
@@ -213,17 +212,15 @@ def test_what_if(fmu: Path) -> None:
         "init.theta[1]": 2.2,
         "init.theta[2]": 0.94,
     }
-    unit.start(values | {f"servo.{k}[{i}]": v for i in (1, 2) for k, v in (("kp", 20.0), ("kd", 0.5))} | told)
+    unit.reset(**values, **told, **{f"servo.{k}[{i}]": v for i in (1, 2) for k, v in (("kp", 20.0), ("kd", 0.5))})
     unit.step_to(0.1)
-    stored = unit.store()
-    state = base64.b64encode(unit.to_bytes(stored)).decode()
+    state = base64.b64encode(unit.state().to_bytes()).decode()
     message = Message("state", "bench", 0, 20, {}, {"state": state, "clock": 0.1, "book": {"told": told}})
     options = what_if.Options(Path("twin.json"), None, members=4, seconds=0.4, seed=0, times=1, scheduler=None)
-    begin = unit.get(["tip.x", "tip.y"])
-    unit.free(stored)
+    begin = unit.get("tip.x", "tip.y")
     unit.close()
     library.close()
-    answer = what_if.compare(fmu, message, None, [begin["tip.x"], begin["tip.y"]], options)
+    answer = what_if.compare(fmu, message, None, list(begin), options)
     names = [one["name"] for one in answer["candidates"]]
     assert names[0] == "stay" and len(names) == 5 and answer["candidates"][0]["end"]["within95"] < 1e-3
     # A turn of 0.15 rad on a link of 0.21 m.

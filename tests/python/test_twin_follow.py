@@ -12,6 +12,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from fivebar.errors import FiveBarError
+from fivebar.library import Library
 from fivebar.twin import figures, record
 from fivebar.twin.config import Config, Faults
 from fivebar.twin.errors import TwinError
@@ -23,7 +25,6 @@ from fivebar.twin.messages import Message, encode
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.replay import Result, replay
 from fivebar.twin.soak import BEGIN, Wire, configured, machine
-from fivebar.twin.unit import Library
 from twin_support import follower, recorded
 
 
@@ -222,7 +223,7 @@ def test_a_broken_state_is_refused(config: Config, library: Library, samples: li
     estimates(twin, samples[:10])
     state = twin.state()
     for name, value in (("state", "AAAA"), ("state", 5), ("book", {}), ("clock", "x"), ("parameters", [1])):
-        with pytest.raises(TwinError):
+        with pytest.raises(FiveBarError):
             twin.go_on_from(replace(state, extra=state.extra | {name: value}))
     twin.close()
 
@@ -240,10 +241,10 @@ def test_parameters_are_taken_within_their_bounds(config: Config, library: Libra
     assert "no tunable parameter" in twin.allowed(order(**{"tip.x": 0.1}))
     assert "no tunable parameter" in twin.allowed(order(nonsense=0.1))
     twin.param(order(**{"servo.kp[1]": 21.0}))
-    assert twin.unit.get(["servo.kp[1]"]) == {"servo.kp[1]": 21.0}
+    assert twin.unit["servo.kp[1]"] == 21.0
     twin.restart(Message("cmd", "bench", 2, 2, {}))
     estimates(twin, samples[10:20])
-    assert twin.unit.get(["servo.kp[1]"]) == {"servo.kp[1]": 21.0}, "also after a start anew"
+    assert twin.unit["servo.kp[1]"] == 21.0, "also after a start anew"
     twin.close()
 
 
@@ -292,7 +293,7 @@ def test_forecasts_name_singularities_and_stops_before_they_come(
         twin.estimate()
         if message.seq % 10 == 0:
             said.append(ahead.run(twin.state()))
-        seen = source.rider.unit.get(["singular.detJx", "singular.detJq"])
+        seen = source.rider.unit.floats(("singular.detJx", "singular.detJq"))
         if before is not None:
             met += [source.seq * 0.005 for name, value in seen.items() if crossing(before[name], value) is not None]
         before = seen

@@ -27,12 +27,12 @@ from websockets.sync.client import connect
 from browser import open_browser
 from conftest import PATIENCE, REPOSITORY, started, wait_until
 from fivebar.colours import COLOURS
+from fivebar.library import Library
 from fivebar.twin import figures
 from fivebar.twin.dashboard import KEPT, SKIPPED
 from fivebar.twin.messages import Message, encode, topic
 from fivebar.twin.soak import configured, machine
 from fivebar.twin.starter import ENDING, free_port
-from fivebar.twin.unit import Library
 from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full

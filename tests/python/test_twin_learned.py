@@ -16,6 +16,8 @@ from conftest import PATIENCE
 from fivebar import scene as scenes_of
 from fivebar.commands import main
 from fivebar.errors import FiveBarError
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.own_unit import write_unit
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import dashboard, figures, handover, record, scene
@@ -23,7 +25,6 @@ from fivebar.twin.config import Config
 from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import TRACKED, Message
 from fivebar.twin.soak import configured, machine
-from fivebar.twin.unit import Library, Unit
 from fivebar.twin.watch import CAUSES
 from fivebar.variables import of_unit
 from twin_support import follower, recorded
@@ -94,12 +95,12 @@ def test_what_was_learned_makes_a_unit_a_calibration_and_the_next_run(
 
     # Half a second of its own motion: the learned machine is nineteen times nearer to the machine, and has to be ten times.
     tips = []
-    unit = Unit(library)
+    unit = Unit.of(library)
     for values in (before.values | truth, before.values, after.values):
-        unit.start(values)
+        unit.reset(**values)
         for k in range(1, 51):
             unit.step_to(0.01 * k)
-        tips.append(tuple(unit.get(TRACKED).values()))
+        tips.append(unit.get(*TRACKED))
     unit.close()
     assert math.dist(tips[2], tips[0]) < 0.1 * math.dist(tips[1], tips[0]), tips
 

@@ -21,6 +21,7 @@ from paho.mqtt.client import MQTTMessage
 
 from conftest import PATIENCE
 from fivebar.commands import main
+from fivebar.library import Library
 from fivebar.twin import config as configuration
 from fivebar.twin import figures, record, starter, summary
 from fivebar.twin.bus import Bus
@@ -34,7 +35,6 @@ from fivebar.twin.recorder import MOST_WAITING, Recorder
 from fivebar.twin.replay import replay
 from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import Child, Run
-from fivebar.twin.unit import Library
 from fivebar.twin.watch import NO_SAMPLE, Watch
 from test_twin_messages import of_kind
 from twin_support import recorded

@@ -18,6 +18,7 @@ import pytest
 from conftest import PATIENCE, REPOSITORY
 from conftest import started as addresses
 from fivebar import simulate
+from fivebar.library import Library
 from fivebar.twin import config as configuration
 from fivebar.twin import figures, starter
 from fivebar.twin.ahead import Ahead
@@ -27,7 +28,6 @@ from fivebar.twin.messages import encode
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire, configured, machine
 from fivebar.twin.starter import free_port
-from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 from twin_support import recorded
 

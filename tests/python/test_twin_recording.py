@@ -8,6 +8,7 @@ import pytest
 
 from fivebar import simulate
 from fivebar import table as tables
+from fivebar.library import Library
 from fivebar.own_unit import write_unit
 from fivebar.scene import Scene, Variant
 from fivebar.twin import recording, turn
@@ -19,7 +20,6 @@ from fivebar.twin.machine import Player
 from fivebar.twin.messages import MEASURED
 from fivebar.twin.soak import configured
 from fivebar.twin.starter import sampling
-from fivebar.twin.unit import Library
 from twin_support import follower
 
 

@@ -16,10 +16,10 @@ import pytest
 from conftest import REPOSITORY
 from fivebar import table
 from fivebar.commands import main
+from fivebar.library import Library
 from fivebar.twin import figures, held_out, scene, setup
 from fivebar.twin.held_out import HeldOut
 from fivebar.twin.soak import configured, machine
-from fivebar.twin.unit import Library
 
 Columns = dict[str, np.ndarray]
 

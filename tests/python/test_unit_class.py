@@ -47,7 +47,7 @@ def test_every_public_member_has_an_example() -> None:
         members = {**vars(instance.Instance), **vars(kind)} if kind is Unit else vars(kind)
         public = [name for name in members if not name.startswith("_")]
         found = doctest.DocTestFinder(recurse=False)
-        own = ("close", "call", "write", "read", "numbers", "initialise", "write_rates", "of", "time")
+        own = ("close", "call", "write", "read", "numbers", "floats", "initialise", "write_rates", "of", "time")
         for name in public:
             if name not in own:
                 assert found.find(getattr(kind, name), name, globs={})[0].examples, f"{kind.__name__}.{name}"

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+from fivebar.library import Library
 from fivebar.twin import scene, setup
 from fivebar.twin.config import Config
 from fivebar.twin.follow import Twin
@@ -11,7 +12,6 @@ from fivebar.twin.follower import Follower
 from fivebar.twin.messages import Message, encode
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire, machine
-from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 
 

@@ -15,7 +15,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from ctypes import CDLL, byref, c_double, c_int, c_size_t, c_void_p, create_string_buffer
+from ctypes import CDLL, byref, c_double, c_size_t, c_void_p, create_string_buffer
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -134,26 +134,27 @@ class Instance:
         ...     unit.get("tau[2]", "tip.fy")
         (0.02, -0.1)
         """
+        # Inputs of every step: floats by the names of variables.
+        if (reals := self.library.reals(tuple(values))) and all(type(value) is float for value in values.values()):
+            self.write(reals, values.values())
+            return
         names: list[str] = []
         numbers: list[Value] = []
         for name, given in values.items():
             elements = self.library.elements(name)
             names += [variable.name for variable in elements]
             numbers += _numbers(name, elements, given)
-        self._write(tuple(names), numbers)
-
-    def _write(self, names: tuple[str, ...], numbers: Sequence[Value]) -> None:
-        for block in self.library.blocks(names):
+        for block in self.library.blocks(tuple(names)):
             self.write(block, [numbers[place] for place in block.places])
 
     def write(self, block: Block, numbers: Iterable[Value]) -> None:
         """Sets a block as calls carry it: enumerations by number."""
-        self.call(f"fmi2Set{block.type}", block.references, len(block.references), block.values(*numbers))
+        self.call(block.setter, block.references, len(block.references), block.values(*numbers))
 
     def read(self, block: Block) -> Any:
         """Reads a block as calls carry it, into a new array of ctypes."""
         values = block.values()
-        self.call(f"fmi2Get{block.type}", block.references, len(block.references), values)
+        self.call(block.getter, block.references, len(block.references), values)
         return values
 
     def numbers(self, names: tuple[str, ...]) -> list[Value]:
@@ -166,6 +167,10 @@ class Instance:
             for place, value in zip(block.places, self.read(block), strict=True):
                 found[place] = value
         return found
+
+    def floats(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Reads variables as floats by name: enumerations by number."""
+        return dict(zip(names, map(float, self.numbers(names)), strict=True))
 
     def initialise(self, time: float) -> None:
         """Goes through initialisation at a time, s."""
@@ -356,8 +361,7 @@ class Unit(Instance):
     def write_rates(self, block: Block, rates: Iterable[float]) -> None:
         """First derivatives of a block of inputs over the step that follows."""
         count = len(block.references)
-        orders = (c_int * count)(*([1] * count))
-        self.call("fmi2SetRealInputDerivatives", block.references, count, orders, block.values(*rates))
+        self.call("fmi2SetRealInputDerivatives", block.references, count, block.orders, block.values(*rates))
 
     def derivative(self, unknowns: "str | Iterable[str]", knowns: "str | Iterable[str]") -> NDArray[np.float64]:
         """Directional derivatives of the unit, exact to round-off.

@@ -33,8 +33,9 @@ _LOADING = threading.Lock()
 class Block:
     """Variables of one type, which one call reads or sets."""
 
-    type: str
-    """`Real`, `Integer` (enumerations as well) or `Boolean`."""
+    getter: str
+    setter: str
+    """C functions that read and set the type; enumerations are integers."""
 
     references: "Array[c_uint]"
     places: Sequence[int]
@@ -42,6 +43,9 @@ class Block:
 
     values: Any
     """Constructor of an array of values."""
+
+    orders: "Array[c_int]"
+    """1 for each: the order of first derivatives."""
 
 
 class Library:
@@ -63,6 +67,7 @@ class Library:
         self.model: ModelDescription = fmpy.read_model_description(self.directory, validate=False)
         self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
         self._blocks: dict[tuple[str, ...], tuple[Block, ...]] = {}
+        self._reals: dict[tuple[str, ...], Block | None] = {}
 
     @cached_property
     def known(self) -> Variables:
@@ -124,11 +129,13 @@ class Library:
 
     def elements(self, name: str) -> tuple[Variable, ...]:
         """The variable of that name, or the elements of the array."""
-        if (one := self.known.get(name)) is not None:
-            return (one,)
-        if name not in self.arrays:
-            raise FiveBarError(f"there is no variable '{name}'{similar(name, [*self.known, *self.arrays])}")
-        return self.arrays[name]
+        if (found := self._elements.get(name)) is None:
+            raise FiveBarError(f"there is no variable '{name}'{similar(name, self._elements)}")
+        return found
+
+    @cached_property
+    def _elements(self) -> dict[str, tuple[Variable, ...]]:
+        return {name: (variable,) for name, variable in self.known.items()} | self.arrays
 
     def blocks(self, names: tuple[str, ...]) -> tuple[Block, ...]:
         """The variables of those names, by type: one call for each block."""
@@ -136,13 +143,21 @@ class Library:
             found = self._blocks[names] = tuple(self._by_type(names))
         return found
 
+    def reals(self, names: tuple[str, ...]) -> Block | None:
+        """The block of those names if each is a variable, none an array, and all are Real."""
+        if names not in self._reals:
+            are_real = bool(names) and all(name in self.known and self.known[name].type == "Real" for name in names)
+            self._reals[names] = self.blocks(names)[0] if are_real else None
+        return self._reals[names]
+
     def _by_type(self, names: tuple[str, ...]) -> Iterable[Block]:
         variables = [self.variable(name) for name in names]
         for kind, c_type in TYPES.items():
             own = [i for i, v in enumerate(variables) if v.type.replace("Enumeration", "Integer") == kind]
             if own:
                 references = (fmi2.fmi2ValueReference * len(own))(*(variables[i].valueReference for i in own))
-                yield Block(kind, references, own, c_type * len(own))
+                orders = (c_int * len(own))(*([1] * len(own)))
+                yield Block(f"fmi2Get{kind}", f"fmi2Set{kind}", references, own, c_type * len(own), orders)
 
     def close(self) -> None:
         """Removes the extracted files now; instances that are open go on."""

@@ -86,8 +86,8 @@ class Variable:
         plain = given.item() if hasattr(given, "item") else given
         if self.type == "Real" and isinstance(plain, (int, float)) and not isinstance(plain, bool):
             return float(plain)
-        if self.type == "Enumeration" and isinstance(plain, int) and not isinstance(plain, bool):
-            return plain
+        if self.type == "Enumeration" and plain in self.items.values() and not isinstance(plain, bool):
+            return int(plain)
         return self.value(plain)
 
     def item(self, number: int) -> str:

@@ -4,7 +4,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from fivebar.twin.errors import TwinError
+from fivebar.errors import FiveBarError
 
 PROCESSES = {
     "broker": "broker",
@@ -32,7 +32,7 @@ def main() -> int:
             return 2
     try:
         return int(import_module(f"fivebar.twin.{PROCESSES[name]}").run(Path(file)))
-    except TwinError as error:
+    except FiveBarError as error:
         print(f"{name}: {error}", file=sys.stderr)
     except OSError as error:
         print(f"{name}: {error.filename or 'the system'}: {error.strerror or error}", file=sys.stderr)

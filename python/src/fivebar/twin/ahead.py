@@ -8,14 +8,13 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from fivebar.library import Library
 from fivebar.twin import process, scene, setup
 from fivebar.twin.config import Config
-from fivebar.twin.errors import TwinError
 from fivebar.twin.forecast import Forecaster
 from fivebar.twin.intake import Newest
 from fivebar.twin.messages import Message
 from fivebar.twin.process import Worker
-from fivebar.twin.unit import Library
 
 log = logging.getLogger("fivebar")
 
@@ -67,7 +66,7 @@ class Ahead(Worker):
     def _make(self, state: Message) -> None:
         try:
             forecast = self.forecaster.run(state, self.stopped.is_set)
-        except (TwinError, KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             # Whatever is wrong with one state, the next one may be good.
             log.warning("no forecast: %s", error)
             return

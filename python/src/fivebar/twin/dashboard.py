@@ -28,14 +28,16 @@ from websockets.typing import Origin, Subprotocol
 
 from fivebar.borders import REACH, outline
 from fivebar.colours import STYLE_SHEET
+from fivebar.errors import UnitError
+from fivebar.instance import Unit
 from fivebar.kinematics import GEOMETRY, Machine
+from fivebar.library import Library
 from fivebar.twin import priority, process, scene, setup
 from fivebar.twin.config import Config
 from fivebar.twin.errors import Refused
 from fivebar.twin.follower import LEARNED
 from fivebar.twin.messages import SCHEMA_FILE, TRACKED, Message, decode
 from fivebar.twin.scene import Scene
-from fivebar.twin.unit import Library, Unit, UnitError
 from fivebar.twin.watch import CAUSES
 
 SCRIPT: Final = "text/javascript; charset=utf-8"
@@ -117,10 +119,10 @@ def learned(config: Config, content: Scene, library: Library) -> list[dict[str, 
     values = setup.of_run(config, content, library.guid).values
     if not values.get("estimator.learn.enabled"):
         return []
-    unit = Unit(library, "before")
+    unit = Unit.of(library, "before")
     try:
-        unit.start(values)
-        seen = unit.get((*LEARNED, *LEARNED.values()))
+        unit.reset(**values)
+        seen = unit.floats((*LEARNED, *LEARNED.values()))
     except UnitError as error:
         log.warning("no panel for what is learned: the scene's own start is refused: %s", error)
         return []

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from fivebar.library import Library
 from fivebar.twin import process, scene, setup
 from fivebar.twin.config import Config, read_json
-from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.errors import Refused
 from fivebar.twin.follower import Follower
 from fivebar.twin.intake import Intake, Orders, Refusals
 from fivebar.twin.messages import MEASURED, Message, topic
 from fivebar.twin.process import Worker
-from fivebar.twin.unit import Library
 
 STORE_EVERY: Final = 1_000_000_000
 """Nanoseconds of the machine's clock between two stored states."""
@@ -62,7 +62,7 @@ class Twin(Worker):
             content = read_json(self.file)
             state = Message("state", "", int(content.pop("time")), int(content.pop("seq")), {}, content)
             self.follower.go_on_from(state)
-        except (KeyError, TypeError, ValueError, TwinError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             log.warning("the stored state cannot be used, starting anew: %s", error)
             return
         self.intake.go_on_from(state.seq, state.time)
@@ -132,11 +132,11 @@ class Twin(Worker):
             self.counts["failures"] += 1
             self.trouble("unit", f"starting anew with the next sample: {follower.failure}", message.time, message.seq)
             follower.failure = ""
-        news, follower.unit.news = follower.unit.news, []
-        for sentence in news:
-            if AT_BOUND in sentence:
+        for said in follower.unit.log:
+            if AT_BOUND in said.text:
                 # The unit itself tells each once.
-                self.trouble("unit", sentence, message.time, message.seq, every=0.0)
+                self.trouble("unit", said.text, message.time, message.seq, every=0.0)
+        follower.unit.log.clear()
         if not made:
             return
         self.publish(follower.estimate())

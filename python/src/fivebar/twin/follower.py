@@ -11,12 +11,14 @@ from collections import deque
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
+from fivebar.errors import UnitError
+from fivebar.instance import State, Unit
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import turn
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, Message
 from fivebar.twin.setup import Setup
-from fivebar.twin.unit import Library, Reader, Unit, UnitError
 
 DEPTH: Final = 20
 """Inputs after which a late sample still finds its place."""
@@ -32,6 +34,8 @@ NOT_FITTING: Final = (7.0, 8.0)
 """Values of `estimated.status`: inconsistent and rejected."""
 
 LEGS: Final = (1, 2)
+STAMPS: Final = {name: name.replace("theta", "time") for name in MEASURED}
+"""Inputs that have the times of the samples, by the inputs of these."""
 
 ESTIMATED: Final = (
     *(f"{name}[{i}]" for name in ("theta", "omega", "passive.theta") for i in LEGS),
@@ -114,8 +118,7 @@ class Rider:
 
     def __init__(self, library: Library, setup: Setup, name: str):
         self.setup = setup
-        self.unit = Unit(library, name)
-        self.references = {name: library.variable(name).valueReference for name in INPUTS}
+        self.unit = Unit.of(library, name)
 
     def hold(self, book: Book) -> None:
         """Sets the commands at the unit's time: each sample's value, going on at its rate to the next sample."""
@@ -125,18 +128,15 @@ class Rider:
         told = book.told
         if passed and book.on_plan:
             told = setup.scene.told((book.seq + passed) * setup.period)
-        references, values, slopes = [], [], []
+        values, slopes = {}, {}
         for name, value in told.items():
             rate = told.get(name.replace("theta", "omega"), 0.0) if name.startswith("servo.theta") else 0.0
             if passed and not book.on_plan:
                 # Nobody knows how it goes on: the drives stop where the last order has led them.
                 value, rate = (0.0 if name.startswith("servo.omega") else value + rate * setup.period), 0.0
-            references.append(self.references[name])
-            values.append(value + rate * since)
-            slopes.append(rate)
-        if references:
-            unit.set_reals(references, values)
-            unit.set_slopes(references, slopes)
+            values[name], slopes[name] = value + rate * since, rate
+        unit.update(values)
+        unit.ramp(slopes)
 
     def coast(self, book: Book, until: float) -> None:
         """Goes to a time without new samples, s."""
@@ -152,7 +152,7 @@ class _Done(NamedTuple):
 
     message: Message
     book: Book
-    stored: tuple[Any, float]
+    state: State
 
 
 class Follower(Rider):
@@ -177,15 +177,7 @@ class Follower(Rider):
         self.previous: Message | None = None
         self.assembly = int(setup.values.get("init.assembly", 1))
         self.done: deque[_Done] = deque()
-        self.reader = Reader(self.unit, ESTIMATED)
         self.learns = bool(setup.values.get("estimator.learn.enabled"))
-        variables = [
-            library.variable(name)
-            for kind in ("theta", "time")
-            for name in (f"measured.{kind}[1]", f"measured.{kind}[2]")
-        ]
-        self.measured = {name: v.valueReference for v, name in zip(variables[:2], MEASURED, strict=True)}
-        self.stamps = {name: v.valueReference for v, name in zip(variables[2:], MEASURED, strict=True)}
 
     # --- inputs -----------------------------------------------------------------------------------------------------------------
 
@@ -214,7 +206,7 @@ class Follower(Rider):
         if self.book is not None:
             self._remember(message)
             try:
-                self.unit.set(message.fields)
+                self.unit.update(message.fields)
             except UnitError as error:
                 self._leave(str(error))
 
@@ -245,7 +237,7 @@ class Follower(Rider):
     def estimate(self) -> Message:
         """The estimate, one macro step after the newest sample, and the inputs that it is made of."""
         assert self.book is not None, "there is an estimate after a sample only"
-        fields = {name: value for name, value in self.reader.read().items() if math.isfinite(value)}
+        fields = {name: value for name, value in self.unit.floats(ESTIMATED).items() if math.isfinite(value)}
         if fields["estimated.status"] not in NOT_FITTING:
             self.assembly = int(fields["mode.assembly"])
         self.book = replace(self.book, assembly=self.assembly)
@@ -256,9 +248,7 @@ class Follower(Rider):
     def state(self) -> Message:
         """Everything from which the twin can go on, in this process or another one."""
         assert self.book is not None, "there is a state after a sample only"
-        stored = self.unit.store()
-        content = base64.b64encode(self.unit.to_bytes(stored)).decode("ascii")
-        self.unit.free(stored)
+        content = base64.b64encode(self.unit.state().to_bytes()).decode("ascii")
         extra = {"state": content, "clock": self.unit.time, "book": asdict(self.book), "parameters": self.parameters}
         return Message("state", "", self.book.time, self.book.seq, {}, extra)
 
@@ -267,7 +257,7 @@ class Follower(Rider):
         assert self.book is not None, "something is learned after a sample only"
         if not self.learns:
             return None
-        seen = self.unit.get((*LEARNED, *LEARNED.values(), *MASSES, *DRY))
+        seen = self.unit.floats((*LEARNED, *LEARNED.values(), *MASSES, *DRY))
         known = [name for name, sigma in LEARNED.items() if seen[sigma] > 0]
         values: dict[str, float] = {}
         for name in known:
@@ -295,7 +285,7 @@ class Follower(Rider):
     def go_on_from(self, message: Message) -> None:
         """Goes on from a stored state."""
         content, clock, book, parameters = stored(message)
-        self.unit.from_bytes(content, clock)
+        self.unit.restore(content, clock)
         self._forget()
         self.book, self.parameters, self.assembly, self.previous = book, parameters, book.assembly, None
         self.after = book.seq
@@ -312,15 +302,13 @@ class Follower(Rider):
         self._forget()
 
     def _forget(self) -> None:
-        for done in self.done:
-            self.unit.free(done.stored)
         self.done.clear()
 
     def _remember(self, message: Message) -> None:
         assert self.book is not None, "what is before the start is not kept"
         if len(self.done) == DEPTH:
-            self.unit.free(self.done.popleft().stored)
-        self.done.append(_Done(message, self.book, self.unit.store()))
+            self.done.popleft()
+        self.done.append(_Done(message, self.book, self.unit.state()))
 
     def _start(self, message: Message) -> None:
         """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
@@ -345,7 +333,7 @@ class Follower(Rider):
             "init.assembly": self.assembly
         }
         held = {f"servo.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
-        self.unit.start(held | self.setup.values | values | self.parameters)
+        self.unit.reset(**(held | self.setup.values | values | self.parameters))
         self.book = Book(message.time, message.time, message.seq, {}, False, self.assembly, turns)
         self.begun = " and ".join(begin.sentence for begin in begins if begin.turns)
 
@@ -362,18 +350,15 @@ class Follower(Rider):
             book = replace(book, offset=book.offset + odd)
             self.jumps += 1
         fields = self.setup.scene.true(message.fields)
-        told = {name: value for name, value in fields.items() if name in self.references}
+        told = {name: value for name, value in fields.items() if name in INPUTS}
         plan = self.setup.scene.told(message.seq * self.setup.period)
         on_plan = told.keys() == plan.keys() and all(abs(told[name] - plan[name]) < 1e-6 for name in plan)
         following = replace(book, time=message.time, seq=message.seq, told=told, on_plan=on_plan)
         self.coast(self.book, following.clock)
         seen = [name for name in MEASURED if name in fields]
-        self.unit.set_reals(
-            [*(self.measured[name] for name in seen), *(self.stamps[name] for name in seen)],
-            [
-                *(fields[name] + turn.TURN * following.turns.get(name, 0.0) for name in seen),
-                *(self.unit.time for _ in seen),
-            ],
+        self.unit.update(
+            {name: fields[name] + turn.TURN * following.turns.get(name, 0.0) for name in seen}
+            | {STAMPS[name]: self.unit.time for name in seen}
         )
         self.book = following
         self.hold(following)
@@ -388,17 +373,17 @@ class Follower(Rider):
             return
         again = [message, *(done.message for done in list(self.done)[places[0] :])]
         back = self.done[places[0]]
-        self.unit.restore(back.stored)
+        self.unit.restore(back.state)
         self.book = back.book
         while len(self.done) > places[0]:
-            self.unit.free(self.done.pop().stored)
+            self.done.pop()
         try:
             for each in again:
                 if each.kind == "meas":
                     self._take(each)
                 else:
                     self._remember(each)
-                    self.unit.set(each.fields)
+                    self.unit.update(each.fields)
         except UnitError as error:
             self._leave(str(error))
 

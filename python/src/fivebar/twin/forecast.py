@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
+from fivebar.library import Library
 from fivebar.twin.follower import Book, Rider, stored
 from fivebar.twin.messages import Message
 from fivebar.twin.setup import Setup
-from fivebar.twin.unit import Library, Reader
 
 PROBABILITY_EVERY: Final = 4
 """Forecasts for one probability of a singularity: the unit runs 13 motions for it, which cost more than all the rest."""
@@ -29,6 +29,11 @@ COVARIANCE: Final = tuple(f"estimated.tip.cov[{i}]" for i in (1, 2, 3))
 ANGLES: Final = ("theta[1]", "theta[2]", "estimated.theta.sigma[1]", "estimated.theta.sigma[2]")
 PROBABILITY: Final = "estimated.singular.probability"
 DETERMINANTS: Final = {"direct": "singular.detJx", "inverse": "singular.detJq"}
+PATH: Final = ("tip.x", "tip.y", RADIUS, *ANGLES)
+"""What is kept at each point of the path."""
+
+SEEN: Final = (*DETERMINANTS.values(), *ANGLES)
+"""What the path is looked at by."""
 
 
 def half_width(cov: tuple[float, float, float]) -> float:
@@ -50,9 +55,6 @@ class Forecaster(Rider):
 
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
-        self.path = Reader(self.unit, ("tip.x", "tip.y", RADIUS, *ANGLES))
-        self.seen = Reader(self.unit, (*DETERMINANTS.values(), *ANGLES))
-        self.probability = Reader(self.unit, (PROBABILITY,))
         self.stops: dict[str, tuple[str, float, float]] = {}
         self.made = 0
         self.singular = 0.0
@@ -66,13 +68,13 @@ class Forecaster(Rider):
         """The forecast from a state of the twin; None if it was stopped."""
         setup, unit = self.setup, self.unit
         content, begin, book, _ = stored(state)
-        unit.from_bytes(content, begin)
+        unit.restore(content, begin)
         if self.made % PROBABILITY_EVERY == 0:
-            self.singular = self.probability.read()[PROBABILITY]
+            self.singular = unit[PROBABILITY]
         self.made += 1
         probability = self.singular
-        begin_seen = before = self.seen.read()
-        path: dict[str, list[float]] = {name: [] for name in ("ahead", *self.path.names)}
+        begin_seen = before = unit.floats(SEEN)
+        path: dict[str, list[float]] = {name: [] for name in ("ahead", *PATH)}
         singular: dict[str, Any] = {"probability": probability, "time": None, "type": "none"}
         stop: dict[str, Any] = {"probability": self._stop_probability(begin_seen), "time": None, "at": "none"}
         pieces = max(1, round(setup.horizon / setup.period))
@@ -82,13 +84,13 @@ class Forecaster(Rider):
             now = begin + setup.horizon * (piece - 1) / pieces
             unit_time = begin + setup.horizon * piece / pieces
             self.coast(book, unit_time)
-            after = self.seen.read()
+            after = unit.floats(SEEN)
             self._meets(singular, stop, before, after, now - begin, unit_time - now, book)
             stop["probability"] = max(stop["probability"], self._stop_probability(after))
             before = after
             if piece * POINTS // pieces > (piece - 1) * POINTS // pieces:
                 path["ahead"].append(round(unit_time - begin, 9))
-                for name, value in self.path.read().items():
+                for name, value in unit.floats(PATH).items():
                     path[name].append(value)
         fields = {name: values[-1] for name, values in path.items() if name != "ahead"}
         fields |= {PROBABILITY: probability}

@@ -17,6 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.errors import FiveBarError
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import priority, process, recording, scene, setup
 from fivebar.twin.bus import Bus
@@ -25,7 +27,6 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.follower import LONGEST_GAP, Book, Rider
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
 from fivebar.twin.setup import Setup
-from fivebar.twin.unit import Library, Reader
 
 STORE_EVERY: Final = 200
 """Samples between two stored states."""
@@ -35,6 +36,9 @@ LEAD_NS: Final = 100_000_000
 
 PAUSE: Final = LONGEST_GAP + 1.0
 """s between two series of a recording that is played: the twin starts anew after it."""
+
+SHOWN: Final = ("theta[1]", "theta[2]", *TRACKED)
+"""What samples are made of."""
 
 log = logging.getLogger("fivebar")
 
@@ -56,13 +60,9 @@ class StandIn:
                 shown = self.scene.shown({name: float(values.get(name, library.variable(name).start))})
                 values[name] = shown[name] - offset
         self.rider = Rider(library, Setup(library.guid, self.scene, values, config.period), "machine")
-        self.rider.unit.start(values)
-        self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
-        names = (name for name in self.scene.signals if name not in INPUTS)
-        self.surroundings = {name: library.variable(name).valueReference for name in names}
-        self.continuous = {
-            ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"
-        }
+        self.rider.unit.reset(**values)
+        self.surroundings = [name for name in self.scene.signals if name not in INPUTS]
+        self.continuous = [name for name in self.surroundings if library.variable(name).variability == "continuous"]
         self.seq = 0
         self.start_ns = 0
         """When the first sample is taken, ns since 1970."""
@@ -70,7 +70,7 @@ class StandIn:
     def next(self) -> Message:
         """The next sample."""
         seq, period, machine = self.seq, self.config.period, self.config.machine
-        truth = self.reader.read()
+        truth = self.rider.unit.floats(SHOWN)
         told = self.scene.shown(self.scene.told(seq * period))
         # Of each sample its own, so that a machine that is started again has the same noise.
         chance = random.Random(f"{machine.seed} {seq}")
@@ -101,27 +101,17 @@ class StandIn:
         )
         self.rider.hold(book)
         # The twin is not told of inputs beside those of the drives, such as a hand's force.
-        if self.surroundings:
-            begin, end = (
-                [self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1)
-            )
-            references = list(self.surroundings.values())
-            self.rider.unit.set_reals(references, begin)
-            sloping = [
-                (ref, (b - a) / period)
-                for ref, a, b in zip(references, begin, end, strict=True)
-                if ref in self.continuous
-            ]
-            if sloping:
-                self.rider.unit.set_slopes([ref for ref, _ in sloping], [slope for _, slope in sloping])
+        begin, end = (
+            {name: self.scene.at(name, k * period) for name in self.surroundings} for k in (self.seq, self.seq + 1)
+        )
+        self.rider.unit.update(begin)
+        self.rider.unit.ramp({name: (end[name] - begin[name]) / period for name in self.continuous})
         self.seq += 1
         self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
 
     def store(self) -> bytes:
         """From which it goes on to the same bits."""
-        stored = self.rider.unit.store()
-        content = base64.b64encode(self.rider.unit.to_bytes(stored)).decode("ascii")
-        self.rider.unit.free(stored)
+        content = base64.b64encode(self.rider.unit.state().to_bytes()).decode("ascii")
         return json.dumps(
             {"seq": self.seq, "clock": self.rider.unit.time, "start": self.start_ns, "state": content}
         ).encode()
@@ -130,9 +120,9 @@ class StandIn:
         """Goes on from a stored state."""
         content = read_json(file)
         try:
-            self.rider.unit.from_bytes(base64.b64decode(content["state"], validate=True), float(content["clock"]))
+            self.rider.unit.restore(base64.b64decode(content["state"], validate=True), float(content["clock"]))
             self.seq, self.start_ns = int(content["seq"]), int(content["start"])
-        except TwinError:
+        except FiveBarError:
             raise
         except (KeyError, TypeError, ValueError):
             raise TwinError(f"{file} is not a stored state of the machine") from None

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
+from fivebar.library import Library
 from fivebar.twin import record
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.follower import Follower
 from fivebar.twin.messages import Message, decode, encode
 from fivebar.twin.setup import of_message
-from fivebar.twin.unit import Library
 
 KEPT: Final = 20_000
 """Inputs that are remembered until an estimate names them."""

@@ -4,11 +4,11 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from fivebar.library import Library
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message
 from fivebar.twin.scene import Scene, parse
-from fivebar.twin.unit import Library
 
 CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
 """Start values with which a unit follows a machine."""

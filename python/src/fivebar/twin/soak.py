@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from fivebar.library import Library
 from fivebar.twin import figures, process, scene, setup, starter
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config, Machine
@@ -17,7 +18,6 @@ from fivebar.twin.machine import Mangler, StandIn
 from fivebar.twin.messages import topic
 from fivebar.twin.process import Worker
 from fivebar.twin.recorder import Recorder
-from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 
 BEGIN: Final = 1_795_331_400_000_000_000

@@ -19,6 +19,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
+from fivebar.errors import UnitError
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import config as configuration
 from fivebar.twin import priority, recording, scene, setup
@@ -28,7 +30,6 @@ from fivebar.twin.follower import Follower
 from fivebar.twin.machine import Player, StandIn
 from fivebar.twin.messages import MEASURED, Message
 from fivebar.twin.process import STATUS_EVERY
-from fivebar.twin.unit import Library, UnitError
 
 READY_WITHIN: Final = 20.0
 """Seconds that a process may take to be ready."""

@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from fivebar.twin.unit import Library, Values
+from fivebar.library import Library
+from fivebar.variables import Value
 
 TURN: Final = 2 * math.pi
 
@@ -19,7 +20,9 @@ class Begin(NamedTuple):
     """Reports a change of turn; "" without one."""
 
 
-def begins(library: Library, values: Values, commands: Mapping[str, float], angles: Sequence[float]) -> list[Begin]:
+def begins(
+    library: Library, values: Mapping[str, Value], commands: Mapping[str, float], angles: Sequence[float]
+) -> list[Begin]:
     """For each axis, the turn nearest to its command, else to its spring, the middle of its stops, or the start of its scene.
 
     `commands` and `angles` (one for each encoder) are true angles, rad; an angle that is NaN gets no turn. Start values that `values` lacks are the unit's.
@@ -36,7 +39,9 @@ def begins(library: Library, values: Values, commands: Mapping[str, float], angl
     return found
 
 
-def _reference(library: Library, values: Values, commands: Mapping[str, float], i: int) -> tuple[str, float]:
+def _reference(
+    library: Library, values: Mapping[str, Value], commands: Mapping[str, float], i: int
+) -> tuple[str, float]:
     """Name and value, rad, of the angle that decides the turn of axis `i`."""
 
     def value(name: str) -> float:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from fivebar.colours import LEFT, RIGHT
 from fivebar.drawing import ABOVE, FAINT, INK, RUN_COLOURS, STYLE, WRONG, panels, save
+from fivebar.library import Library
 from fivebar.twin import figures, held_out, scene, starter, summary
 from fivebar.twin.ahead import Ahead
 from fivebar.twin.config import Config
@@ -22,7 +23,6 @@ from fivebar.twin.machine import Player
 from fivebar.twin.messages import INPUTS, encode
 from fivebar.twin.recorder import Recorder
 from fivebar.twin.soak import BEGIN, Wire
-from fivebar.twin.unit import Library
 from fivebar.twin.watch import Watch
 
 TICK_EVERY: Final = 100

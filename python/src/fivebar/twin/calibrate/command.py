@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar import shipped
+from fivebar.library import Library
 from fivebar.links import doubts
 from fivebar.scene import write as write_scene
 from fivebar.scene_file import OFFSETS
@@ -22,7 +23,6 @@ from fivebar.twin.calibrate.motion import Between, Machine
 from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters, trusted
 from fivebar.twin.calibrate.propose import SECONDS, Motion, propose
 from fivebar.twin.errors import TwinError
-from fivebar.twin.unit import Library
 
 
 @dataclass(frozen=True)

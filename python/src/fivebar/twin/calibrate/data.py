@@ -1,6 +1,7 @@
 """Measured series: angles of the encoders and commands of the drives, from a record (Parquet) or a table (CSV)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, turn
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.messages import INPUTS, MEASURED, decode
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import Library, Values
+from fivebar.variables import Value
 
 GAP: Final = 5.5
 """Usual distances of two samples after which a series ends: commands of the drives in a longer gap are not known."""
@@ -132,7 +134,7 @@ def split(given: recording.Recording) -> Data:
     return Data(series, notes)
 
 
-def turned(given: Data, library: Library, scene: Values) -> Data:
+def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:
     """The data with each series in the turn in which a twin would begin, and without jumps of its encoders by whole turns."""
     offsets = [float(scene.get(name, 0.0)) for name in OFFSETS]
     series, notes = [], dict.fromkeys(given.notes)

@@ -1,20 +1,19 @@
 """Runs of the unit along the commands of the drives: the motion that an encoder would have seen, for given unknowns and a given start."""
 
 from collections.abc import Sequence
-from ctypes import c_double
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from fmpy import fmi2
-from fmpy.fmi1 import FMICallException
 from scipy.interpolate import CubicHermiteSpline
 
+from fivebar.errors import UnitError
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Samples
 from fivebar.twin.calibrate.parameters import DELAY, Parameter, Values, assemble
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import Library, Unit, UnitError
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
 """automatic: its error is where one wants it, also where drives are stiff."""
@@ -43,9 +42,7 @@ class Path:
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
         self.time = samples.time - samples.time[0]
-        self.references = (fmi2.fmi2ValueReference * len(samples.names))(
-            *(library.variable(name).valueReference for name in samples.names)
-        )
+        self.inputs = library.blocks(samples.names)
         self.knots, self.rows = with_lost(self.time, period)
         commands = told(self.time, samples.commands, samples.names, self.knots)
         steps = np.diff(self.knots)
@@ -60,8 +57,7 @@ class Path:
         self.commands = commands
         self.turned = np.array([[float(name == f"servo.theta[{i}]") for name in samples.names] for i in (1, 2)])
         """(2, m): 1 where a command is an angle of that motor's servo."""
-        self.slopes = [(c_double * len(row))(*row) if any(row) else None for row in slopes.tolist()]
-        self.orders = (fmi2.fmi2Integer * len(samples.names))(*([1] * len(samples.names)))
+        self.slopes: list[list[float]] = slopes.tolist()
 
     def true(self, offsets: Array) -> Array:
         """Commands of the drives at the knots, with servos led by true angles: a servo closes on its encoder, which shows the offset too."""
@@ -101,8 +97,7 @@ class Machine:
 
     def __init__(self, library: Library, scene: Values, sought: Sequence[Parameter]):
         self.library, self.scene, self.sought = library, scene | METHOD, sought
-        self.unit = Unit(library, "calibrate")
-        self.shown = (fmi2.fmi2ValueReference * 4)(*(library.variable(name).valueReference for name in SHOWN))
+        self.unit = Unit.of(library, "calibrate")
         self.runs = 0
         self.failure = ""
         """Why the last run that failed did."""
@@ -118,30 +113,25 @@ class Machine:
         values = assemble(self.scene, self.library, self.sought, x.tolist())
         values |= {f"init.{name}": value for name, value in zip(SHOWN, start.state.tolist(), strict=True)}
         values["init.assembly"] = start.assembly
-        unit, slave = self.unit, self.unit.slave
-        buffer = (c_double * 4)()
-        count = len(path.references)
-        offsets = self.offsets(x)
-        commands = [(c_double * count)(*row) for row in path.true(offsets).tolist()]
+        unit, offsets = self.unit, self.offsets(x)
+        commands = path.true(offsets).tolist()
         times = path.knots.tolist()
         try:
-            unit.start({name: value for name, value in values.items() if name not in OFFSETS} | path.first(offsets))
-            for k, time in enumerate(times):
-                slave.fmi2GetReal(slave.component, self.shown, 4, buffer)
-                out[k] = buffer
-                if k + 1 < len(times):
-                    if count:
-                        slave.fmi2SetReal(slave.component, path.references, count, commands[k])
-                        if path.slopes[k] is not None:
-                            slave.fmi2SetRealInputDerivatives(
-                                slave.component, path.references, count, path.orders, path.slopes[k]
-                            )
-                    slave.fmi2DoStep(slave.component, time, times[k + 1] - time, 1)
-            assembly = int(unit.get(["mode.assembly"])["mode.assembly"])
-        except (FMICallException, UnitError) as error:
-            self.failure = str(error) if isinstance(error, UnitError) else (unit.log[-1] if unit.log else str(error))
+            started = {name: value for name, value in values.items() if name not in OFFSETS} | path.first(offsets)
+            unit.reset(times[0], **started)
+            out[0] = unit.numbers(SHOWN)
+            for k, time in enumerate(times[1:]):
+                for block in path.inputs:
+                    unit.write(block, commands[k])
+                    if any(path.slopes[k]):
+                        unit.write_rates(block, path.slopes[k])
+                unit.step_to(time)
+                out[k + 1] = unit.numbers(SHOWN)
+            (assembly,) = unit.numbers(("mode.assembly",))
+        except UnitError as error:
+            self.failure = str(error)
             return out, start.assembly
-        return out, assembly if assembly in (1, 2) else start.assembly
+        return out, int(assembly) if assembly in (1, 2) else start.assembly
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
         """Angles of the encoders at the samples' times, rad, (n, 2): with their delay and offsets."""

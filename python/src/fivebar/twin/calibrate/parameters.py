@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.errors import TwinError
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import Library
 
 Values = dict[str, float | int | bool]
 

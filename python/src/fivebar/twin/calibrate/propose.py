@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar import kinematics
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.data import Data, Samples
 from fivebar.twin.calibrate.fit import TIGHT, Fitter, Piece, pack
@@ -21,7 +22,6 @@ from fivebar.twin.calibrate.identify import LIMIT, without_starts
 from fivebar.twin.calibrate.motion import LOST, Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Parameter, Values
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import Library
 
 SECONDS: Final = 4.0
 EASED: Final = 1.0

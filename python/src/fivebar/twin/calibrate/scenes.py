@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Final
 
 from fivebar import scene as scenes
+from fivebar.library import Library
 from fivebar.twin import record
 from fivebar.twin.calibrate.parameters import Values
 from fivebar.twin.errors import TwinError
 from fivebar.twin.setup import of_message
-from fivebar.twin.unit import Library
 
 KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
 """First words of variables that set the computation, and not the machine."""

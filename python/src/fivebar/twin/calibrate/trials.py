@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fivebar.library import Library
 from fivebar.twin import recording
 from fivebar.twin.calibrate import command
 from fivebar.twin.calibrate.data import Data, Samples, split
@@ -24,7 +25,6 @@ from fivebar.twin.calibrate.motion import Machine, Path, Start
 from fivebar.twin.calibrate.parameters import Values, parameters
 from fivebar.twin.errors import TwinError
 from fivebar.twin.recording import Array
-from fivebar.twin.unit import Library
 
 BEGIN: Final = (1.9, 1.24)
 """rad: where the motors begin, and turn about: the links come within 0.15 m of being stretched, and no nearer."""

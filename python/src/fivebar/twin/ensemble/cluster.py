@@ -13,11 +13,11 @@ from typing import Any, cast
 import pyarrow as pa
 from distributed import Client, WorkerPlugin, get_worker
 
+from fivebar.library import Library
 from fivebar.twin.config import is_loopback
 from fivebar.twin.ensemble import rows
 from fivebar.twin.ensemble.member import Plan, Runner
 from fivebar.twin.errors import TwinError
-from fivebar.twin.unit import Library
 
 
 class UnitOnWorker(WorkerPlugin):

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fivebar import scene as scenes
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.twin import config, scene
 from fivebar.twin.calibrate.parameters import Values
 from fivebar.twin.calibrate.scenes import KEPT_OUT
 from fivebar.twin.ensemble.member import STATE, Plan, Runner, spreads
 from fivebar.twin.errors import TwinError
-from fivebar.twin.unit import Library, Unit
 
 if TYPE_CHECKING:
     from fivebar.twin.ensemble.cluster import Cluster
@@ -147,9 +148,9 @@ def of_state(
     state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
 ) -> Plan:
     """Members that begin at a stored state."""
-    unit = Unit(library)
+    unit = Unit.of(library)
     try:
-        unit.from_bytes(state, clock)
+        unit.restore(state, clock)
         values = everything(unit)
         if spread is None:
             spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {
@@ -179,24 +180,16 @@ def stored(file: Path) -> tuple[bytes, float]:
 
 def everything(unit: Unit) -> Values:
     """All parameters and inputs as they are in an instance."""
-    found: Values = {}
-    for name, variable in unit.library.variables.items():
-        if variable.causality not in ("parameter", "input") or name.startswith(("init.", "measured.")):
-            continue
-        value = (
-            unit.get([name])[name]
-            if variable.type != "Boolean"
-            else bool(unit.slave.getBoolean([variable.valueReference])[0])
-        )
-        found[name] = int(value) if variable.type in ("Integer", "Enumeration") else value
-    return found
+    known = [v for v in unit.variables.values() if v.can_be_set and not v.name.startswith(("init.", "measured."))]
+    numbers = unit.numbers(tuple(v.name for v in known))
+    return {v.name: bool(x) if v.type == "Boolean" else x for v, x in zip(known, numbers, strict=True)}
 
 
 def uncertainty(unit: Unit) -> dict[str, float]:
     """Standard deviations of the state that a corrector says; nothing without one."""
     names = {f"{kind}[{i}]": f"estimated.{kind}.sigma[{i}]" for kind in ("theta", "omega") for i in (1, 2)}
-    known = {name: other for name, other in names.items() if other in unit.library.variables}
-    values = unit.get(known.values())
+    known = {name: other for name, other in names.items() if other in unit.variables}
+    values = unit.floats(tuple(known.values()))
     return {name: values[other] for name, other in known.items() if math.isfinite(values[other])}
 
 

@@ -7,18 +7,18 @@ where it begins, the unit starts anew at that state's angles and rates.
 
 import math
 from collections.abc import Mapping
-from ctypes import c_double
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from fmpy import fmi2
-from fmpy.fmi1 import FMICallException
 
+from fivebar.errors import UnitError
+from fivebar.instance import State, Unit
+from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin.calibrate.parameters import USUAL, Asked, Values, assemble, parameters
 from fivebar.twin.errors import TwinError
-from fivebar.twin.unit import Library, Reader, Unit, UnitError
+from fivebar.variables import Value
 
 STATE: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 """Names of a run's start; a spread of them is in rad and rad/s."""
@@ -75,7 +75,7 @@ class Runner:
 
     def __init__(self, library: Library, plan: Plan, shown: tuple[str, ...] = SHOWN):
         self.library, self.plan = library, plan
-        self.unit = Unit(library, "member")
+        self.unit = Unit.of(library, "member")
         self.of_state = [name for name in plan.spreads if name in STATE]
         self.of_machine = [name for name in plan.spreads if name not in STATE]
         self.values = METHOD | plan.values
@@ -83,16 +83,12 @@ class Runner:
         members = [library.variable(member) for parameter in self.sought for member in parameter.members]
         self.tunable = not self.of_state and all(v.variability == "tunable" for v in members) and not self._switches()
         if plan.state:
-            self.unit.from_bytes(plan.state, plan.clock)
+            self.unit.restore(plan.state, plan.clock)
         else:
-            self.unit.start(self.values)
-        self.base = self.unit.store()
-        self.begin = self.unit.get([*STATE, "mode.assembly"])
-        self.shown, self.passes = Reader(self.unit, shown), Reader(self.unit, PASSES)
-        self.inputs = (fmi2.fmi2ValueReference * len(plan.names))(
-            *(library.variable(name).valueReference for name in plan.names)
-        )
-        self.orders = (fmi2.fmi2Integer * len(plan.names))(*([1] * len(plan.names)))
+            self.unit.reset(**self.values)
+        self.base = self.unit.state()
+        self.begin = self.unit.floats((*STATE, "mode.assembly"))
+        self.shown, self.inputs = shown, library.blocks(plan.names)
         self.times = self._times()
 
     def _switches(self) -> bool:
@@ -129,13 +125,13 @@ class Runner:
         unit.restore(self.base)
         if self.tunable:
             changed = assemble(plan.values, self.library, self.sought, x)
-            unit.set({name: value for name, value in changed.items() if plan.values.get(name) != value})
+            unit.update({name: value for name, value in changed.items() if plan.values.get(name) != value})
         else:
             values = METHOD | assemble(plan.values, self.library, self.sought, x)
             values |= {f"init.{name}": self.begin[name] + offs.get(name, 0.0) for name in STATE}
             if self.begin["mode.assembly"] in (1, 2):
                 values["init.assembly"] = int(self.begin["mode.assembly"])
-            unit.start(values | self._held(0), self.base[1])
+            unit.reset(self.base.time, **(values | self._held(0)))
         return {name: float(number) for name, number in zip(self.of_machine, x, strict=True)} | {
             n: self.begin[n] + offs[n] for n in self.of_state
         }
@@ -146,7 +142,7 @@ class Runner:
     def run(self, member: int) -> dict[str, Any]:
         """A member from its begin to its end."""
         plan, unit = self.plan, self.unit
-        shown = np.full((plan.points, len(self.shown.names)), np.nan, dtype=np.float32)
+        shown = np.full((plan.points, len(self.shown)), np.nan, dtype=np.float32)
         result: dict[str, Any] = {
             "member": member,
             "failed": "",
@@ -154,69 +150,61 @@ class Runner:
             "singular.kind": 0,
             "shown": shown,
         }
-        begin, row = self.base[1], 0
+        begin, row = self.base.time, 0
         try:
             result["drawn"] = self.start(member)
-            before = self.passes.read()
+            before = unit.numbers(PASSES)
             for now, then, point in self.times:
                 self._tell(now, then)
-                stored = unit.store() if not result["singular.kind"] else None
+                stored = unit.state() if not result["singular.kind"] else None
                 unit.step_to(begin + then)
                 if stored is not None:
-                    after = self.passes.read()
+                    after = unit.numbers(PASSES)
                     if after != before:
                         result |= self._first(stored, before, now, then)
                         unit.restore(stored)
                         self._tell(now, then)
                         unit.step_to(begin + then)
-                    unit.free(stored)
                 if point:
-                    shown[row] = list(self.shown.read().values())
+                    shown[row] = unit.numbers(self.shown)
                     row += 1
-        except (UnitError, FMICallException) as error:
+        except UnitError as error:
             result["failed"] = str(error)[:200] or "the unit gave a call up"
             result.setdefault("drawn", {})
         return result
 
-    def _first(self, stored: tuple[Any, float], before: dict[str, float], now: float, then: float) -> dict[str, Any]:
+    def _first(self, stored: State, before: list[Value], now: float, then: float) -> dict[str, Any]:
         """When and of which kind the first singularity of a step is, by halving it."""
         unit, low, high = self.unit, now, then
         for _ in range(HALVINGS):
             middle = (low + high) / 2
             unit.restore(stored)
             self._tell(now, middle)
-            unit.step_to(self.base[1] + middle)
-            low, high = (low, middle) if self.passes.read() != before else (middle, high)
+            unit.step_to(self.base.time + middle)
+            low, high = (low, middle) if unit.numbers(PASSES) != before else (middle, high)
         unit.restore(stored)
         self._tell(now, high)
-        unit.step_to(self.base[1] + high)
-        after = self.passes.read()
-        kind = next((k for k, name in enumerate(PASSES, 1) if after[name] != before[name]), 0)
+        unit.step_to(self.base.time + high)
+        after = unit.numbers(PASSES)
+        kind = next((k for k, (a, b) in enumerate(zip(after, before, strict=True), 1) if a != b), 0)
         return {"singular.time": (low + high) / 2, "singular.kind": kind}
 
     def _tell(self, now: float, then: float) -> None:
         """Inputs over a step that stays between two rows."""
-        plan, slave, count = self.plan, self.unit.slave, len(self.inputs)
-        if not count:
+        if not self.inputs:
             return
+        plan = self.plan
         row = min(int(now / plan.period + 1e-9), len(plan.commands) - 1)
         here, there = plan.commands[row], plan.commands[min(row + 1, len(plan.commands) - 1)]
         slopes = [(b - a) / plan.period for a, b in zip(here, there, strict=True)]
         since = now - row * plan.period
-        slave.fmi2SetReal(
-            slave.component,
-            self.inputs,
-            count,
-            (c_double * count)(*(a + s * since for a, s in zip(here, slopes, strict=True))),
-        )
-        if any(slopes):
-            slave.fmi2SetRealInputDerivatives(
-                slave.component, self.inputs, count, self.orders, (c_double * count)(*slopes)
-            )
+        for block in self.inputs:
+            self.unit.write(block, [a + s * since for a, s in zip(here, slopes, strict=True)])
+            if any(slopes):
+                self.unit.write_rates(block, slopes)
 
     def close(self) -> None:
         """Frees the unit."""
-        self.unit.free(self.base)
         self.unit.close()
 
 

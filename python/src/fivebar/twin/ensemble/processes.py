@@ -19,10 +19,10 @@ from typing import Final, NamedTuple
 
 import pyarrow as pa
 
+from fivebar.library import Library
 from fivebar.twin.ensemble import rows
 from fivebar.twin.ensemble.member import Plan, Runner
 from fivebar.twin.errors import TwinError
-from fivebar.twin.unit import Library
 
 RETRIES: Final = 3
 """Times that a chunk is begun again after the process that had it has died."""

@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol
 
 import pyarrow as pa
 
+from fivebar.library import Library
 from fivebar.twin.ensemble.member import KINDS, SHOWN, Plan, Runner
-from fivebar.twin.unit import Library
 
 CHUNK: Final = 200
 """Members in one task: a row group of the results, whatever the number of workers."""

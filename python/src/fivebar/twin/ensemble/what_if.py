@@ -20,6 +20,8 @@ import numpy as np
 import pyarrow as pa
 
 from fivebar import shipped
+from fivebar.errors import FiveBarError
+from fivebar.library import Library
 from fivebar.twin import config as configuration
 from fivebar.twin import process
 from fivebar.twin.bus import Bus
@@ -29,7 +31,6 @@ from fivebar.twin.ensemble.rows import here
 from fivebar.twin.errors import Refused, TwinError
 from fivebar.twin.forecast import RADIUS
 from fivebar.twin.messages import INPUTS, Message, decode, encode
-from fivebar.twin.unit import Library
 
 PERIOD: Final = 0.005
 POINTS: Final = 10
@@ -209,7 +210,7 @@ def compare(
             outcome(c.name, members, forecast(library, p), goal)
             for c, p, members in zip(chosen, plans, results, strict=True)
         ]
-    except TwinError:
+    except FiveBarError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError):
         raise TwinError("the twin's state is not as this version writes it") from None
