@@ -1,19 +1,19 @@
 //! Communication points and macro steps (FMI 2.0.4, section 4.2.2; macro steps are this project's own).
 //!
-//! The simulated system does not depend on time, so the clock only checks the master's points and turns a
-//! communication step H into macro steps: if H is k times the macro step h, k steps of exactly h, counted as integers;
-//! otherwise ceil(H/h) equal ones. Each accepted point is the anchor of the next step, so a master may count
-//! (start + n H) or accumulate (t += H), over any number of steps, without drifting out of the tolerance.
+//! The simulated system does not depend on time, so the clock only checks the master's points and divides a communication step H into macro
+//! steps. If H is k times the macro step h, it takes k steps of exactly h, counted as integers; otherwise ceil(H/h) equal steps. Each
+//! accepted point is the reference for the next step, so a master may count (start + n H) or accumulate (t += H), over any number of steps,
+//! without leaving the tolerance.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::values::check_finite;
 use super::{CallError, Kind};
 
-/// Relative tolerance within which a master's points and step sizes count as the planned ones.
+/// Relative tolerance within which a master's points and step sizes match the planned ones.
 const RELATIVE: f64 = 1e-9;
 
-/// Largest deviation of a point that counts as rounding, relative to the step, unless doubles at that time are coarser.
+/// Largest deviation of a point that is accepted as rounding, relative to the step, unless doubles at that time are coarser.
 const PART: f64 = 0.01;
 
 /// Largest overrun of stopTime by an accepted step of an integrating master, s, unless doubles at that time are coarser.
@@ -22,7 +22,7 @@ const MOST_SLACK: f64 = 1e-5;
 /// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
 const ULPS: f64 = 4.0;
 
-/// Largest number of macro steps in one call, which would take minutes at least.
+/// Largest number of macro steps in one call; more would take at least minutes.
 const MOST_STEPS: f64 = 1e9;
 
 /// Clock of an instance: start, end and last communication point, s.
@@ -44,7 +44,8 @@ pub struct Plan {
 }
 
 impl Clock {
-    /// fmi2SetupExperiment: a clock at `start`, s; the end `stop`, s, must not be passed.
+    /// fmi2SetupExperiment: a clock at `start`, s, that must not pass `stop`, s. Refuses times that are not finite and a stop before the
+    /// start.
     pub fn new(start: f64, stop: Option<f64>) -> Result<Self, CallError> {
         check_finite(start, || format!("startTime is {start} s"))?;
         if let Some(stop) = stop {
@@ -61,15 +62,15 @@ impl Clock {
     /// Refuses a stored clock that no run can have reached.
     pub(super) fn check(&self, kind: Kind) -> Result<(), CallError> {
         let stop = match kind {
-            // An integrator of the master may try any time.
+            // The master's integrator may try any time.
             Kind::ModelExchange => None,
-            // Rounding may put the last point past the end, by a part of a step that is not stored.
+            // Rounding may put the last point past the end, by a fraction of a step size that is not stored.
             Kind::CoSimulation => self.stop.map(|stop| stop + RELATIVE * stop.abs().max(1.0)),
         };
         Self::new(self.point, stop).map(drop)
     }
 
-    /// fmi2SetTime: sets the time, s, forward or backward.
+    /// fmi2SetTime: sets the time, s, forward or backward; refuses a time that is not finite.
     pub(super) fn set(&mut self, time: f64) -> Result<(), CallError> {
         check_finite(time, || format!("time is {time} s"))?;
         self.point = time;
@@ -91,7 +92,9 @@ impl Clock {
         self.point
     }
 
-    /// Checks a communication step of `size` seconds from `point` and divides it into macro steps of about `h` seconds.
+    /// Checks a communication step of `size` s from `point`, s, and divides it into macro steps of about `h` s. Refuses a point other than
+    /// the present one, a size that is not positive and finite or does not advance the clock, an end past the stop time, and more than
+    /// 1e9 macro steps.
     pub fn plan(&self, point: f64, size: f64, h: f64) -> Result<Plan, CallError> {
         let end = point + size;
         let expected = point == self.point || (point - self.point).abs() <= tolerance(self.point, size);
@@ -107,7 +110,7 @@ impl Clock {
         Ok(Plan { h, steps, end })
     }
 
-    /// The refusal of a communication step: wrong point, size that is not positive, or end passed.
+    /// Refusal of a communication step: its point is wrong, or its size is not positive and finite, or too small to advance the clock.
     #[cold]
     fn refusal(&self, point: f64, size: f64, expected: bool) -> CallError {
         CallError::error(if !(size > 0.0 && size.is_finite()) {
@@ -125,8 +128,8 @@ impl Clock {
     }
 }
 
-/// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too
-/// many where the sum is too small by rounding; the message names the difference.
+/// Refusal of a step past the end. A master may loop while its own sum of step sizes is below stopTime. If rounding makes the sum too
+/// small, it takes one step too many; the message names the difference.
 #[cold]
 fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let left = stop - point;
@@ -142,13 +145,14 @@ fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     ))
 }
 
-/// Rounding allowed at the end where no step is known, s.
+/// Rounding allowed at the end, s, if the step size is unknown.
 fn slack(stop: f64) -> f64 {
     (RELATIVE * stop.abs().max(1.0)).min(MOST_SLACK).max(rounding(stop))
 }
 
-/// Tolerance of a communication point, s: relative to the magnitude of the clock, since a master's sum may have accumulated the rounding
-/// of millions of steps, but at most a small part of a step or the rounding of doubles at that time, and less than half a step.
+/// Tolerance of a communication point, s. It is relative to the magnitude of the clock, since a master's sum may have accumulated the
+/// rounding of millions of steps. It is at most a hundredth of a step, or the rounding of doubles at that time if that is coarser, and
+/// never more than half a step.
 fn tolerance(point: f64, size: f64) -> f64 {
     (RELATIVE * point.abs().max(size)).min(PART * size).max(rounding(point)).min(0.5 * size)
 }
@@ -158,7 +162,7 @@ fn rounding(point: f64) -> f64 {
     ULPS * f64::EPSILON * point.abs()
 }
 
-/// Length, s, and number of the macro steps of a communication step of `size` seconds from `point`.
+/// Length, s, and number of the macro steps of a communication step of `size` s from `point`; refuses more than 1e9 of them.
 fn divide(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
     let ratio = size / h;
     if ratio > MOST_STEPS {
@@ -279,7 +283,7 @@ mod tests {
         assert!(clock.plan(1.0, H, H).is_err_and(|refused| refused.message.ends_with("the step starts at stopTime.")));
     }
 
-    /// Unix time: seconds that doubles tell to a tenth of a microsecond. A part of the step decides, not of the time.
+    /// At Unix times doubles resolve a tenth of a microsecond. The tolerance is a fraction of the step, not of the time.
     #[test]
     fn far_from_0_no_step_goes_past_the_end() {
         let start = 1e9;
@@ -296,7 +300,7 @@ mod tests {
         assert!(clock.check_end().is_err());
         clock.set(start + 1.0 + 5e-7).expect("a time");
         assert!(clock.check_end().is_ok(), "four doubles later");
-        // Whoever counts and whoever adds up, over a minute: the sum of what is no double there may be off by a hundredth of a step at most.
+        // One master counts, the other adds, for a minute. If the step is not a double, a sum may be off by a hundredth of a step at most.
         run(start, 1e-3, 60_000, |n, _| start + n as f64 * 1e-3);
         run(start, 0.0078125, 60_000, |_, point| point + 0.0078125);
         run(start, 1e-3, 100, |_, point| point + 1e-3);

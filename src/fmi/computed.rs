@@ -1,5 +1,5 @@
-//! Observers → computed variables: each output and local variable is defined once, generic over its value, its directional
-//! derivative and its time derivatives.
+//! Computed variables from observers. Each output and local variable is defined once, generic over its value, its directional derivative
+//! and its time derivatives.
 
 use crate::estimator;
 use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS, PAYLOAD, VISCOUS};
@@ -10,14 +10,14 @@ use crate::variables::{
     EnumerationComputed, EstimatorStatus, IntegerComputed, RealComputed, Value, Variable, VariableId, WorkingMode,
 };
 
-/// Links of the left and the right leg.
+/// Indices of the proximal links, left and right.
 const PROXIMAL_LINKS: [usize; 2] = [0, 3];
 const DISTAL_LINKS: [usize; 2] = [1, 2];
 
 /// Standard deviation reported for a quantity that is not observable, in the variable's unit.
 const UNOBSERVABLE: f64 = 1e30;
 
-/// The value of a computed variable; `None` for any other.
+/// Value of a computed variable; `None` for parameters, inputs and samples.
 pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value> {
     match variable.id {
         VariableId::RealComputed(computed) => real(of, computed, 0).map(Value::Real),
@@ -27,13 +27,13 @@ pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value>
     }
 }
 
-/// Value of a variable (order 0) or its derivative of an order with respect to time; `None` where the derivative is not available.
-/// Only outputs have derivatives with respect to time.
+/// Value of a variable (order 0) or its time derivative of this order; `None` if the derivative is not available. Only outputs have time
+/// derivatives.
 pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, order: usize) -> Option<T> {
     use RealComputed as V;
     // Positions, velocities and accelerations are orders 0, 1 and 2 of a motion; higher orders are not available.
     let order_of = |own: usize| Some(own + order).filter(|order| *order <= 2);
-    // Estimates change with samples and time only.
+    // Estimates depend on samples and time only: their directional derivatives are 0.
     let estimated = |value: &dyn Fn(&Estimated<'_>) -> f64| of.constant(of.estimated().map_or(0.0, |of| value(&of)));
     let torques = |of: &Estimated<'_>| of.following.motor_torques();
     let learned = |i: usize| estimated(&|of| of.following.learned()[0][i]);

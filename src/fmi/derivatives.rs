@@ -1,9 +1,9 @@
 //! Derivatives of inputs and outputs with respect to time (FMI 2.0.4, section 4.2.1), and of outputs with respect to inputs and
 //! continuous states (section 2.1.9).
 //!
-//! Input derivatives hold from the beginning of a communication step to its end. From there on the input keeps the value reached
-//! and its derivatives are 0, so a master sets the derivatives of a ramp at each communication point. The standard fixes the
-//! beginning and leaves the end open. A discarded step leaves input derivatives unchanged.
+//! Input derivatives apply from the beginning of a communication step to its end. After it the input keeps the value reached and its
+//! derivatives are 0, so a master sets the derivatives of a ramp at each communication point. The standard defines only the beginning. A
+//! discarded step leaves input derivatives unchanged.
 
 use num_dual::Dual64;
 
@@ -15,7 +15,8 @@ use crate::simulation::{Direction, ORDERS, Signal, bindings};
 use crate::variables::{FmiType, Variable, VariableId};
 
 impl Instance {
-    /// fmi2SetRealInputDerivatives: (reference, order, value), all or none.
+    /// fmi2SetRealInputDerivatives: sets (reference, order, value), all or none. Refuses variables that are not Real inputs, orders other
+    /// than 1 and 2, and values that are not finite.
     pub fn set_input_derivatives(&mut self, triples: impl Iterator<Item = (u32, i32, f64)>) -> Result<(), CallError> {
         let signal = self.now.signal;
         let mut derivatives = signal.derivatives();
@@ -41,7 +42,8 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetRealOutputDerivatives: refused unless every reference and order is right and every value finite.
+    /// fmi2GetRealOutputDerivatives: refused unless every reference is an output with a derivative of this order, and every value is
+    /// finite.
     pub fn output_derivatives(&mut self, references: &[u32], orders: &[i32]) -> Result<Vec<f64>, CallError> {
         let observed = self.observe()?;
         let value = |(&reference, &order): (&u32, &i32)| {
@@ -53,12 +55,11 @@ impl Instance {
         references.iter().zip(orders).map(value).collect()
     }
 
-    /// fmi2GetDirectionalDerivative: changes of unknowns (outputs and derivatives of the continuous states, which share the
-    /// references of omega and alpha) for changes of knowns (inputs and continuous states, as reference and change) at the present
-    /// communication point. Refused unless every reference is right and every value finite.
+    /// fmi2GetDirectionalDerivative: changes of the unknowns at the present communication point for changes of the knowns. Unknowns are
+    /// outputs and the derivatives of continuous states, which share the references of omega and alpha. Knowns are inputs and continuous
+    /// states, passed as (reference, change). Refused unless every reference is right and every value is finite.
     ///
-    /// Beyond the standard, local variables are answered for as well. Enumerations, counters, work and `solver.*` have derivative
-    /// 0.
+    /// Beyond the standard, local variables may be unknowns as well. Enumerations, counters, work and `solver.*` have derivative 0.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -89,7 +90,7 @@ impl Instance {
     }
 }
 
-/// Refuses inputs whose derivatives lead to values that are not finite within `size` seconds.
+/// Refuses input derivatives if they make an input infinite within `size` s.
 pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
     if signal.is_held() {
         return Ok(());
@@ -102,7 +103,7 @@ pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
     Ok(())
 }
 
-/// Adds the change of a known variable to the direction.
+/// Adds the change of a known to the direction; refuses variables that are not knowns and changes that are not finite.
 fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), CallError> {
     check_finite(change, || format!("change of {} is {change}", variable.name))?;
     let place = match (variable.id, variable.state()) {
@@ -119,7 +120,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
     Ok(())
 }
 
-/// The derivative of an output with respect to time.
+/// Time derivative of an output; refuses other variables and orders that are not available.
 fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32) -> Result<f64, CallError> {
     let output = match variable.id {
         VariableId::RealComputed(output) if variable.output => output,

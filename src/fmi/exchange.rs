@@ -1,8 +1,8 @@
 //! Functions for model exchange (FMI 2.0.4, section 3.2): the master integrates the states theta and omega.
 //!
-//! The system is autonomous and has no events of its own: a master ends steps where an event indicator changes sign, so that forces
-//! are smooth within a step. Tunable parameters are set at events and act from fmi2NewDiscreteStates on. At a direct singularity
-//! (distal links in line) theta and omega are no coordinates: such states are discarded.
+//! The system is autonomous and has no time events. The master ends a step where an event indicator changes sign, so that forces are smooth
+//! within a step. Tunable parameters are set at events and take effect with fmi2NewDiscreteStates. At a direct singularity (distal links in
+//! line) theta and omega are not coordinates: such states are discarded.
 
 use super::computed::real;
 use super::snapshot::Scene;
@@ -16,7 +16,7 @@ use crate::variables::{CONTINUOUS_STATES, EVENT_INDICATORS};
 const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
 impl Instance {
-    /// fmi2SetTime, s.
+    /// fmi2SetTime, s; refuses a time that is not finite.
     pub fn set_time(&mut self, time: f64) -> Result<(), CallError> {
         let Some(clock) = &mut self.now.clock else { unreachable!("initialisation has made it") };
         clock.set(time)
@@ -27,7 +27,7 @@ impl Instance {
         self.change().stage = Stage::EventMode;
     }
 
-    /// fmi2NewDiscreteStates: parameters that were set take effect. Whether continuous states have changed.
+    /// fmi2NewDiscreteStates: applies parameters that were set, or refuses them. Returns whether the continuous states have changed.
     pub fn new_discrete_states(&mut self) -> Result<bool, CallError> {
         if !self.now.is_tuned {
             return Ok(false);
@@ -39,7 +39,7 @@ impl Instance {
         Ok(self.continuous_states()? != before)
     }
 
-    /// fmi2EnterContinuousTimeMode.
+    /// fmi2EnterContinuousTimeMode: refused if parameters have been set and fmi2NewDiscreteStates has not been called.
     pub fn enter_continuous_time_mode(&mut self) -> Result<(), CallError> {
         if self.now.is_tuned {
             return Err(CallError::error("parameters have been set: fmi2NewDiscreteStates must be called before."));
@@ -58,7 +58,8 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2SetContinuousStates: discarded, with the instance unchanged, at a direct singularity.
+    /// fmi2SetContinuousStates: refuses a wrong number of states and states that are not finite. States at a direct singularity are
+    /// discarded, and the instance is unchanged.
     pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), CallError> {
         let Ok(states) = <[f64; STATES]>::try_from(states) else {
             return Err(CallError::error(format!("nx is {}, must be {STATES}.", states.len())));
@@ -85,7 +86,7 @@ impl Instance {
         Ok(derivatives)
     }
 
-    /// fmi2GetEventIndicators.
+    /// fmi2GetEventIndicators: discarded unless all are finite.
     pub fn event_indicators(&mut self) -> Result<[f64; INDICATORS], CallError> {
         let indicators = self.observe()?.indicators();
         for (i, value) in indicators.into_iter().enumerate() {
@@ -101,7 +102,7 @@ impl Instance {
     }
 }
 
-/// The continuous states, or their time derivatives of an order.
+/// Continuous states (order 0) or their time derivatives of this order.
 fn motion(of: &Observed<'_, f64>, order: usize) -> [f64; STATES] {
     CONTINUOUS_STATES.map(|(name, state)| real(of, state, order).unwrap_or_else(|| unreachable!("{name} is an angle or a rate")))
 }

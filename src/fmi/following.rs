@@ -1,11 +1,11 @@
-//! Warnings of a communication step of a machine that is followed: faults of its encoders, restarts of the estimate, and learned values at a bound.
+//! Warnings of a communication step in a followed scene: encoder faults, restarts of the estimate, and learned values at a bound.
 
 use crate::estimator::Fault;
 use crate::estimator::error_state::{DRY, LENGTHS, MASSES, OFFSETS};
 use crate::simulation::{Following, NEARLY_IN_PAIRS};
 
-/// Warnings after a step from `point`, s: faults of encoders, a restart of the estimate unless the samples before had `restarted` it, and learned values
-/// that have come to a bound.
+/// Warnings after a step from `point`, s: encoder faults, a restart of the estimate unless it had already `restarted` before the step, and
+/// learned values that have reached a bound.
 pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -> Vec<String> {
     let faults = following.take_reports();
     let mut warnings: Vec<String> = faults.into_iter().map(|(encoder, fault)| fault_message(encoder, fault, point)).collect();
@@ -22,7 +22,7 @@ pub(super) fn warnings(following: &mut Following, restarted: bool, point: f64) -
     warnings
 }
 
-/// The warning at the start about uncertain lengths that are not learned.
+/// Warning at the start: lengths are uncertain but not learned.
 pub(super) fn unlearned_lengths(following: &Following) -> Option<String> {
     let parameters = following.parameters();
     let sigma = parameters.estimator.sigma0_length;
@@ -37,7 +37,7 @@ pub(super) fn unlearned_lengths(following: &Following) -> Option<String> {
     })
 }
 
-/// The warning about a learned value that was moved to one of its bounds.
+/// Warning about a learned value that was moved to a bound.
 fn bound_message((parameter, value, [least, most]): (usize, f64, [f64; 2]), time: f64) -> String {
     let (name, unit) = match parameter {
         DRY => ("estimated.friction".to_owned(), ""),
@@ -51,7 +51,7 @@ fn bound_message((parameter, value, [least, most]): (usize, f64, [f64; 2]), time
     )
 }
 
-/// The warning about a fault of an encoder: silent, or samples rejected.
+/// Warning about a silent encoder or rejected samples.
 fn fault_message(encoder: usize, fault: Fault, time: f64) -> String {
     let name = format!("measured.theta[{}]", encoder + 1);
     let what = match fault {

@@ -1,6 +1,6 @@
-//! An instance: parameters, inputs, a simulation once there is one, a clock and a log.
+//! An instance: parameters, inputs, a clock, a log and, after initialisation, a simulation.
 //!
-//! A call has its effect or leaves the instance unchanged; the C interface asks [`Call::require`](super::Call::require) first and
+//! A call takes effect completely or leaves the instance unchanged. The C interface asks [`Call::require`](super::Call::require) first and
 //! turns a [`CallError`] into a log line and a status.
 
 use super::clock::Clock;
@@ -16,25 +16,25 @@ use crate::variables::{FmiType, VARIABLES, Value, Variable};
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    /// State of the instance without its log; [`Instance::change`] changes what observations show.
+    /// State of the instance without its log. Changes go through [`Instance::change`], which drops cached observations.
     pub(super) now: Snapshot,
-    /// The unit that it is an instance of.
+    /// Unit that the instance belongs to.
     unit: Unit,
     /// Observations cached since the last change.
     observation: Option<Observation>,
     /// Scene initialised with the present values, made when an output is read before the end of initialisation.
     preview: Option<Scene>,
-    /// Scene before the last step that could fail midway, to go back to.
+    /// Scene before the last step that could fail midway, for rollback.
     pub(super) before: Option<Scene>,
-    /// Values read by the present call. The buffer is allocated once: a call allocates
-    /// nothing unless it asks for more values than there are variables.
+    /// Values read by the present call. The buffer is allocated once; only a call that reads more values than there are variables allocates
+    /// again.
     values: Vec<Value>,
     /// Lines for the master's logger.
     pub log: Log,
 }
 
 impl Instance {
-    /// A fresh instance of the plain unit; `logging_on` as given to fmi2Instantiate.
+    /// A new instance of the plain unit; `logging_on` as passed to fmi2Instantiate.
     pub fn new(kind: Kind, logging_on: bool) -> Self {
         let unit = Unit::plain();
         Self {
@@ -48,7 +48,7 @@ impl Instance {
         }
     }
 
-    /// Makes a fresh instance one of that unit: its start values are set.
+    /// Makes a new instance belong to another unit: sets its start values.
     pub fn belong_to(&mut self, unit: Unit) {
         self.now.guid = unit.guid;
         for (variable, value) in &unit.starts {
@@ -65,7 +65,7 @@ impl Instance {
         &mut self.now
     }
 
-    /// Kind of FMU that the instance is: co-simulation or model exchange.
+    /// Kind of the instance: co-simulation or model exchange.
     pub fn kind(&self) -> Kind {
         self.now.kind
     }
@@ -80,8 +80,8 @@ impl Instance {
         self.now.clock.as_ref()
     }
 
-    /// fmi2SetupExperiment; `tolerance` and `stop`, s, where they are defined. The tolerance is not used: `solver.errorTolerance`
-    /// has units, a relative tolerance has none.
+    /// fmi2SetupExperiment; `tolerance` and `stop`, s, if they are defined. The tolerance is not used: it is relative, and
+    /// `solver.errorTolerance` has units. Refuses numbers that are not finite, a negative tolerance and a stop before the start.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), CallError> {
         let clock = Clock::new(start, stop)?;
         if let Some(tolerance) = tolerance {
@@ -98,7 +98,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2EnterInitializationMode.
+    /// fmi2EnterInitializationMode: refused before fmi2SetupExperiment.
     pub fn enter_initialization_mode(&mut self) -> Result<(), CallError> {
         if self.now.clock.is_none() {
             return Err(CallError::error("fmi2SetupExperiment must be called before."));
@@ -107,7 +107,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2ExitInitializationMode: validates the scene and closes the loop; a refusal leaves the instance in initialisation mode.
+    /// fmi2ExitInitializationMode: validates the scene and closes the loop. If it refuses, the instance stays in initialisation mode.
     pub fn exit_initialization_mode(&mut self) -> Result<(), CallError> {
         self.observe()?;
         let Some(scene) = self.preview.take() else { unreachable!("an observation before the run makes it") };
@@ -148,7 +148,8 @@ impl Instance {
         &self.now
     }
 
-    /// fmi2SetFMUstate: restores the state; the log and the master's choice of categories stay.
+    /// fmi2SetFMUstate: restores everything except the log and the master's choice of log categories. Refuses a state of another kind or
+    /// unit.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
         let (own, other) = (self.now.kind, snapshot.kind);
         if own != other {
@@ -160,20 +161,20 @@ impl Instance {
         }
         self.change().clone_from(snapshot);
         if self.now.may_fail_midway() {
-            // As large as this scene: the one before may have been another.
+            // Allocates for this scene: the earlier one may have been of another kind.
             self.before.clone_from(&self.now.scene);
         }
         Ok(())
     }
 
-    /// Makes room for the scene before a step that may fail midway: the step itself allocates nothing.
+    /// Allocates the rollback copy for a step that may fail midway: the step itself allocates nothing.
     fn prepare_to_go_back(&mut self) {
         if let (Some(scene), None, true) = (&self.now.scene, &self.before, self.now.may_fail_midway()) {
             self.before = Some(scene.clone());
         }
     }
 
-    /// fmi2DeSerializeFMUstate: the state in these bytes, which must be one of this unit.
+    /// fmi2DeSerializeFMUstate: decodes a state; refuses bytes that are not a state of this unit.
     pub fn deserialize(&self, bytes: &[u8]) -> Result<Snapshot, CallError> {
         Snapshot::from_bytes(&self.now.guid, bytes)
     }
@@ -193,7 +194,8 @@ impl Instance {
         self.log.push(Status::Ok, || "reset".to_owned());
     }
 
-    /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
+    /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: set all values, or none. Refused unless every variable exists, has this type, may be
+    /// set now and allows its value.
     pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), CallError> {
         let mut states = None;
         for (reference, value) in pairs.clone() {
@@ -221,7 +223,8 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: refused unless every reference is right and every computed value finite.
+    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: refused unless every reference belongs to a variable of this type and every computed
+    /// value is finite.
     pub fn get(&mut self, fmi_type: FmiType, references: &[u32]) -> Result<&[Value], CallError> {
         let mut values = std::mem::take(&mut self.values);
         values.clear();
@@ -233,7 +236,8 @@ impl Instance {
         complete.map(|()| self.values.as_slice())
     }
 
-    /// Value of a variable; refused where a computed value is not finite. What a master has set is read back as it was set.
+    /// Value of a variable; refuses a computed value that is not finite. Parameters, inputs and samples are returned as the master set
+    /// them.
     fn read(&mut self, variable: &Variable) -> Result<Value, CallError> {
         if let Some(value) = self.now.read(variable) {
             return Ok(value);
@@ -245,8 +249,8 @@ impl Instance {
         Ok(value)
     }
 
-    /// Observation at the present communication point, with accelerations and multipliers for the present inputs, which the master
-    /// may have changed since the last step.
+    /// Observation at the present communication point. Accelerations and multipliers belong to the present inputs, which the master may
+    /// have changed since the last step. Before the run it is refused unless the scene can be initialised.
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {

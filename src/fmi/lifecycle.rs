@@ -30,8 +30,8 @@
 //!                                      ContinuousTimeMode ---------------------------'
 //! ```
 //!
-//! The standard's states stepInProgress and stepCanceled do not exist here: a step is never pending. The state error does not exist
-//! either: a call that is refused changes nothing, so the instance stays in its state.
+//! FMI's states stepInProgress and stepCanceled do not exist here, because a step is never pending. Nor does the state error: a refused
+//! call changes nothing, so the instance stays in its state.
 
 use std::fmt;
 
@@ -77,7 +77,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Name, and the kind of instances that have the stage; `None` for both kinds.
+    /// Name of the stage, and the kind of instance that has it; `None` for both kinds.
     fn about(self) -> (&'static str, Option<Kind>) {
         match self {
             Self::Instantiated => ("instantiated", None),
@@ -90,7 +90,7 @@ impl Stage {
         }
     }
 
-    /// Whether instances of that kind have the stage.
+    /// Whether instances of this kind have the stage.
     pub(super) fn belongs_to(self, kind: Kind) -> bool {
         self.about().1.is_none_or(|own| own == kind)
     }
@@ -102,7 +102,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// Makes [`Call`] from a table: kind of FMU that has the functions, the functions, the stages in which they are allowed.
+/// Defines [`Call`] from a table: kind of FMU that has the functions, the functions, the stages in which they are allowed.
 macro_rules! calls {
     ($($kind:ident: $($call:ident)+ => [$($stage:ident)+];)+) => {
         /// The FMI functions that take an instance.
@@ -125,8 +125,8 @@ const CO_SIMULATION: Option<Kind> = Some(Kind::CoSimulation);
 const MODEL_EXCHANGE: Option<Kind> = Some(Kind::ModelExchange);
 
 calls! {
-    // The footnotes of the standard's tables, on the variables that may be set in each state, are in `values.rs`. A step is never
-    // pending, so fmi2CancelStep is allowed everywhere and answered with an error of its own.
+    // `values.rs` has the footnotes of the standard's tables about variables that may be set in each state. A step is never pending, so
+    // fmi2CancelStep is allowed everywhere and returns an error of its own.
     BOTH: fmi2SetDebugLogging fmi2Reset
         fmi2GetFMUstate fmi2SetFMUstate fmi2FreeFMUstate fmi2SerializedFMUstateSize fmi2SerializeFMUstate fmi2DeSerializeFMUstate
         => [Instantiated InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode Terminated];
@@ -141,8 +141,8 @@ calls! {
     BOTH: fmi2GetReal fmi2GetInteger fmi2GetBoolean fmi2GetString fmi2GetDirectionalDerivative
         => [InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode Terminated];
 
-    // After a discarded step, beyond the standard, inputs may be set and the step be tried again at once: the step has been rolled
-    // back, and other inputs may let it succeed.
+    // Beyond the standard, inputs may be set after a discarded step, and the step may be tried again at once: it has been rolled back, and
+    // other inputs may let it succeed.
     BOTH: fmi2SetReal
         => [Instantiated InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode];
     BOTH: fmi2SetInteger fmi2SetBoolean fmi2SetString

@@ -1,4 +1,4 @@
-//! Folders that fmuResourceLocation may mean (FMI 2.0.4, section 2.1.5), in the forms that masters give.
+//! Folders that fmuResourceLocation may mean (FMI 2.0.4, section 2.1.5), in the forms that masters use.
 //!
 //! | form | example |
 //! | --- | --- |
@@ -10,8 +10,8 @@ use std::path::PathBuf;
 
 use percent_encoding::percent_decode;
 
-/// Folders that a location may mean, the likeliest first: escapes of a URI are decoded, those of a path are taken as they stand, and
-/// the other reading comes second, because masters differ. None if the location belongs to another machine.
+/// Folders that a location may mean, the likeliest first. In a URI percent escapes are decoded, in a path they are kept; the other reading
+/// comes second, because masters differ. Empty if the location belongs to another machine.
 pub(super) fn folders(location: &[u8], windows: bool) -> Vec<PathBuf> {
     let (written, is_uri) = match after_scheme(location) {
         None => (location, false),
@@ -26,13 +26,13 @@ pub(super) fn folders(location: &[u8], windows: bool) -> Vec<PathBuf> {
     readings.into_iter().filter_map(path).collect()
 }
 
-/// Rest of a URI after `file:`; none of anything else.
+/// Rest of a URI after `file:`; `None` if the location is not such a URI.
 fn after_scheme(location: &[u8]) -> Option<&[u8]> {
     const SCHEME: &[u8] = b"file:";
     location.split_at_checked(SCHEME.len()).filter(|(scheme, _)| scheme.eq_ignore_ascii_case(SCHEME)).map(|(_, rest)| rest)
 }
 
-/// Path of a URI, still encoded, from what follows `file:`; none where its host is another machine that has no path here.
+/// Path of a URI, still percent-encoded, from the part after `file:`. `None` if its host is another machine that has no path here.
 fn path_of_uri(rest: &[u8], windows: bool) -> Option<&[u8]> {
     let path = match rest.strip_prefix(b"//") {
         None => rest,
@@ -57,7 +57,7 @@ fn begins_with_drive(path: &[u8]) -> bool {
     matches!(path, [letter, b':', ..] if letter.is_ascii_alphabetic())
 }
 
-/// Bytes as a path; elsewhere than on Unix, where names are text, none of bytes that are no UTF-8.
+/// Bytes as a path. On Unix names are bytes; elsewhere they are text, and bytes that are not UTF-8 give `None`.
 #[cfg(unix)]
 fn path(bytes: Vec<u8>) -> Option<PathBuf> {
     use std::os::unix::ffi::OsStringExt;

@@ -1,19 +1,17 @@
-//! The log queue: calls put messages in, the C interface hands them to the master's logger.
+//! The log queue: calls add messages, the C interface passes them to the master's logger.
 //!
-//! Until fmi2SetDebugLogging is called, warnings, discards, errors and fatal errors are always passed on, and
-//! loggingOn of fmi2Instantiate adds the events. From then on the master's choice holds: nothing, everything, or the
-//! categories that it names (FMI 2.0.4, section 2.1.5).
+//! Until fmi2SetDebugLogging is called, warnings, discards, errors and fatal errors are always passed on; events are too if loggingOn of
+//! fmi2Instantiate is true. After that the master chooses: nothing, everything, or the categories that it names (FMI 2.0.4, section 2.1.5).
 
 use super::CallError;
 use crate::variables::Category;
 
-/// fmi2Status (FMI 2.0.4, section 2.1.3) with its numbers, in the order of severity; without fmi2Pending, which is 5: a step is never
-/// pending.
+/// fmi2Status (FMI 2.0.4, section 2.1.3) with its numbers, in the order of severity. fmi2Pending, 5, is missing: a step is never pending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Status {
     /// Done.
     Ok = 0,
-    /// Done, with a probable mistake of the master.
+    /// Done, but the master has probably made a mistake.
     Warning = 1,
     /// Could not be done; nothing was changed.
     Discard = 2,
@@ -24,10 +22,10 @@ pub enum Status {
 }
 
 impl Status {
-    /// All of them.
+    /// All statuses.
     const ALL: [Self; 5] = [Self::Ok, Self::Warning, Self::Discard, Self::Error, Self::Fatal];
 
-    /// The category of a message with this status.
+    /// Category of a message with this status.
     pub fn category(self) -> Category {
         match self {
             Self::Ok => Category::LogEvents,
@@ -57,12 +55,12 @@ pub struct Log {
 }
 
 impl Log {
-    /// An empty queue; `logging_on` as given to fmi2Instantiate.
+    /// An empty queue; `logging_on` as passed to fmi2Instantiate.
     pub fn new(logging_on: bool) -> Self {
         Self { passes: Status::ALL.map(|status| logging_on || status > Status::Ok), queue: Vec::new() }
     }
 
-    /// fmi2SetDebugLogging: no categories means all of them.
+    /// fmi2SetDebugLogging: no categories means all. Refuses an unknown category, and then changes nothing.
     pub fn choose<'a>(&mut self, on: bool, names: impl Iterator<Item = &'a str>) -> Result<(), CallError> {
         let mut chosen = Vec::new();
         for name in names {
@@ -77,19 +75,19 @@ impl Log {
         Ok(())
     }
 
-    /// Whether messages of that status are passed on.
+    /// Whether messages of this status are passed on.
     pub fn wants(&self, status: Status) -> bool {
         self.passes[status as usize]
     }
 
-    /// Queues a message; the text is made only if the choice of categories passes it on.
+    /// Queues a message if its category is passed on; only then is the text made.
     pub fn push(&mut self, status: Status, text: impl FnOnce() -> String) {
         if self.wants(status) {
             self.queue.push(Message { status, text: text() });
         }
     }
 
-    /// Whether nothing has gathered.
+    /// Whether the queue is empty.
     pub fn is_empty(&self) -> bool {
         self.queue.is_empty()
     }
@@ -104,7 +102,7 @@ impl Log {
 mod tests {
     use super::*;
 
-    /// The statuses that pass, after a choice of categories.
+    /// Statuses that the log passes on.
     fn passing(log: &mut Log) -> Vec<Status> {
         for status in Status::ALL {
             log.push(status, String::new);

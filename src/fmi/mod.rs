@@ -1,8 +1,8 @@
 //! The semantics of FMI 2.0 without C types: life cycle, variables, communication points, stored states and log of an instance.
 //!
-//! | file | holds |
+//! | file | content |
 //! | --- | --- |
-//! | `lifecycle.rs` | which call is allowed in which state |
+//! | `lifecycle.rs` | calls allowed in each state |
 //! | `clock.rs` | communication points and the step grid |
 //! | `messages.rs` | the log queue and its categories |
 //! | `computed.rs` | variables ← observers, computed when read |
@@ -10,11 +10,11 @@
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `exchange.rs` | the functions of model exchange |
 //! | `own.rs` | start values of a unit of one's own |
-//! | `location.rs` | where a master says that resources are |
+//! | `location.rs` | folders that fmuResourceLocation may mean |
 //! | `instance.rs` | an instance: all of these together |
 //! | `snapshot.rs`, `stored.rs` | a copy of an instance to go back to, and its bytes |
 //! | `stepping.rs` | a communication step |
-//! | `following.rs` | warnings of a communication step of a machine that is followed |
+//! | `following.rs` | warnings of a communication step in a followed scene |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod clock;
@@ -49,12 +49,12 @@ pub struct CallError {
 }
 
 impl CallError {
-    /// The call was wrong.
+    /// The call is not allowed, or an argument is wrong.
     pub fn error(message: impl Into<String>) -> Self {
         Self { status: Status::Error, message: message.into() }
     }
 
-    /// The call was right, but could not be done.
+    /// The call is allowed, but could not be carried out.
     pub fn discard(message: impl Into<String>) -> Self {
         Self { status: Status::Discard, message: message.into() }
     }

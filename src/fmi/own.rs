@@ -1,6 +1,6 @@
-//! A unit of one's own: this library under another name, with start values that it reads when it is instantiated.
+//! A unit of one's own: this library under another name and GUID, with start values that it reads when it is instantiated.
 //!
-//! The values lie in `resources/unit.txt` of the unpacked .fmu, which `python/src/fivebar/own_unit.py` writes:
+//! The values are in `resources/unit.txt` of the unpacked .fmu, which `python/src/fivebar/own_unit.py` writes:
 //!
 //! ```text
 //! unit MyMachine {GUID in the model description of the .fmu} {GUID of the plain unit}
@@ -8,7 +8,8 @@
 //! end
 //! ```
 //!
-//! Each value passes the checks of one that a master sets. The plain unit, that of [`GUID`], has no such file, and nothing looks for one.
+//! Each value must pass the checks of values set by a master. The plain unit, with the GUID [`GUID`], has no such file and does not look
+//! for one.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
@@ -19,38 +20,39 @@ use super::values::{check_settable, check_value};
 use super::{CallError, Stage};
 use crate::variables::{FmiType, GUID, Value, Variable};
 
-/// Name of the file in the folder of resources.
+/// Name of the file in the resources folder.
 const FILE: &str = "unit.txt";
 
 /// Form of the file.
 const FORM: &str = "there must be a line \"unit NAME GUID LIBRARY\", lines \"VARIABLE VALUE\", and a line \"end\"";
 
-/// Largest file that is read, bytes: every variable that can be set takes a third of it.
+/// Largest file that is read, bytes: three times as large as a file that sets every variable.
 const LARGEST: u64 = 64 * 1024;
 
 /// GUID of a unit, as text in braces.
 pub type Guid = [u8; GUID.len()];
 
-/// GUID and start values that an instance is made with.
+/// GUID and start values of the instances of a unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
     pub(super) guid: Guid,
-    /// Start values in the place of those of the XML.
+    /// Start values that replace the values in the XML.
     pub(super) starts: Vec<(&'static Variable, Value)>,
 }
 
 impl Unit {
-    /// The plain unit: every start value is that of the XML.
+    /// The plain unit, with the start values of the XML.
     pub fn plain() -> Self {
         let Ok(guid) = GUID.as_bytes().try_into() else { unreachable!("the length is that of GUID") };
         Self { guid, starts: Vec::new() }
     }
 
-    /// The unit of a GUID: the plain one, or the one whose file lies in the resources that the master names or, if there is none, in
-    /// those of the archive that the library was unpacked from.
+    /// Finds the unit with this GUID: the plain one, or a unit with a file of start values. The file is looked for in the `resources` that
+    /// the master names, then in the archive that contains the `library`.
     ///
     /// # Errors
-    /// Refused if no file is found, or the one found cannot be read, belongs to another unit or library, or has a value that is refused.
+    /// Refused if no file is found, or if the file found cannot be read, belongs to another unit or library, or has a value that is not
+    /// allowed.
     pub fn find(guid: &str, resources: Option<&[u8]>, library: impl FnOnce() -> Option<PathBuf>) -> Result<Self, CallError> {
         if guid == GUID {
             return Ok(Self::plain());
@@ -75,7 +77,8 @@ impl Unit {
         )))
     }
 
-    /// Parses the file of the unit with this GUID.
+    /// Parses the file of the unit with the GUID `wanted`. Refuses text of another form, of another unit or library, or with a value that
+    /// is not allowed.
     fn parse(text: &str, wanted: &str) -> Result<Self, String> {
         let mut lines = text.lines().map(|line| line.split(' ').collect::<Vec<_>>());
         let head = lines.next();
@@ -97,7 +100,7 @@ impl Unit {
         }
     }
 
-    /// Adds the start value of a line.
+    /// Adds the start value of one line. Refuses unknown variables, values that the variable does not allow, and a second value.
     fn add(&mut self, name: &str, text: &str) -> Result<(), String> {
         let variable = Variable::named(name).ok_or_else(|| format!("there is no variable {name}"))?;
         let value = match variable.fmi_type() {
@@ -117,12 +120,12 @@ impl Unit {
     }
 }
 
-/// Folder of resources beside the folder of binaries that a library lies in: `binaries/PLATFORM/NAME.so` → `resources`.
+/// Resources folder of the archive that contains a library: `binaries/PLATFORM/NAME.so` → `resources`.
 fn resources_of(library: &Path) -> Option<PathBuf> {
     library.ancestors().nth(3).map(|root| root.join("resources"))
 }
 
-/// Text of a file of bounded size; devices and folders are refused, because to open or read them may wait or not end.
+/// Text of a file of bounded size. Refuses devices and folders: opening or reading them may block or never end.
 fn read(file: &Path) -> io::Result<String> {
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("it is no file"));
@@ -135,7 +138,7 @@ fn read(file: &Path) -> io::Result<String> {
     Ok(text)
 }
 
-/// Whether there is no file of that name, so that the next place is looked at.
+/// Whether the file does not exist, so that the next place is tried.
 fn leads_nowhere(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
@@ -150,7 +153,7 @@ mod tests {
         format!("unit My {OTHER} {GUID}\n")
     }
 
-    /// A file with these lines.
+    /// A file with these start values.
     fn with(starts: &str) -> Result<Unit, String> {
         Unit::parse(&format!("{}{starts}end\n", head()), OTHER)
     }

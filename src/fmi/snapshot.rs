@@ -18,11 +18,11 @@ pub struct Snapshot {
     /// GUID of the unit that the instance belongs to.
     pub(super) guid: Guid,
     pub(super) stage: Stage,
-    /// Clock, once fmi2SetupExperiment has been called.
+    /// Clock, after fmi2SetupExperiment.
     pub(super) clock: Option<Clock>,
     /// Parameters as the master has set them.
     pub(super) parameters: Parameters,
-    /// Whether a tunable parameter has been set that is not in force before the next step or event.
+    /// Whether a tunable parameter has been set that takes effect only with the next step or event.
     pub(super) is_tuned: bool,
     /// Inputs from the present communication point on.
     pub(super) signal: Signal,
@@ -35,7 +35,7 @@ pub struct Snapshot {
 
 clone_by_fields!(Snapshot { kind, guid, stage, clock, parameters, is_tuned, signal, measured, scene, warned });
 
-/// Warnings that the master has got, each of which comes once.
+/// Warnings that the master has received; each comes once.
 #[derive(Clone, Copy, Debug, Default, BorshSerialize, BorshDeserialize)]
 pub(super) struct Warned {
     /// No active effect reads the servo references.
@@ -63,7 +63,7 @@ impl Clone for Scene {
         }
     }
 
-    /// Allocates nothing where both are of the same kind.
+    /// Allocates nothing if both are of the same kind.
     fn clone_from(&mut self, other: &Self) {
         match (self, other) {
             (Self::Ready(own), Self::Ready(other)) => own.clone_from(other),
@@ -74,7 +74,8 @@ impl Clone for Scene {
 }
 
 impl Scene {
-    /// Validates the parameters and initialises the simulation, or refuses.
+    /// Validates the parameters and initialises the simulation. Refuses an estimator in model exchange, and parameters that do not make a
+    /// scene.
     pub(super) fn initialise(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         match (kind, parameters.estimator.enabled) {
             (Kind::CoSimulation, false) => boxed(|| Simulation::new(parameters, inputs)).map(Self::Ready),
@@ -104,13 +105,13 @@ impl Scene {
         }
     }
 
-    /// The scene with its estimator, where a machine is followed.
+    /// The scene with its estimator, if a machine is followed.
     pub(super) fn following(&self) -> Option<&Following> {
         if let Self::Following(following) = self { Some(following) } else { None }
     }
 }
 
-/// Makes a large value for the heap, in a function of its own: the stack holds it while it is made, and no other one beside it.
+/// Makes a large value for the heap. Not inlined: the stack has room for the value while it is made, but not for a second one.
 #[inline(never)]
 pub(super) fn boxed<T>(make: impl FnOnce() -> Result<T, SceneError>) -> Result<Box<T>, SceneError> {
     let place = Box::new_uninit();
@@ -134,12 +135,12 @@ impl Snapshot {
         }
     }
 
-    /// Whether the next step may fail after it has changed the scene: only then is there a copy to go back to.
+    /// Whether the next step may fail after it has changed the scene. Only then is a copy kept for rollback.
     pub(super) fn may_fail_midway(&self) -> bool {
         self.is_tuned || matches!(self.scene, Some(Scene::Following(_)))
     }
 
-    /// The present value of a parameter or input; `None` for an output.
+    /// The present value of a parameter, input or sample; `None` for a computed variable.
     pub(super) fn read(&self, variable: &Variable) -> Option<Value> {
         match variable.id {
             VariableId::Parameter(id) => Some(bindings::parameter(&self.parameters, id).value()),
@@ -149,7 +150,7 @@ impl Snapshot {
         }
     }
 
-    /// Sets a parameter or input to a value that has been checked.
+    /// Sets a parameter, input or sample to a value that has been checked.
     pub(super) fn set(&mut self, variable: &Variable, value: Value) {
         let written = match variable.id {
             VariableId::Parameter(id) => {

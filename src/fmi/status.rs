@@ -27,7 +27,8 @@ impl Instance {
     }
 }
 
-/// fmi2Discard, the standard's answer where a status is not available; an error for a number that is no fmi2StatusKind.
+/// Refusal of a status: fmi2Discard, as the standard requires for a status that is not available, or an error if the number is no
+/// fmi2StatusKind.
 fn unavailable(kind: i32) -> CallError {
     CallError::discard(match kind {
         0 => "there is no fmi2DoStepStatus: a step is never pending.",

@@ -9,7 +9,9 @@ use crate::integrator::CONFIGURATION_SIGNS;
 use crate::simulation::{Settings, StepFailure, bindings};
 
 impl Instance {
-    /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
+    /// fmi2DoStep from `point`, s, by `size`, s. Refuses a point or size as [`Clock::plan`](super::clock::Clock::plan) does, inputs that
+    /// become infinite within the step, and tuned parameters that do not fit together. If the integrator fails, the step is discarded and
+    /// rolled back.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
         let may_fail_midway = self.change().may_fail_midway();
@@ -20,7 +22,7 @@ impl Instance {
         let simulation = scene.simulation();
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
         check_reach(signal, size)?;
-        // Counters of singularities are copied only where the log passes events on.
+        // Counters of singularities are copied only if the log passes events on.
         let singular_before = wants_events.then(|| simulation.singular());
         let fallbacks_before = simulation.fallbacks();
         let restarted_before = scene.following().is_some_and(|following| following.estimator().has_restarted());
@@ -75,7 +77,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2CancelStep: refused, since a step is never pending. A test build with `--cfg forced_panic` panics here.
+    /// fmi2CancelStep: refused, because a step is never pending. A test build with `--cfg forced_panic` panics here.
     pub fn cancel_step(&self) -> Result<(), CallError> {
         if cfg!(forced_panic) {
             panic!("forced by the test build");
@@ -83,7 +85,7 @@ impl Instance {
         Err(CallError::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
     }
 
-    /// Warns once that servo references are not read, that the loads are stiff, and that steps of fixed length failed their checks.
+    /// Warns once if servo references are not read, if the loads are stiff, and if steps of fixed length failed their checks.
     #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
         let Some(simulation) = self.now.scene.as_ref().map(Scene::simulation) else { return };
@@ -115,7 +117,7 @@ impl Instance {
         }
     }
 
-    /// Logs the passages through each kind of singularity during a step, and a start from rest in a vertex.
+    /// Logs passages through each kind of singularity during a step, and a start from rest in a vertex.
     #[cold]
     fn log_singularities(&mut self, before: [u64; CONFIGURATION_SIGNS + 2], from: f64, to: f64) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
@@ -144,13 +146,13 @@ impl Instance {
     }
 }
 
-/// Does work in a function of its own, so that those who do other work do not give it room on the stack.
+/// Runs `work` in a function of its own, so that other paths of the caller need no stack for it.
 #[inline(never)]
 fn apart<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// The refusal of a step from `point`, s, by `size`, s, that the integrator could not take.
+/// Error of a step from `point`, s, by `size`, s, that the integrator could not take.
 fn discarded(StepFailure { elapsed, cause }: StepFailure, point: f64, size: f64) -> CallError {
     CallError::discard(format!(
         "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
@@ -158,7 +160,7 @@ fn discarded(StepFailure { elapsed, cause }: StepFailure, point: f64, size: f64)
     ))
 }
 
-/// The warning about steps between two times, s, by the last fallback stage.
+/// Warning about steps between two times, s, that used the last fallback stage.
 fn fallback_message(fallbacks: u64, from: f64, to: f64) -> String {
     let many = if fallbacks == 1 { "step" } else { "steps" };
     format!(

@@ -1,7 +1,7 @@
 //! A stored state as bytes (FMI 2.0.4, section 2.1.8).
 //!
 //! ```text
-//! offset  bytes  what
+//! offset  bytes  field
 //!      0      8  "FiveBar\0"
 //!      8      4  FORMAT, the version of this layout
 //!     12     38  GUID of the unit
@@ -10,7 +10,7 @@
 //! 58 + n      4  Adler-32 of all before it
 //! ```
 //!
-//! `Followed` comes after `Content` where samples have been set or a machine is followed; elsewhere the file ends with `Content`.
+//! `Followed` comes after `Content` if samples have been set or a machine is followed; otherwise the file ends with `Content`.
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
 //! Parameters are stored as values of variables, so that restored values pass the same checks as values set by a master.
 
@@ -48,20 +48,20 @@ struct Content {
     stage: Stage,
     kind: Kind,
     clock: Option<Clock>,
-    /// Parameters in force that are not at their start values.
+    /// Parameters in force that differ from their start values.
     values: Values,
     run: Option<Run>,
     signal: Signal,
-    /// Parameters as the master has set them that are not those in force, where [`Snapshot::is_tuned`].
+    /// Parameters set by the master that differ from the parameters in force, if [`Snapshot::is_tuned`].
     tuned: Option<Values>,
     warned: Warned,
 }
 
-/// Samples and estimate, stored after the content where there are any.
+/// Samples and estimate, stored after the content if there are any.
 #[derive(Default, BorshDeserialize)]
 struct Followed {
     measured: Measured,
-    /// Boxed, so that a state without an estimate does not move its size.
+    /// Boxed, so that a state without an estimate stays small when it is moved.
     estimate: Option<Box<Estimate>>,
 }
 
@@ -79,7 +79,7 @@ impl Snapshot {
         let in_force = self.scene.as_ref().map_or(&self.parameters, Scene::parameters);
         // Room for a state without an estimate.
         let mut content = Vec::with_capacity(1024);
-        // Behind a pointer the writer is not inlined into some hundred fields.
+        // Through a trait object, the writer is not inlined into some hundred fields.
         let mut writer: &mut dyn Write = &mut content;
         Content {
             stage: self.stage,
@@ -103,7 +103,7 @@ impl Snapshot {
         Ok(bytes)
     }
 
-    /// Restores a state of the unit with this GUID, or refuses it in one sentence. A forged state is refused, or is some motion that closes
+    /// Restores a state of the unit with this GUID, or refuses it in one sentence. A forged state is either refused or a motion that closes
     /// the loop and can be continued.
     #[cold]
     pub fn from_bytes(guid: &Guid, bytes: &[u8]) -> Result<Self, CallError> {
@@ -172,13 +172,13 @@ fn content<'a>(of: &Guid, bytes: &'a [u8]) -> Result<&'a [u8], CallError> {
     Ok(content)
 }
 
-/// Parses samples and estimate, in a function of its own: a state without them needs less of the stack.
+/// Parses samples and estimate. Not inlined: a state without them needs less stack.
 #[inline(never)]
 fn parse_followed(bytes: &mut dyn Read) -> io::Result<Followed> {
     Followed::deserialize_reader(&mut { bytes })
 }
 
-/// Parses the content and, where there is one, `Followed`.
+/// Parses the content and, if present, `Followed`.
 fn parse_content(mut bytes: &[u8]) -> io::Result<(Content, Followed)> {
     let content = Content::deserialize_reader(&mut (&mut bytes as &mut dyn Read))?;
     let followed = match bytes {
@@ -188,14 +188,15 @@ fn parse_content(mut bytes: &[u8]) -> io::Result<(Content, Followed)> {
     if bytes.is_empty() { Ok((content, followed)) } else { Err(io::Error::other("bytes follow the last field")) }
 }
 
-/// Values of the parameters that differ from those before.
+/// Values of the parameters that differ from `before`.
 fn changed(parameters: &Parameters, before: impl Fn(&Variable, Parameter) -> Option<Value>) -> Values {
     let values = bindings::parameters().map(|(variable, id)| (variable, id, bindings::parameter(parameters, id).value()));
     let changed = values.filter(|(variable, id, value)| before(variable, *id).is_none_or(|before| !before.same(*value)));
     changed.map(|(variable, _, value)| (variable.reference, value)).collect()
 }
 
-/// The parameters `base` with other values of those that may differ, each within its bounds.
+/// The parameters `base` with other `values`. Refuses values out of order or bounds, of variables that may not differ, and values equal to
+/// the base.
 fn restored(mut base: Parameters, values: &[(u32, Value)], may_differ: fn(&Variable) -> bool) -> Result<Parameters, CallError> {
     if !values.is_sorted_by(|(before, _), (after, _)| before < after) {
         return Err(not_a_state("their parameters are not in ascending order"));
@@ -213,7 +214,7 @@ fn restored(mut base: Parameters, values: &[(u32, Value)], may_differ: fn(&Varia
     Ok(base)
 }
 
-/// Input signal with finite values within the bounds.
+/// Returns the signal; refuses values outside their bounds and derivatives that lead to infinite values.
 fn checked(signal: Signal) -> Result<Signal, CallError> {
     for (variable, input) in bindings::inputs() {
         check_value(variable, bindings::input(&signal.value, input).value())?;

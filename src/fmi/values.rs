@@ -3,13 +3,13 @@
 use super::{CallError, Stage};
 use crate::variables::{FmiType, Value, Variable, VariableId};
 
-/// The variable of a value reference.
+/// Finds the variable of a value reference; refuses an unknown reference.
 #[inline(always)] // 38 instructions less for each input that is set
 pub(super) fn find(reference: u32) -> Result<&'static Variable, CallError> {
     Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
 }
 
-/// The variable of a value reference, whose type must be that of the function.
+/// Finds the variable of a value reference; refuses unknown references and variables of another type.
 pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Variable, CallError> {
     let variable = find(reference)?;
     if variable.fmi_type() != fmi_type {
@@ -22,10 +22,10 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
     Ok(variable)
 }
 
-/// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before the
-/// run, computed variables never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
+/// Refuses a variable that may not be set in this stage. Inputs may always be set, parameters before the run, tunable parameters also
+/// during it, computed variables never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
 ///
-/// In model exchange tunable parameters may be set at events only. Beyond the standard, fmi2SetReal sets continuous states as
+/// In model exchange tunable parameters may be set only at events. Beyond the standard, fmi2SetReal sets continuous states as
 /// fmi2SetContinuousStates does, since some masters have no other way.
 #[inline(always)]
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
@@ -47,7 +47,7 @@ pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), Ca
     refusal.map_or(Ok(()), |why| Err(CallError::error(format!("{} {why}.", variable.name))))
 }
 
-/// A variable's own bounds; relations between variables are checked when the scene is made ready.
+/// Refuses a value outside the variable's own bounds. Relations between variables are checked when the scene is initialised.
 #[inline(always)]
 pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallError> {
     // Samples may have any value: the estimator judges them and continues without a rejected one.
@@ -57,12 +57,12 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallE
     variable.check(value).map_err(CallError::error)
 }
 
-/// Refuses a number that is not finite, in a sentence that begins with what it is.
+/// Refuses a number that is not finite; `what` begins the sentence.
 pub(super) fn check_finite(value: f64, what: impl FnOnce() -> String) -> Result<(), CallError> {
     if value.is_finite() { Ok(()) } else { Err(CallError::error(format!("{}, must be finite.", what()))) }
 }
 
-/// Discards a computed value that is not finite: inputs and parameters that are allowed one by one may be too large together.
+/// Discards a computed value that is not finite. Inputs and parameters that are allowed one by one may together be too large.
 pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), CallError> {
     if value.is_finite() {
         return Ok(());
