@@ -1,4 +1,4 @@
-//! The five-bar in its four absolute link angles, the coordinates of the error-controlled methods: `src/dynamics/angles.rs` under the loads
+//! The five-bar in its four absolute link angles, the coordinates of the error-controlled methods: `src/dynamics/angles.rs` with the loads
 //! of a model.
 
 use super::Inputs;
@@ -18,44 +18,43 @@ use crate::mechanism::placement::{by_legs, by_links, joint_forces};
 use crate::mechanism::vertex;
 use crate::mechanism::{BRANCH_ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose};
 
-/// A five-bar seen in its link angles.
+/// A five-bar in its link angles.
 #[derive(Clone, Copy, Debug)]
 pub struct AngleSystem<'a> {
     five_bar: FiveBar<'a>,
-    /// Whether the weight is the only load, so that no force law is asked.
+    /// Whether the weight is the only load, so that no force law is evaluated.
     only_weight: bool,
     closure: Closure,
 }
 
 impl<'a> AngleSystem<'a> {
-    /// Five-bar of a model in its link angles, with `inputs` held and whole turns of the links counted separately.
+    /// Five-bar of a model in its link angles, with constant `inputs`; `turns` are the whole turns of the links, which are counted
+    /// separately.
     pub(super) fn of(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self::new(FiveBar::new(model, inputs, turns))
     }
 
-    /// Five-bar in its link angles, of a model under given inputs.
+    /// A five-bar, with its model and inputs, in its link angles.
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         let FiveBar { model, inputs, mode, .. } = five_bar;
         let closure = Closure::new(&model.mechanism, mode.closure_branch);
         Self { five_bar, only_weight: model.effects.is_empty() && !inputs.load(), closure }
     }
 
-    /// System in a given mode, on the mode's closure branch.
+    /// System in this mode, on the mode's closure branch.
     pub(super) fn in_mode(self, mode: Mode) -> Self {
         Self::new(self.five_bar.on(mode))
     }
 
-    /// System in its twelve coordinates.
+    /// The same system in its twelve coordinates.
     pub(super) fn five_bar(&self) -> &FiveBar<'a> {
         &self.five_bar
     }
 
-    /// Model of the system.
     pub(super) fn model(&self) -> &'a Model {
         self.five_bar.model
     }
 
-    /// Mechanism of the system.
     fn mechanism(&self) -> &'a Mechanism {
         &self.model().mechanism
     }
@@ -65,7 +64,7 @@ impl<'a> AngleSystem<'a> {
         &self.model().inertia
     }
 
-    /// Deviation of angles from the linear equations of a closure branch, m.
+    /// Residual of the linear equations of a closure branch, m.
     #[cold]
     #[inline(never)]
     fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> AtTip {
@@ -86,8 +85,8 @@ impl<'a> AngleSystem<'a> {
         self.closure.phi_q_dot_times::<true>(pose, v)
     }
 
-    /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
-    /// configuration: they turn together.
+    /// Displacement from the nearest vertex, rad, if one is near. `None` with coaxial motors: there, postures with all links in line are
+    /// not isolated.
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
         if self.mechanism().geometry.base_distance == 0.0 {
             return None;
@@ -95,8 +94,8 @@ impl<'a> AngleSystem<'a> {
         vertex::offset(legs(q)).map(angles)
     }
 
-    /// Direction in which the forces start the motion from rest in a vertex (Gauss's principle of least constraint), and the number of
-    /// other branches open to it.
+    /// Direction of the motion that the forces start from rest in a vertex (Gauss's principle of least constraint), and the number of
+    /// other branches that it could take.
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<(Angles, u32)> {
         let pose = self.pose(q);
         let force = in_link_order(&self.forces(q, &pose, &Angles::ZERO).0);
@@ -105,8 +104,8 @@ impl<'a> AngleSystem<'a> {
         Some((angles(by_legs(branch.direction)), branch.alternatives))
     }
 
-    /// q̈ and λ of the twelve coordinates and the power, W, without sticking contacts: link by link from the angles and the force at the
-    /// tip.
+    /// q̈ and λ of the twelve coordinates and the power, W, if no contact sticks; computed link by link from the angles and the force at
+    /// the tip.
     pub(super) fn balance(
         &self,
         [q, v]: [&Angles; 2],
@@ -118,13 +117,13 @@ impl<'a> AngleSystem<'a> {
         let torques = self.inertia().with_centripetal(pose.torques_of(&applied), pose, v);
         let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
         let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
-        // Force on a link less its mass times acceleration: the joints supply the difference.
+        // Applied force on a link minus its mass times acceleration: the joints supply the difference.
         let left = applied - self.mechanism().mass_times(&accelerations);
         let from_rest = self.acceleration_from_rest(q, v).map(|a| pose.velocities(legs(&a)));
         (from_rest.unwrap_or(accelerations), joint_forces(&left, *tip), power)
     }
 
-    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
+    /// Kinetic energy, J; potential energy including the constant loads, J; power of the forces without potential, W.
     pub(super) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
         let pose = self.pose(q);
         let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
@@ -132,8 +131,8 @@ impl<'a> AngleSystem<'a> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&self.motion(&pose, q, v))]
     }
 
-    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
-    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    /// Forces in the angles, and their power, if other loads than the weight act. Not inlined, and arguments are passed by value, so that
+    /// motions under the weight alone stay in registers. The directions determine the pose.
     #[inline(never)]
     fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism().pose_along(directions);
@@ -142,7 +141,7 @@ impl<'a> AngleSystem<'a> {
         (forces, if self.features().work { power } else { Work::default() })
     }
 
-    /// Potential energy of all forces but the inputs, J. Out of line for the reason of [`Self::loaded_torques_and_power`].
+    /// Potential energy of all forces but the inputs, J. Not inlined, as [`Self::loaded_torques_and_power`].
     #[inline(never)]
     fn potential_with_effects(&self, q: Angles, directions: [Legs2; 2]) -> f64 {
         let pose = self.mechanism().pose_along(directions);

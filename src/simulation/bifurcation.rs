@@ -1,5 +1,6 @@
-//! Crossing of a bifurcation of the closure with coaxial motors, where all links are in line: the twelve coordinates may fail there, while
-//! the link angles on a closure branch know no special configuration. A run whose method is blocked integrates one sub-step in them.
+//! Crossing of a bifurcation of the closure with coaxial motors, a posture with all links in line. The twelve coordinates may fail there,
+//! but the link angles on a closure branch are regular. If the method of a run is blocked there, the run takes one sub-step in the link
+//! angles.
 
 use super::angles::{AngleSystem, Angles, LINK_INDICES, angles_of, legs};
 use super::five_bar::FiveBar;
@@ -12,26 +13,26 @@ use crate::mechanism::COORDINATES;
 /// Distance from all links in line, rad, below which the twelve coordinates may fail.
 const NEAR_BIFURCATION: f64 = 1e-2;
 
-/// Largest number of evaluations of a step past a bifurcation.
+/// Largest number of evaluations of a step across a bifurcation.
 const MOST_WORK: u32 = 20_000;
 
-/// Least error tolerance of that step, rad: at its start the closure determines rates to round-off divided by the distance from the
-/// bifurcation only, and in a smaller tolerance dense output contradicts such a start.
+/// Smallest error tolerance of that step, rad. At its start the closure determines rates only to round-off divided by the distance from the
+/// bifurcation. With a smaller tolerance, dense output would contradict such a start.
 const LEAST_TOLERANCE: f64 = 1e-10;
 
-/// Whether a step of h seconds from angles and rates begins or ends close to a bifurcation.
+/// Whether a step of h seconds from these angles and rates begins or ends near a bifurcation.
 pub(super) fn is_near(model: &Model, [q, v]: [&Angles; 2], h: f64) -> bool {
     model.mechanism.geometry.base_distance == 0.0
         && angle_to_bifurcation(&(*q + h * *v)).min(angle_to_bifurcation(q)) <= NEAR_BIFURCATION
 }
 
-/// Distance from all links in line: sines of the left elbow's angle and of the angle between the proximal links, the larger one.
+/// Distance from all links in line: the larger sine of two angles, at the left elbow and between the proximal links.
 fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = LINK_INDICES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
-/// Step of h seconds along a closure branch, integrated in the link angles; `None` where the motion is on no branch.
+/// Step of h seconds along a closure branch, integrated in the link angles; `None` if the motion is on no branch or the step fails.
 pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Transit<COORDINATES>> {
     let (system, model) = (AngleSystem::new(system), system.model);
     let settings = Settings {

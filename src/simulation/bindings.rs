@@ -1,7 +1,7 @@
 //! Variables ↔ fields of parameters, inputs, samples and counters; bounds of the parameters.
 //!
-//! `build.rs` makes a function per struct that goes from a variable to its field, by the variable's name: a variable without a field
-//! does not compile. Other computed variables are bound in `src/fmi/computed.rs`.
+//! For each struct `build.rs` makes a function from a variable to the field with its name: a variable without a field does not compile.
+//! `src/fmi/computed.rs` has the other computed variables.
 
 use super::{Inputs, Method, Parameters};
 use crate::estimator::Measured;
@@ -13,9 +13,9 @@ include!(concat!(env!("OUT_DIR"), "/bindings.rs"));
 
 /// A field that holds the value of a variable.
 pub(crate) trait Field {
-    /// Value as calls pass it.
+    /// Value as FMI calls pass it.
     fn value(&self) -> Value;
-    /// Takes a value; false where it is not of the field's type, or no item of its enumeration.
+    /// Takes a value; returns false if its type is not the field's, or if the enumeration has no such item.
     fn set(&mut self, value: Value) -> bool;
 }
 
@@ -45,7 +45,7 @@ impl Field for bool {
 
 impl Field for u32 {
     fn value(&self) -> Value {
-        // A value was written from an i32 or is the start value, which the table holds as one.
+        // The value comes from an i32, or is a start value, which the table stores as an i32.
         Value::Integer(i32::try_from(*self).unwrap_or(i32::MAX))
     }
 
@@ -55,13 +55,13 @@ impl Field for u32 {
     }
 }
 
-/// The name of a method as in the XML.
+/// Name of a method in the XML.
 pub(crate) fn method_name(method: Method) -> &'static str {
     let mut items = variables::Method::ITEMS.iter();
     items.find(|item| Value::Integer(item.value) == method.value()).map_or("", |item| item.name)
 }
 
-/// Writes a parameter or input; false where the value is not of its type or the variable is another.
+/// Writes a parameter or input; returns false if the value has another type or the variable is neither.
 pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     match variable.id {
         VariableId::Parameter(id) => parameter_mut(parameters, id).set(value),
@@ -70,7 +70,7 @@ pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variab
     }
 }
 
-/// Refuses the value of a parameter that its variable does not allow.
+/// Refuses a value that the variable of a parameter does not allow.
 fn check(variable: &Variable, field: &impl Field) -> Result<(), SceneError> {
     variable.check(field.value()).map_err(SceneError)
 }
@@ -91,21 +91,21 @@ pub(crate) fn inputs() -> impl Iterator<Item = (&'static Variable, Input)> {
     })
 }
 
-/// The scene that a fresh instance has: the start values of the XML.
+/// Parameters of a new instance: the start values of the XML.
 pub fn default_parameters() -> Parameters {
     let mut all = Parameters::default();
     parameters().for_each(|(variable, id)| start(parameter_mut(&mut all, id), variable));
     all
 }
 
-/// The inputs that a fresh instance has: the start values of the XML.
+/// Inputs of a new instance: the start values of the XML.
 pub fn default_inputs() -> Inputs {
     let mut all = Inputs::default();
     inputs().for_each(|(variable, id)| start(input_mut(&mut all, id), variable));
     all
 }
 
-/// Gives the field of a variable its start value.
+/// Sets a field to the start value of its variable.
 fn start(field: &mut dyn Field, variable: &Variable) {
     let written = variable.start.is_some_and(|start| field.set(start));
     debug_assert!(written, "{}: start {:?}", variable.name, variable.start);
@@ -169,7 +169,7 @@ mod tests {
             let not_a_number = is_real.then_some(Value::Real(f64::NAN));
             for value in [below, above, not_a_number].into_iter().flatten() {
                 let mut changed = all_on.clone();
-                // A count below 0 cannot be held.
+                // An unsigned count has no values below 0.
                 if parameter_mut(&mut changed, id).set(value) {
                     assert_eq!(check_bounds(&changed).map_err(|refusal| refusal.0), variable.check(value), "{}", variable.name);
                     assert!(

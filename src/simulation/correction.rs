@@ -1,4 +1,4 @@
-//! Replacement of a run's motion by the corrected one of the estimator.
+//! Replacement of a run's motion by the estimator's corrected motion.
 
 use super::Inputs;
 use super::five_bar::FiveBar;
@@ -12,7 +12,7 @@ use crate::mechanism::closure;
 use crate::mechanism::coordinates::link_angles;
 
 impl Run {
-    /// Angles of links 1 to 4, rad, without the whole turns that are counted separately, and their rates, rad/s.
+    /// Angles of links 1 to 4, rad, without the whole turns, which are counted separately, and their rates, rad/s.
     pub(super) fn motion(&self, model: &Model) -> LinkState {
         let of = |q: &Coordinates, v: &Coordinates| LinkState::new(link_angles(q), link_angles(v));
         match &self.integrator {
@@ -29,7 +29,7 @@ impl Run {
         }
     }
 
-    /// Leaves the present motion: a step under way is abandoned. Returns the energy of this motion with the inputs to come, J.
+    /// Leaves the present motion; a step under way is discarded. Returns the energy of this motion under the next inputs, J.
     pub(super) fn leave(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs) -> f64 {
         match &mut self.integrator {
             Integrator::MacroStepped(run) => run.core.on_ray = false,
@@ -39,13 +39,13 @@ impl Run {
         self.energy(model, &assembled(model, motion), inputs)
     }
 
-    /// Continues from another motion, which closes the loop, with other inputs and, where something has been learned, with another model. The
-    /// energy that it has more than the motion left counts as input work; sign changes of the configuration do not count as passages.
+    /// Continues from another motion, which closes the loop, with other inputs and, if something has been learned, another model. The
+    /// energy gained relative to the motion left counts as input work. Sign changes of the configuration do not count as passages.
     pub(super) fn resume_at(&mut self, model: &Model, motion: &LinkState, inputs: &Inputs, energy_left: f64) {
-        let anew = assembled(model, motion);
-        let input = self.energy(model, &anew, inputs) - energy_left;
+        let next = assembled(model, motion);
+        let input = self.energy(model, &next, inputs) - energy_left;
         self.inputs = *inputs;
-        self.resume(model, Some(anew), Work { input, dissipated: 0.0 });
+        self.resume(model, Some(next), Work { input, dissipated: 0.0 });
     }
 
     fn energy(&self, model: &Model, [q, v]: &[Coordinates; 2], inputs: &Inputs) -> f64 {

@@ -1,4 +1,4 @@
-//! A run by an error-controlled method with dense output: the step under way, in the link angles, runs past the communication point.
+//! A run by an error-controlled method with dense output, in the link angles: the step under way runs past the communication point.
 
 use std::f64::consts::TAU;
 
@@ -15,36 +15,36 @@ use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Inconsistency, StepError, Stuck, System, Work};
 use crate::mechanism::Coordinates;
 
-/// Step under way, and durations for which inputs were held.
+/// Step under way, and the number of macro steps since the inputs changed.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct DenseRun {
     pub(super) settings: Settings,
     pub(super) step: DenseStep<ANGLES, CLOSURES, Mode>,
-    /// Numbers of macro steps for which the previous inputs were held (0 at first) and the present ones have been.
+    /// Numbers of macro steps with the previous inputs (0 at first) and with the present inputs.
     held: [u64; 2],
 }
 
 impl DenseRun {
-    /// Run that starts from a state.
+    /// Starts a run from a state.
     pub(super) fn start(model: &Model, settings: Settings, state: &State) -> Self {
         let system = AngleSystem::of(model, &state.inputs, &state.turns);
         let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), &settings);
         Self { settings, step, held: [0; 2] }
     }
 
-    /// Before model or inputs change: truncates the step under way at the present time. A failure leaves the run undefined.
+    /// Truncates the step under way at the present time, before model or inputs change. A failure leaves the run undefined.
     pub(super) fn stop(&mut self, model: &Model, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
         self.step.truncate_and_redo(&AngleSystem::of(model, inputs, turns), &self.settings)
     }
 
-    /// Before the motion is replaced: discards the step under way.
+    /// Discards the step under way, before the motion is replaced.
     pub(super) fn abandon(&mut self, model: &Model, inputs: &Inputs, turns: &[i64; 4]) {
         self.step.abandon(&AngleSystem::of(model, inputs, turns), &self.settings);
         self.held = [self.held[1], 0];
     }
 
-    /// After the step under way has been ended: restarts by another model or other inputs, from another motion where one is given; `work`
-    /// is the work of the change.
+    /// Restarts with another model or inputs, and from another motion if one is given, after the step under way has been ended; the change
+    /// does `work`.
     pub(super) fn resume(
         &mut self,
         model: &Model,
@@ -63,8 +63,8 @@ impl DenseRun {
         (sample.q, sample.v)
     }
 
-    /// Present state in the twelve coordinates, by the held inputs, with the q̈ and λ of other `inputs`. Interpolated states are for output
-    /// only; integration never starts from them.
+    /// Present state in the twelve coordinates under the inputs `held`, with the q̈ and λ that belong to `inputs`. Interpolated states are
+    /// for output only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
         let system = AngleSystem::of(model, held, turns);
         let sample = self.step.sample(&system, &self.settings);
@@ -100,11 +100,11 @@ impl DenseRun {
         self.step.check(system, &self.settings, bounds)
     }
 
-    /// Limits of the next step while the inputs stay, with `left` macro steps of the call to come.
+    /// Limits of the next step if the inputs stay, with `left` macro steps until the end of the call.
     fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
-        // Conversion by way of a signed integer, for which processors have an instruction.
+        // Converted through a signed integer, for which processors have an instruction.
         let rest = left as i64 as f64 * steps.h;
-        // Inputs that have changed may change again after as many macro steps as before: a longer step would be thrown away.
+        // Inputs that have changed may change again after as many macro steps as before; the rest of a longer step would be discarded.
         let limit = match self.held[0].saturating_sub(self.held[1]) {
             _ if !steps.open_ended => rest,
             0 => f64::INFINITY,
@@ -114,7 +114,7 @@ impl DenseRun {
         Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
     }
 
-    /// Macro steps with `inputs` held. A failure changes nothing.
+    /// Advances by macro steps with constant `inputs`. A failure changes nothing.
     pub(super) fn advance(
         &mut self,
         model: &Model,
@@ -122,7 +122,7 @@ impl DenseRun {
         inputs: &Inputs,
         steps: MacroSteps,
     ) -> Result<(), StepFailure> {
-        // A call that ends inside the step under way, as most do, makes no copy.
+        // Most calls end inside the step under way: they need no copy.
         if steps.count == 1 && held == inputs && self.step.advance_within(steps.h, 1) == 1 {
             self.held[1] += 1;
             return Ok(());
@@ -153,7 +153,7 @@ impl DenseRun {
             if step == steps.count {
                 return Ok(());
             }
-            // Whole turns are removed before a new step begins, so that no step mixes both counts.
+            // Whole turns are removed before a new step begins, so that a step does not mix both counts.
             remove_whole_turns(&mut self.step, turns);
             let system = AngleSystem::of(model, inputs, turns);
             let pose = changed.then(|| system.pose(self.step.end()));
@@ -183,7 +183,7 @@ fn has_whole_turns(step: &DenseStep<ANGLES, CLOSURES, Mode>) -> bool {
     step.end().max_norm() > 2.0 * TAU
 }
 
-/// Moves whole turns from angles that exceed two turns into `turns`, as [`super::state::remove_whole_turns`] does with q.
+/// Moves whole turns from angles that exceed two turns into `turns`, as [`super::state::remove_whole_turns`] does for q.
 fn remove_whole_turns(step: &mut DenseStep<ANGLES, CLOSURES, Mode>, turns: &mut [i64; 4]) {
     if !has_whole_turns(step) {
         return;

@@ -1,5 +1,5 @@
-//! The five-bar as a hybrid system ([`Events`], [`Frictional`]), in the link angles and in the twelve coordinates: guards, modes and
-//! transitions, and the friction places with their rows.
+//! The five-bar as a hybrid system ([`Events`], [`Frictional`]) in the link angles and in the twelve coordinates: guards, modes,
+//! transitions, and the friction places with their constraint rows.
 
 use std::borrow::Cow;
 
@@ -16,7 +16,7 @@ use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Pos
 use crate::vector::Vector;
 
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
-    /// Guard values at a motion, given those of friction.
+    /// Guard values at a motion, with the given guards of friction.
     fn guards(&self, at: &Motion, friction_guards: FrictionGuards) -> GuardValues<'a> {
         GuardValues::new(self.mode, self.model.unilateral_guards(at), friction_guards)
     }
@@ -144,7 +144,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         .with_closure_branch(closure_branch)
     }
 
-    /// The system itself where modes do not matter, which saves a copy per step.
+    /// The system itself if modes do not matter, which saves a copy per step.
     fn on(&self, mode: Mode) -> Cow<'_, Self> {
         let has_modes = self.features().events || self.model().mechanism.geometry.base_distance == 0.0;
         if has_modes { Cow::Owned(self.in_mode(mode)) } else { Cow::Borrowed(self) }
@@ -197,8 +197,8 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The mode with the stick-slip states that follow from the state. Coordinates know no closure branch, so the joints that one keeps
-    /// still are found anew.
+    /// The mode with the stick-slip states that follow from the state. A mode in the twelve coordinates has no closure branch, so the
+    /// joints that a branch keeps still are determined again.
     fn with_resolved_friction(&self, mode: Mode, q: &Coordinates, v: &Coordinates) -> Mode {
         if !self.features().may_stick {
             return mode;

@@ -1,4 +1,5 @@
-//! The five-bar in its twelve coordinates, with active effects and held inputs: implements [`System`], the interface of the integrators.
+//! The five-bar in its twelve coordinates, with active effects and constant inputs: implements [`System`], the interface of the
+//! integrators.
 
 use super::model::Model;
 use crate::dynamics::{Conditions, TipArm};
@@ -13,8 +14,8 @@ use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Mul
 
 /// A model with the inputs and whole turns that are constant during a step.
 ///
-/// `BARE` selects the form without motion-dependent effects, solved leg by leg, which keeps the whole step in registers and saves 700 of
-/// 3,490 instructions of a fixed step (`cargo xtask bench`, table steps).
+/// `BARE` selects the form without motion-dependent effects, solved leg by leg. It keeps the whole step in registers and saves 700 of 3,490
+/// instructions of a fixed step (`cargo xtask bench`, table steps).
 #[derive(Clone, Copy, Debug)]
 pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) model: &'a Model,
@@ -28,7 +29,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
 type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
 
 impl<'a> FiveBar<'a> {
-    /// System of `model` under `inputs`; `turns` holds the whole turns of links 1 to 4 that q leaves out.
+    /// System of `model` under `inputs`; `turns` are the whole turns of links 1 to 4 that q omits.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, mode: Mode::OF_STATE }
     }
@@ -41,7 +42,7 @@ impl<'a> FiveBar<'a> {
 }
 
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
-    /// System in another form; the bare one only of a model that is solved leg by leg, without effects that depend on the motion.
+    /// System in the other form. The bare form is only for a model that is solved leg by leg and has no effects that depend on the motion.
     pub fn in_form<const OTHER: bool>(&self) -> FiveBar<'a, OTHER> {
         let &Self { model, inputs, turns, follows_work, mode } = self;
         FiveBar { model, inputs, turns, follows_work, mode }
@@ -56,7 +57,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         FiveBar { turns, ..*self }
     }
 
-    /// System in a given mode.
+    /// System in this mode.
     #[inline(always)]
     pub(super) fn on(&self, mode: Mode) -> Self {
         Self { mode, ..*self }
@@ -74,7 +75,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         self.conditions().motion([q, v], pose)
     }
 
-    /// Potential energy of all conservative forces, held loads included, J.
+    /// Potential energy of all conservative forces, including the constant loads, J.
     pub(super) fn potential_energy(&self, q: &Coordinates, pose: &Pose) -> f64 {
         let at = self.motion(q, pose, &Coordinates::ZERO);
         self.model.potential(q, &at) + self.inputs.potential([q[THETA[0]], q[THETA[3]]], at.position)
@@ -82,15 +83,15 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// Power of the effects that have no potential, W, at a motion.
     pub(super) fn power_without_potential(&self, at: &Motion) -> f64 {
-        // In the phases of the present state: the loss of a separated spring is power here, because its potential is counted.
+        // Springs are in the phase of the current state: their potential is counted, so the loss of a separated spring is power here.
         let mut at = *at;
         at.joints.mode = Mode::of_stick_slip(self.mode.stick_slip);
         let Work { input, dissipated } = self.effects_at(at).1;
         input - dissipated
     }
 
-    /// Wrench of the effects and its power. The motion is taken by value: pointing to it, the compiler would keep it in memory also in
-    /// scenes without effects.
+    /// Wrench of the effects, and its power. The motion is passed by value: behind a reference, the compiler would keep it in memory even
+    /// in scenes without effects.
     #[inline(never)]
     fn effects_at(&self, at: Motion) -> (Wrench, Work) {
         let (mut wrench, mut power) = (Wrench::default(), Work::default());
@@ -147,7 +148,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     }
 }
 
-/// Work of an iteration with the dense solve (22 × 22, with its search for a descent direction) in iterations of the fastest solve.
+/// Work of an iteration with the dense solve (22 × 22, with its search for a descent direction), in iterations of the fastest solve.
 const DENSE_WORK: u64 = 16;
 
 impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
@@ -280,7 +281,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         self.model.has_servo.then(|| self.model.drives(&self.motion(q, pose, v)).in_coordinates(pose))
     }
 
-    /// An iteration of the dense solve counts as several: its matrix has 22 rows.
+    /// An iteration of the dense solve, with 22 rows, counts as several.
     fn iteration_work(&self) -> u64 {
         if !BARE && self.model.solver.linear_solve() == LinearSolve::Dense { DENSE_WORK } else { 1 }
     }

@@ -1,5 +1,5 @@
-//! The five-bar over a finite step, as the conserving method needs it: discrete derivatives of the joint constraints
-//! (`src/mechanism/secant.rs`), mean forces of the effects, and the step with its loop cut at the tip (`src/linear/cut_loop.rs`).
+//! The five-bar over a finite step, for the conserving method: discrete derivatives of the joint constraints (`src/mechanism/secant.rs`),
+//! mean forces of the effects, and the step with its loop cut at the tip (`src/linear/cut_loop.rs`).
 
 use super::five_bar::FiveBar;
 use crate::dynamics::TipArm;
@@ -17,7 +17,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         self.conditions().finite_motion([q, d, v], secant, (h, softening), self.model.typical_inertia)
     }
 
-    /// Mean wrench of the loads and the effects over a step, and its work.
+    /// Mean wrench of loads and effects over a step, and its work.
     #[inline(never)]
     fn acting_over(&self, over: FiniteMotion) -> (Wrench, Work) {
         let mut wrench = self.inputs.wrench();
@@ -139,7 +139,7 @@ mod tests {
         (model, inputs, [q, d, v])
     }
 
-    /// Force times displacement is what potentials lose, inputs put in and dissipation takes.
+    /// Force times displacement equals the energy that potentials lose and inputs add, minus dissipation.
     #[test]
     fn mean_forces_do_the_work_of_energies() {
         let (model, inputs, [q, d, v]) = loaded();
@@ -154,11 +154,11 @@ mod tests {
         let gained = potential(&(q + d)) - potential(&q);
         let total = system.mean_forces(&step).dot(&d);
         assert!(work.input.abs() > 1e-5 && work.dissipated.abs() > 1e-5 && gained.abs() > 1e-5);
-        // Tolerance: round-off of the energy of a plane pressed in by half a metre, some 100 J.
+        // Tolerance: round-off of the energy of a plane pressed in by half a metre, about 100 J.
         assert!((total + gained + work.dissipated - work.input).abs() < 1e-12, "{total} {gained} {work:?}");
     }
 
-    /// Mean tangents equal central differences with respect to the increments and to the rates at the end of the step.
+    /// Mean tangents equal central differences with respect to the increments and the rates at the end of the step.
     #[test]
     fn mean_tangents_are_derivatives() {
         let (model, inputs, [q, d, v]) = loaded();
@@ -187,7 +187,7 @@ mod tests {
             for (kind, numeric) in numeric.iter().enumerate() {
                 for row in 0..COORDINATES {
                     let (got, want) = (tangent(kind, row, column), numeric[row]);
-                    // Round-off of forces of up to 1e3 N over 1e-8 m; the arm's third order.
+                    // Tolerance: round-off of forces of up to 1e3 N over 1e-8 m, and the third order of the arm.
                     assert!((got - want).abs() < 1e-4 * (1.0 + want.abs()), "{kind} {row} {column}: {got} {want}");
                 }
             }
@@ -217,8 +217,8 @@ mod tests {
         assert!((system.phi(&(q + d), &secant.end) - system.phi(&(q + d), &end)).max_norm() < 1e-15);
     }
 
-    /// For any unknowns of the cut loop all joints but the tip's are closed, and all rows of z and the position rows of momentum vanish;
-    /// the reported residuals are those of (37), which is written down here in all coordinates.
+    /// For any unknowns of the cut loop, all joints except the tip are closed, and all rows of z and the position rows of momentum vanish.
+    /// The reported residuals are the residuals of (37), written here in all coordinates.
     #[test]
     fn the_cut_loop_has_the_equations_of_all_coordinates() {
         let (model, q, _) = step();
@@ -233,7 +233,7 @@ mod tests {
             let ([d, v], secant) = (cut.end(&motion), motion.secant);
             let z = 0.5 * h * (v0 + v);
             let chord = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
-            // From the tip to the ground the force at each joint is that of the next joint plus the load of the link between.
+            // From the tip to the ground, the force at each joint is the force at the next joint plus the load of the link between them.
             let taken = 0.5 * h * h * system.mean_forces(&chord) - system.mass_times(&secant.end, &(z - h * v0));
             let lambda = joint_forces(&taken, [motion.x[4], motion.x[5]]);
             let nu = joint_forces(&system.mass_times(&secant.end, &(d - z)), [motion.x[6], motion.x[7]]);
@@ -246,7 +246,7 @@ mod tests {
             let balance = cut.balance(&motion);
             let [offset, gap, rate] = cut.residuals(&motion, &balance);
             let largest = |x: &[f64]| x.iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
-            // Round-off of increments of `size` rad of links with some 1e-3 kg·m² and some 0.1 kg.
+            // Round-off of increments of `size` rad of links with about 1e-3 kg·m² and 0.1 kg.
             let round_off = 1e-15 * size;
             let angles: Vec<f64> = THETA.iter().map(|i| f[*i]).collect();
             assert!(f.norm() - angles.iter().map(|x| x * x).sum::<f64>().sqrt() < round_off, "{f:?}");
@@ -269,7 +269,8 @@ mod tests {
         }
     }
 
-    /// Along the increment by the whole tangent the residuals change by their negative, by central differences, with all effects active.
+    /// Central differences of the residuals along the Newton increment of the whole tangent are minus the residuals, with all effects
+    /// active.
     #[test]
     fn the_whole_tangent_is_the_derivative_of_the_equations() {
         let (model, inputs, [q, _, v0]) = loaded();
@@ -308,7 +309,7 @@ mod tests {
         (v, begin.phi_q_times(&v).max_norm())
     }
 
-    /// The staggered Newton iteration contracts by (hω)², as `docs/conserving.md` says.
+    /// The staggered Newton iteration contracts by (hω)², as `docs/conserving.md` states.
     #[test]
     fn in_turn_it_contracts_by_the_square_of_the_turn() {
         let (inputs, turns) = (default_inputs(), [0; 4]);
@@ -330,7 +331,7 @@ mod tests {
                 x = cut.newton_update(&motion, &balance, &cut.factor(&motion, &balance, 1e-9));
             }
             let turn = h * v0.max_norm();
-            // The first iteration finds the joint forces from nothing. Factor 30: measured are 17 and 0.4, by the arms of this pose.
+            // The first iteration starts without joint forces. Measured factors are 17 and 0.4, from the arms of this pose; 30 are allowed.
             let allowed = |before: f64| (30.0 * turn * turn * before).max(1e-16);
             assert!(left[2] < allowed(left[1]) && left[3] < allowed(left[2]), "{left:?} {turn}");
         }

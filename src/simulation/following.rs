@@ -16,12 +16,12 @@ use crate::estimator::error_state::{DRY, LENGTHS, Learned, MASSES};
 use crate::estimator::{self, Cause, Estimator, Fault, LinkState, MEASURED, Machine, Measured, Status};
 use crate::mechanism::SceneError;
 
-/// A simulation with an estimator. A clone continues independently, equal to the bit.
+/// A simulation with an estimator. A clone continues independently, with the same bits.
 #[derive(Debug)]
 pub struct Following {
     /// Parameters as the master has set them.
     parameters: Parameters,
-    /// Simulation of the machine as it has been learned.
+    /// Simulation of the machine with its learned parameters.
     simulation: Simulation,
     believed: Machine,
     /// Boxed: larger than the rest together.
@@ -30,22 +30,22 @@ pub struct Following {
 
 clone_by_fields!(Following { parameters, simulation, believed, estimate });
 
-/// Changing part of the estimation.
+/// Changing part of the estimator and of its connection to the run.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimate {
     estimator: Estimator,
-    /// Inputs set by the master; the run holds them plus the estimated unknown force.
+    /// Inputs set by the master; the run has them plus the estimated unknown force.
     inputs: Inputs,
-    /// Whole turns of the motors' links beyond their readings, while both encoders are believed.
+    /// Whole turns of the motor links beyond their encoder readings, updated while both encoders are trusted.
     beyond: [i64; 2],
-    /// Faults reported so far, for each encoder a bit per kind.
+    /// Faults reported so far: one bit per kind for each encoder.
     reported: [u8; 2],
 }
 
 clone_by_fields!(Estimate { estimator, inputs, beyond, reported });
 
 impl Estimate {
-    /// Estimate of a start, in a function of its own because of what it takes of the stack.
+    /// Estimate at a start. Not inlined, because it needs much stack.
     #[inline(never)]
     fn new(believed: &Machine, inputs: &Inputs) -> Box<Self> {
         Box::new(Self { estimator: Estimator::new(believed), inputs: *inputs, beyond: [0; 2], reported: [0; 2] })
@@ -53,7 +53,7 @@ impl Estimate {
 }
 
 impl Following {
-    /// Simulation at its start, before the first sample.
+    /// Simulation at its start, before the first sample. Refuses parameters without `estimator.enabled`, and friction that sticks.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         if !parameters.estimator.enabled {
             return Err(SceneError(
@@ -73,7 +73,7 @@ impl Following {
         Ok(Self { parameters: parameters.clone(), simulation, believed, estimate })
     }
 
-    /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is possible.
+    /// Continues a stored run, as [`Simulation::restored`]. Refused unless the estimate is possible.
     pub fn restored(parameters: &Parameters, run: Run, estimate: Box<Estimate>) -> Result<Self, SceneError> {
         Model::new(parameters)?;
         let mut machine = parameters.clone();
@@ -90,7 +90,7 @@ impl Following {
         Ok(Self { parameters: parameters.clone(), simulation, believed, estimate })
     }
 
-    /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
+    /// Measurement update by the samples that are new at time `now`, s, on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
         let Self { parameters, simulation, believed, estimate } = self;
         let Estimate { estimator, inputs, beyond, .. } = &mut **estimate;
@@ -99,7 +99,7 @@ impl Following {
         let corrected = estimator.correct(believed, &at, measured, now);
         for (i, link) in MEASURED.into_iter().enumerate() {
             if corrected.is_some() && estimator.has_restarted() {
-                // An estimate that was lost has counted turns of its own.
+                // A lost estimate may have miscounted turns: the last trusted count is used.
                 run.turns[link] = beyond[i];
             } else if estimator.is_settled() {
                 beyond[i] = run.turns[link].saturating_add(((at.theta[link] - measured.theta[i]) / TAU).round() as i64);
@@ -112,7 +112,7 @@ impl Following {
             let energy = run.leave(model, &at, &inputs);
             if let Some(learned) = learned {
                 machine.learn(parameters, &learned);
-                // A machine that has been learned within its bounds can be simulated, by the same method.
+                // Learned parameters within their bounds can be simulated, and by the same method.
                 if let Ok(learned) = Model::within_bounds(machine) {
                     **model = learned;
                     let _ = run.configure(model);
@@ -122,7 +122,7 @@ impl Following {
         }
     }
 
-    /// `steps` macro steps of h seconds with inputs that change. A failure leaves the value undefined: the caller keeps a copy.
+    /// Advances by `steps` macro steps of h seconds with inputs that change. A failure leaves the value undefined: the caller keeps a copy.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let one = MacroSteps { h, count: 1, open_ended: signal.is_held() };
         signal.over((h, steps), |inputs| self.step(inputs, one))
@@ -142,7 +142,7 @@ impl Following {
         Ok(())
     }
 
-    /// Simulation of the machine as it has been learned, whose inputs include the unknown force.
+    /// Simulation of the machine with its learned parameters; its inputs include the unknown force.
     pub fn simulation(&self) -> &Simulation {
         &self.simulation
     }
@@ -157,18 +157,19 @@ impl Following {
         &self.parameters
     }
 
-    /// Present state, with the q̈ and λ that belong to `inputs`, with servo references by true angles, plus the unknown force.
+    /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force; servo references are converted to true angles.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         let estimator = &self.estimate.estimator;
         let inputs = by_true_angles(&self.simulation.model, inputs, estimator.learned().as_ref());
         self.simulation.state_for(&with_unknown_force(&inputs, &estimator.belief().force))
     }
 
-    /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller keeps a copy.
+    /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`]. A failure leaves the value undefined: the caller
+    /// keeps a copy.
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         let tuned = Parameters { effects: effects.clone(), estimator: estimator.clone(), ..self.parameters.clone() };
-        // Refused by what the master has set: learned values within their bounds are no reason to refuse it.
+        // The master's parameters decide: learned values within their bounds are no reason to refuse.
         Model::new(&tuned)?;
         self.estimate.estimator.begin_anew_where_tuned(&self.believed, tuned.prior().as_ref());
         let mut machine = tuned.clone();
@@ -188,19 +189,19 @@ impl Following {
         self.simulation.run.motion(&self.simulation.model)
     }
 
-    /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` where no motor torques are.
+    /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` if no motor torques are equivalent to it.
     pub fn motor_torques(&self) -> Option<([f64; 2], [f64; 2])> {
         self.estimate.estimator.motor_torques(&self.believed, &self.motion())
     }
 
-    /// Normalised estimation error squared against the true angles, rad, and rates, rad/s, of links 1 to 4: 4 on average for a consistent
-    /// covariance.
+    /// Normalised estimation error squared (NEES) against the true angles, rad, and rates, rad/s, of links 1 to 4; 4 on average if the
+    /// covariance is consistent.
     pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
         self.estimate.estimator.nees(&self.believed, &self.motion(), &LinkState::new(*theta, *omega))
     }
 
-    /// Learned values with standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of dry
-    /// friction, lengths, m, mounting angles, rad. Where nothing is learned, the parameters in force.
+    /// Learned values and their standard deviations, in the order of [`estimator::error_state`]: masses, kg, friction, N·m·s/rad, factor of
+    /// dry friction, lengths, m, encoder biases, rad. If nothing is learned, the parameters in force.
     pub fn learned(&self) -> [Learned; 2] {
         let estimator = &self.estimate.estimator;
         let (values, sigma) = (estimator.learned().unwrap_or_else(|| self.parameters().known()), estimator.learned_sigma());
@@ -208,7 +209,7 @@ impl Following {
         [natural, Learned::from_fn(|i, _| if MASSES.contains(&i) || i == DRY { sigma[i] * natural[i] } else { sigma[i] })]
     }
 
-    /// Value of a parameter in the unit in which it is told, by that in which it is learned.
+    /// Converts a parameter from the unit of the filter to the reported unit.
     fn natural(&self, i: usize, value: f64) -> f64 {
         match i {
             _ if MASSES.contains(&i) => self.parameters().geometry.links[i].mass * libm::exp(value),
@@ -234,12 +235,12 @@ impl Following {
         [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
-    /// Radius about the tip, m, that holds it with 95 % of probability.
+    /// Radius around the tip, m, that contains it with a probability of 95 %.
     pub fn tip_radius(&self) -> f64 {
         self.estimate.estimator.tip_radius(&self.believed, &self.motion())
     }
 
-    /// Probability of a direct singularity within the horizon under held `held` inputs, the unknown force included: see
+    /// Probability of a direct singularity within the horizon if the inputs stay at `held`, plus the unknown force: see
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
@@ -248,7 +249,7 @@ impl Following {
         self.estimate.estimator.singularity_probability(&self.believed, &self.motion(), &scene, step)
     }
 
-    /// Most probable cause of what is wrong, and its probability.
+    /// Most probable cause of a deviation from the model, and its probability.
     pub fn cause(&self) -> (Cause, f64) {
         self.estimate.estimator.cause(&self.believed)
     }
@@ -270,7 +271,7 @@ impl Following {
         for (i, reported) in reported.iter_mut().enumerate() {
             let (silent, fault) = estimator.encoder(i);
             let bit = 1 << fault as u8;
-            // An encoder that has never sent a sample is not connected, hence not silent.
+            // An encoder that has never sent a sample is not connected, so it is not silent.
             if *reported & bit == 0 && (fault != Fault::None || silent && estimator.has_received(i)) {
                 *reported |= bit;
                 news.push((i, fault));
@@ -279,12 +280,13 @@ impl Following {
         news
     }
 
-    /// Learned parameters that have been moved to a bound since the last call, in the order of [`estimator::error_state`]: value and both bounds, in the
-    /// units of [`learned`](Self::learned); each once, and again only after all values have been within theirs for 1 s.
+    /// Learned parameters that have been moved to a bound since the last call, in the order of [`estimator::error_state`]: index, value and
+    /// both bounds, in the units of [`learned`](Self::learned). Each is reported once, and again only after all values have been within
+    /// their bounds for 1 s.
     pub fn take_bounds(&mut self) -> Vec<(usize, f64, [f64; 2])> {
         let reached: Vec<(usize, [f64; 2])> = self.estimate.estimator.take_bounds(&self.believed).collect();
-        let told = |(i, bounds): (usize, [f64; 2])| (i, self.learned()[0][i], bounds.map(|bound| self.natural(i, bound)));
-        reached.into_iter().map(told).collect()
+        let in_units = |(i, bounds): (usize, [f64; 2])| (i, self.learned()[0][i], bounds.map(|bound| self.natural(i, bound)));
+        reached.into_iter().map(in_units).collect()
     }
 }
 

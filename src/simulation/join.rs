@@ -1,13 +1,13 @@
-//! Impact of mass that joins the tip, or leaves it, during a run.
+//! Impact of mass that joins the tip during a run, or leaves it.
 //!
-//! In the link angles, with tip velocity J_t ω: a mass m at rest brings no momentum, and the joint impulses ι keep the loop closed,
+//! In the link angles the tip velocity is J_t ω. A mass m at rest brings no momentum, and the joint impulses ι keep the loop closed:
 //!
 //! ```text
 //! M₁ ω₁ + Φ_qᵀ ι = M₀ ω₀,   Φ_q ω₁ = 0,   M₁ = M₀ + m J_tᵀ J_t
 //! ```
 //!
-//! which is the perfectly inelastic impact: the lost kinetic energy is dissipated. Mass that moves with the tip brings m J_tᵀ J_t ω₀, and
-//! mass that leaves takes that: rates do not change, and the energy counts as input work.
+//! This is the perfectly inelastic impact: the kinetic energy lost is dissipated. Mass that moves with the tip brings the momentum m J_tᵀ
+//! J_t ω₀, and mass that leaves takes it away. In both cases rates do not change, and the energy counts as input work.
 
 use super::angles::{AngleSystem, Angles, angles_of, legs};
 use super::{Model, State};
@@ -18,8 +18,8 @@ use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
-/// Discontinuity of the state between two models: coordinates and velocities after a change of masses, since the coordinates change with
-/// the centre of mass, and input work and dissipated energy, J.
+/// Jump of the state between two models: new coordinates and velocities if masses change, because the coordinates depend on the centre of
+/// mass; and input work and dissipated energy, J.
 pub(super) fn discontinuity(present: &State, before: &Model, after: &Model, join: Join) -> (Option<[Coordinates; 2]>, Work) {
     let potential = present.potential_energy(before);
     let mass = |model: &Model| model.mechanism.geometry.mean_mass();

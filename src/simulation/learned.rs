@@ -1,5 +1,5 @@
-//! A scene whose masses, friction, lengths and mounting angles an estimator learns: its parameters with what has been learned, and the accelerations
-//! by each.
+//! A scene whose masses, friction, lengths and encoder biases are learned: its parameters with the learned values, and the derivatives of
+//! the accelerations.
 
 use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
@@ -14,16 +14,16 @@ use crate::estimator::{LinkState, Links, MEASURED, Prior, Scene, set_lengths};
 use crate::mechanism::placement::by_legs;
 use crate::mechanism::{ClosureBranch, Link, Mechanism};
 
-/// Difference of lengths by which derivatives are taken, m: round-off of accelerations over it is 1e-8 of their derivatives in machines of 0.1 m.
+/// Length step of the differences, m: with links of 0.1 m, round-off adds a relative error of 1e-8 to the derivatives.
 const LONGER: f64 = 1e-8;
-/// Largest difference of the lengths of a pair, and largest base distance, in standard deviations of a length, for which lengths are not learned. Of 72
-/// falls of exact machines with coaxial motors (1 s by 16 bits, links of 0.12 to 0.3 m, told 0.2 mm) 17 stay within 2 mm of the tip where lengths are
-/// learned and 72 where they are not. Where they are learned, 59 do with pairs that differ by up to 0.4 mm and 66 with up to 1 mm; with a base of 0.5, 1, 2
-/// and 100 mm 57, 66, 69 and 70.
+/// Limits, in standard deviations of a length, within which lengths are not learned: the length difference of a pair of links, and the base
+/// distance. The limits come from 72 falls of exact machines with coaxial motors (1 s, 16 bits, links of 0.12 to 0.3 m, σ = 0.2 mm of
+/// each length). If lengths are not learned, the tip stays within 2 mm in all 72 falls; if they are, in only 17. If they are learned and
+/// pairs differ by up to 0.4 mm, it does so in 59 falls, by up to 1 mm in 66; with a base of 0.5, 1, 2 and 100 mm in 57, 66, 69 and 70.
 pub(crate) const NEARLY_IN_PAIRS: [f64; 2] = [3.0, 10.0];
 
 impl Parameters {
-    /// Values and standard deviations of what is learned, before any sample; `None` where nothing is. What a scene does not have is known.
+    /// Prior mean and standard deviation of each learned parameter; `None` if nothing is learned. Parameters of absent effects have σ = 0.
     pub(super) fn prior(&self) -> Option<Prior> {
         let Self { estimator, effects, geometry, .. } = self;
         estimator.learn_enabled.then(|| {
@@ -42,8 +42,8 @@ impl Parameters {
         })
     }
 
-    /// Whether lengths are learned: not of a machine whose closure splits into branches but for their uncertainty. There other lengths mean that a
-    /// motion through the posture in line goes another way, and samples do not show them before.
+    /// Whether lengths are learned. They are not if the closure would split into branches for lengths within their uncertainty: other
+    /// lengths then send a motion through the posture in line another way, and samples do not show it before.
     pub fn learns_lengths(&self) -> bool {
         let Self { estimator, geometry, .. } = self;
         let sigma = estimator.sigma0_length;
@@ -52,7 +52,7 @@ impl Parameters {
             && !ClosureBranch::any_is_nearly_of(geometry, NEARLY_IN_PAIRS.map(|times| times * sigma))
     }
 
-    /// Values of all that may be learned, as the parameters say.
+    /// Values of all parameters that may be learned, from the scene's parameters.
     pub(super) fn known(&self) -> Learned {
         let Self { effects, .. } = self;
         Learned::from_fn(|i, _| match i {
@@ -62,9 +62,9 @@ impl Parameters {
         })
     }
 
-    /// Becomes `told`, parameters of the same scene, with learned values.
-    pub(super) fn learn(&mut self, told: &Self, learned: &Learned) {
-        self.geometry = told.geometry;
+    /// Sets the learned values on top of the `configured` parameters of the same scene.
+    pub(super) fn learn(&mut self, configured: &Self, learned: &Learned) {
+        self.geometry = configured.geometry;
         for (link, factor) in self.geometry.links.iter_mut().zip(learned.iter()) {
             let factor = libm::exp(*factor);
             (link.mass, link.inertia) = (link.mass * factor, link.inertia * factor);
@@ -74,26 +74,26 @@ impl Parameters {
         effects.payload.mass = learned[PAYLOAD];
         effects.viscous.b = std::array::from_fn(|joint| learned[VISCOUS.start + joint]);
         let factor = libm::exp(learned[DRY]);
-        effects.friction.coulomb = told.effects.friction.coulomb.map(|torque| torque * factor);
-        effects.friction.breakaway = told.effects.friction.breakaway.map(|torque| torque * factor);
+        effects.friction.coulomb = configured.effects.friction.coulomb.map(|torque| torque * factor);
+        effects.friction.breakaway = configured.effects.friction.breakaway.map(|torque| torque * factor);
     }
 }
 
-/// Perturbed machines: each differs from that of a scene by one parameter that is learned.
+/// Perturbed machines: each differs from the machine of a scene by one learned parameter.
 #[derive(Clone, Debug)]
 pub struct Perturbed<'a> {
     /// Parameters of the scene.
     parameters: &'a Parameters,
-    /// Bodies whose masses are learned, each as if alone.
+    /// Bodies with learned masses; all other masses are zero in each.
     bodies: [(Inertia, Weight); 3],
     /// Whether lengths are learned.
     lengths: bool,
-    /// Friction by the `friction.*` variables, also of a scene that has none: its machine may have some. `None` where they are not valid.
+    /// Friction by the `friction.*` variables, also in a scene without it, because the machine may have some. `None` if they are not valid.
     friction: Option<Friction>,
 }
 
 impl<'a> Perturbed<'a> {
-    /// Machines beside that of a scene, of which lengths may be learned.
+    /// Perturbations of the machine of a scene; `lengths` says whether lengths are learned.
     pub(super) fn new(parameters: &'a Parameters, lengths: bool) -> Self {
         let friction = Friction::new(&parameters.effects.friction, &Mechanism::new(&parameters.geometry)).ok();
         Self { parameters, bodies: Self::bodies(parameters), lengths, friction }
@@ -118,8 +118,8 @@ impl<'a> Perturbed<'a> {
 }
 
 impl FollowedScene<'_> {
-    /// Derivatives of the accelerations, which are `alpha`, by lengths of links: differences to those of machines in which one link is longer by
-    /// [`LONGER`]; `None` where lengths are known. The base bears nothing: it changes the angles that close the loop alone.
+    /// ∂α/∂length at acceleration `alpha`, by differences to machines with one link longer by [`LONGER`]; `None` if lengths are known. The
+    /// base distance has no column: it changes only the angles that close the loop.
     pub(super) fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>> {
         let Perturbed { parameters: Parameters { geometry, effects, .. }, lengths, .. } = self.learned?;
         lengths.then(|| {
@@ -133,8 +133,8 @@ impl FollowedScene<'_> {
         })
     }
 
-    /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned: the equations solved for the torques that each
-    /// adds, less what its masses need to move.
+    /// ∂α/∂load at acceleration `alpha`, for the loads that may be learned: the equations are solved for the torques that each load adds,
+    /// minus the inertial torques of its masses.
     pub(super) fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS> {
         let Some(Perturbed { bodies, friction, .. }) = self.learned else { return SMatrix::zeros() };
         self.at(at, force, |_, equations, pose, motion| {
@@ -163,7 +163,7 @@ impl FollowedScene<'_> {
         })
     }
 
-    /// Derivatives of the accelerations by the mounting angles of the encoders: those by servo references, with the sign changed.
+    /// ∂α/∂bias for the encoders: minus the derivatives with respect to the servo references.
     pub(super) fn by_offsets(&self, at: &LinkState, force: &Links) -> Matrix4x2<f64> {
         self.at(at, force, |_, equations, _, motion| {
             let torques = [[-1.0, 0.0], [0.0, -1.0]].map(|servo_theta| {
@@ -177,7 +177,7 @@ impl FollowedScene<'_> {
     }
 }
 
-/// Torques on links 1 to 4 by those in the joints, N·m.
+/// Torques on links 1 to 4 from joint torques, N·m.
 fn on_links(torques: [f64; JOINTS]) -> [f64; 4] {
     let mut on_links = [0.0; 4];
     for (torque, (first, second)) in torques.into_iter().zip(JOINT_LINKS) {
@@ -201,7 +201,7 @@ mod tests {
     use crate::simulation::bindings::{default_inputs, default_parameters};
     use crate::simulation::linearised::by_true_angles;
 
-    /// A scene with every effect that is learned, all links unequal and in a loaded motion.
+    /// A scene with every effect that is learned, all links unequal, in a loaded motion.
     fn scene() -> (Parameters, Inputs, LinkState) {
         let mut parameters = default_parameters();
         parameters.geometry.base_distance = 0.1;
@@ -224,7 +224,8 @@ mod tests {
         (parameters, inputs, at)
     }
 
-    /// Accelerations, and motions over a step, change with the learned parameters as their differences do; readings and the tip change by lengths.
+    /// Derivatives with respect to learned parameters are differences: for accelerations and motions over a step; for lengths also for
+    /// readings and the tip.
     #[test]
     fn derivatives_by_what_is_learned_are_differences() {
         let (parameters, inputs, at) = scene();
@@ -257,7 +258,7 @@ mod tests {
                 let end = motion(&scene, &from, &none, h, moved.steps);
                 (scene.acceleration(&at, &none), end, from, linkage.tip(&from.theta))
             });
-            // Accelerations by loads are those of the middle of a step, by lengths of the begin.
+            // Derivatives with respect to loads are taken in the middle of a step, with respect to lengths at its beginning.
             let tolerance = if is_length { 1e-3 } else { 1e-4 };
             let close = |got: Links, ahead: Links, behind: Links, (size, tolerance): (f64, f64)| {
                 let off = (got - (ahead - behind) / (2.0 * step)).amax();
@@ -293,7 +294,8 @@ mod tests {
         }
     }
 
-    /// Lengths are not learned where they are nearly equal in pairs, of whichever links, and the motors nearly coaxial; masses and mounting angles are.
+    /// Lengths are not learned if any two pairs of links have nearly equal lengths and the motors are nearly coaxial; masses and biases
+    /// still are.
     #[test]
     fn lengths_nearly_in_pairs_are_not_learned() {
         let (scene, ..) = scene();
@@ -319,7 +321,7 @@ mod tests {
         assert!(learns([0.25, 0.2, 0.21, 0.25], [0.0; 2]));
     }
 
-    /// A scene without payload and friction, of exact geometry, learns its masses alone.
+    /// A scene of exact geometry, without payload and friction, learns only its masses.
     #[test]
     fn absent_effects_are_not_learned() {
         let (mut parameters, ..) = scene();

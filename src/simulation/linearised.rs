@@ -1,4 +1,5 @@
-//! A scene as the estimator sees it: equations of motion in the link angles, with their derivatives, under loads, weight and an unknown force.
+//! A scene as the estimator uses it: equations of motion in the link angles and their derivatives, under loads, weight and an unknown
+//! force.
 
 use nalgebra::{Matrix4, Matrix4x2, SMatrix};
 
@@ -15,14 +16,14 @@ use crate::mechanism::Pose;
 use crate::mechanism::placement::{ByLink, by_legs, by_links};
 
 impl FiveBar<'_> {
-    /// Torques of wrench and weight on the links, N·m, by legs, and the power of the wrench, W.
+    /// Torques of the wrench and the weight on the links, N·m, by legs, and the power of the wrench, W.
     pub(super) fn torques_and_power(&self, pose: &Pose, at: &Motion) -> (ByLink, Work) {
         let (wrench, power) = self.acting(at);
         let ([on_p, on_d], [weight_p, weight_d]) = (wrench.torques_in_angles(pose), self.model.weight_torques.torques(pose));
         ([on_p + weight_p, on_d + weight_d], power)
     }
 
-    /// Stiffness, N·m/rad, and damping, N·m·s/rad, of links 1 to 4 by wrench and weight, at link rates, rad/s.
+    /// Stiffness, N·m/rad, and damping, N·m·s/rad, of links 1 to 4 due to wrench and weight, at link rates, rad/s.
     pub(super) fn slopes_of_torques(&self, pose: &Pose, at: Motion, rates: [f64; 4]) -> [[[f64; 4]; 4]; 2] {
         let [mut stiffness, damping] = self.slopes(at).torques_in_angles(pose, rates);
         for (i, weight) in by_links(self.model.weight_torques.stiffness(pose)).into_iter().enumerate() {
@@ -32,7 +33,7 @@ impl FiveBar<'_> {
     }
 }
 
-/// Inputs whose servo references are true angles: those by the encoders, on which servos close, less the mounting angles that have been learned.
+/// Inputs with servo references as true angles: servos close their loop on the encoders, so the learned encoder biases are subtracted.
 pub(super) fn by_true_angles(model: &Model, inputs: &Inputs, learned: Option<&Learned>) -> Inputs {
     let mut inputs = *inputs;
     if let Some(learned) = learned.filter(|_| model.has_servo) {
@@ -51,23 +52,23 @@ pub(super) fn with_unknown_force(inputs: &Inputs, force: &Links) -> Inputs {
     }
 }
 
-/// A model under held inputs, to which unknown forces are added.
+/// A model under constant inputs; unknown forces are added to them.
 #[derive(Clone, Copy, Debug)]
 pub struct FollowedScene<'a> {
     /// Model with its effects.
     pub model: &'a Model,
-    /// Inputs without the unknown force, with servo references by true angles.
+    /// Inputs without the unknown force; their servo references are true angles.
     pub inputs: &'a Inputs,
     /// Inputs of the step before.
     pub before: &'a Inputs,
-    /// Whole turns of links 1 to 4 that the angles leave out.
+    /// Whole turns of links 1 to 4 that the angles omit.
     pub turns: &'a [i64; 4],
-    /// Machines that differ by what is learned, where anything is.
+    /// Machines that differ by one learned parameter, if anything is learned.
     pub learned: Option<&'a Perturbed<'a>>,
 }
 
 impl FollowedScene<'_> {
-    /// Answer of the equations of motion at a state, with the loads that act there.
+    /// Calls `answer` with the equations of motion at a state and the loads that act there.
     pub(super) fn at<T>(
         &self,
         at: &LinkState,
@@ -90,7 +91,7 @@ fn columns(of: &[Angles; 4]) -> Matrix4<f64> {
     Matrix4::from_columns(&LINK_INDICES.map(|i| links(&of[i])))
 }
 
-/// Accelerations of links 1 to 4 by torques on them, N·m, by columns.
+/// Accelerations of links 1 to 4 due to torques on them, N·m, by columns.
 pub(super) fn by_torques<const C: usize>(equations: &Equations<'_>, torques: &SMatrix<f64, 4, C>) -> SMatrix<f64, 4, C> {
     let solved = |k: usize| links(&equations.by_torques(&angles(by_legs(torques.column(k).into_owned().into()))));
     SMatrix::from_columns(&std::array::from_fn::<_, C, _>(solved))

@@ -1,5 +1,5 @@
-//! The method of a scene: its settings, made from those of the solver and the scales of the machine, and one macro step by it, where steps end
-//! with macro steps.
+//! The method of a scene: its settings, from the solver's settings and the scales of the machine, and one macro step by the methods whose
+//! steps end with macro steps.
 
 use super::bifurcation;
 use super::five_bar::FiveBar;
@@ -13,7 +13,7 @@ use crate::integrator::{Implicit, StepError, dense, i3alp, i3alp_conserving, i3a
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-/// Method whose steps end with the macro step, with its settings.
+/// Method with steps that end with the macro step, and its settings.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub enum MacroStepMethod {
     /// Index-3 augmented Lagrangian with projections in dual form, the default.
@@ -24,15 +24,15 @@ pub enum MacroStepMethod {
     Rk4(rk4::Settings),
 }
 
-/// Energy tolerance of an i3-ALP step relative to that of an error-controlled one: 0.2, because an event leaves several steps whose work is
-/// known at their ends only.
+/// Energy tolerance of an i3-ALP step, relative to the tolerance of the error-controlled methods. It is smaller because an event leaves
+/// several steps, and their work is known only at their ends.
 const I3ALP_ENERGY_SHARE: f64 = 0.2;
 
-/// Rate of the reference motion whose kinetic energy scales the energy tolerance of forces with events, 1/s: the rate of the error norm.
+/// Rate of the reference motion, 1/s, as in the error norm; its kinetic energy scales the energy tolerance of forces with events.
 const REFERENCE_RATE: f64 = 10.0;
 
-/// e of the conserving step relative to 1 over the mean mass. It weighs increments only: with smaller values Newton's method finds fewer
-/// roots next to vertices; with larger ones it takes more iterations.
+/// e of the conserving step relative to 1 over the mean mass. It only weighs increments: with smaller values Newton's method finds fewer
+/// roots next to vertices, with larger values it takes more iterations.
 const CONSERVING_REGULARIZATION: f64 = 1e-7;
 
 /// Kinetic energy of the reference motion, J.
@@ -47,11 +47,11 @@ pub enum MethodSettings {
     MacroStep(MacroStepMethod),
     /// Strictly fixed steps that conserve energy.
     Conserving(i3alp_conserving::Settings),
-    /// Error control in the link angles: steps run past the macro step, whose end is interpolated.
+    /// Error control in the link angles: steps run past the macro step, and its end is interpolated.
     Dense(dense::Settings),
 }
 
-/// Settings of the method of a scene, for a run that started with this energy, J.
+/// Settings of the method of a scene, for a run with this energy at its start, J.
 pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
     let (settings, regularization) = (&model.settings, model.regularization);
     let max_iterations = settings.max_iterations;
@@ -96,7 +96,7 @@ pub fn method_settings(model: &Model, energy_at_start: f64) -> MethodSettings {
 }
 
 impl MacroStepMethod {
-    /// Advances the state from `mode` by one macro step of `h` seconds. On failure both are undefined, so the caller keeps a copy.
+    /// Advances the state from `mode` by one macro step of `h` seconds. A failure leaves both undefined, so the caller keeps a copy.
     pub fn advance<const BARE: bool>(
         &self,
         system: &FiveBar<'_, BARE>,

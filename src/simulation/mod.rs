@@ -1,7 +1,7 @@
 //! A simulation: the constant [`Model`] of a scene, and a [`Run`] that advances it by macro steps.
 //!
-//! The module knows neither absolute time nor communication points nor FMI variables: a run is autonomous but for its inputs, which are
-//! held over each macro step.
+//! The module knows no absolute time, no communication points and no FMI variables: a run is autonomous except for its inputs, which are
+//! constant over each macro step.
 
 pub mod angles;
 mod bifurcation;
@@ -48,7 +48,7 @@ pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
 pub use variation::{Direction, Variation, wrench_change};
 
-/// A simulation of one scene. A clone continues independently, equal to the bit.
+/// A simulation of one scene. A clone continues independently, with the same bits.
 #[derive(Debug)]
 pub struct Simulation {
     parameters: Parameters,
@@ -59,7 +59,8 @@ pub struct Simulation {
 clone_by_fields!(Simulation { parameters, model, run });
 
 impl Simulation {
-    /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
+    /// Checks the parameters, closes the loop, selects effects and linear solve, and computes q̈ and λ of the start. Refuses parameters
+    /// outside their bounds or that do not fit together, a loop that cannot be closed, and a start with infinite accelerations or energies.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         let model = Model::boxed(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
@@ -67,7 +68,8 @@ impl Simulation {
         Self::started(parameters, model, run)
     }
 
-    /// Simulation for model exchange: proximal angles and rates are states that come from outside ([`Simulation::set_states`]).
+    /// Simulation for model exchange: proximal angles and rates are states that the master sets ([`Simulation::set_states`]). Refuses as
+    /// [`Simulation::new`], and friction that sticks.
     pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         refuse_sticking(parameters)?;
         let model = Model::boxed(parameters)?;
@@ -76,8 +78,8 @@ impl Simulation {
         Self::started(parameters, model, run)
     }
 
-    /// Simulation that starts from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the
-    /// proximal links alone leave the posture undetermined (coinciding elbows). Refused unless they close the loop.
+    /// Simulation that starts from the angles, rad, and rates, rad/s, of all four links instead of `parameters.start`, also if the proximal
+    /// links do not determine the posture (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
         let model = Model::boxed(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
@@ -117,7 +119,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
+    /// Continues a stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with
+    /// its loads.
     pub fn restored(parameters: &Parameters, run: Run) -> Result<Self, SceneError> {
         if run.is_model_exchange() {
             refuse_sticking(parameters)?;
@@ -125,7 +128,7 @@ impl Simulation {
         Self::continued(parameters, Model::boxed(parameters)?, run)
     }
 
-    /// A stored run of a model, with the parameters in force; refused as by [`Simulation::restored`].
+    /// Continues a stored run of a model with the parameters in force; refused as by [`Simulation::restored`].
     fn continued(parameters: &Parameters, model: Box<Model>, mut run: Run) -> Result<Self, SceneError> {
         run.configure(&model).map_err(|what| SceneError(what.into()))?;
         let simulation = Self { parameters: parameters.clone(), model, run };
@@ -133,15 +136,15 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// `steps` macro steps of `h` seconds with `inputs` held.
+    /// Advances by `steps` macro steps of `h` seconds with constant `inputs`.
     ///
-    /// On failure everything is as it was before the call. Allocates nothing.
+    /// On failure everything is as before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true })
     }
 
-    /// `steps` macro steps of `h` seconds with inputs that change: each macro step holds their value at its middle, which makes the impulse
-    /// of a ramp exact and the motion of second order in h.
+    /// Advances by `steps` macro steps of `h` seconds with inputs that change. Each macro step takes their value at its middle: the impulse
+    /// of a ramp is then exact, and the motion is of second order in h.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
     }
@@ -168,7 +171,7 @@ impl Simulation {
         &self.run
     }
 
-    /// Inputs that the last step held; before the first step those of the start.
+    /// Inputs of the last step, or of the start.
     pub fn inputs(&self) -> &Inputs {
         &self.run.inputs
     }
@@ -193,7 +196,7 @@ impl Simulation {
         }
     }
 
-    /// Number of steps that the conserving method took by its last fallback stage.
+    /// Number of steps for which the conserving method used its last fallback stage.
     pub fn fallbacks(&self) -> u64 {
         if let Integrator::Conserving(run) = &self.run.integrator { run.state.counters.fallbacks } else { 0 }
     }
@@ -208,8 +211,10 @@ impl Simulation {
         self.counters().singular()
     }
 
-    /// Gives the active effects new parameters from now on; the resulting change of potential energy counts as input work. The set of
-    /// active effects stays. A payload of another mass joins according to its parameters. A refusal changes nothing.
+    /// Sets other parameters of the active effects from now on; the change of potential energy counts as input work. A payload of another
+    /// mass joins as its parameters say. The set of active effects stays. Refuses values outside their bounds or that do not fit together,
+    /// a payload beyond the range of the linear solve, and a present step that cannot be repeated with its end at the present time. A
+    /// refusal changes nothing.
     #[inline(never)]
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
@@ -217,7 +222,7 @@ impl Simulation {
         self.tune_within_bounds(tuned)
     }
 
-    /// Puts parameters in force that differ in those of effects, and whose numbers have been checked.
+    /// Applies checked parameters; only effects may differ.
     fn tune_within_bounds(&mut self, tuned: Parameters) -> Result<(), SceneError> {
         let mut model = Model::clone(&self.model);
         if model.tune(&self.parameters.effects, &tuned)? {
@@ -230,7 +235,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    /// Whether the loads are too stiff for an explicit method: stability instead of accuracy has limited its steps.
     pub fn is_stiff(&self) -> bool {
         matches!(&self.run.integrator, Integrator::DenseOutput(run) if run.step.is_stiff())
     }
@@ -241,7 +246,7 @@ impl Simulation {
     }
 }
 
-/// Refuses set-valued friction in model exchange, whose master does not know which joints stick.
+/// Refuses set-valued friction in model exchange, because the master does not know which joints stick.
 fn refuse_sticking(parameters: &Parameters) -> Result<(), SceneError> {
     let Some(name) = sticking_law(&parameters.effects) else { return Ok(()) };
     Err(SceneError(format!(

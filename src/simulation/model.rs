@@ -34,17 +34,17 @@ pub struct Model {
     pub mechanism: Mechanism,
     /// Constant generalised force of the active effects, N and N·m.
     pub weight: Coordinates,
-    /// Active effects whose force depends on the motion; constant forces are in `weight`, added masses in `mechanism`.
+    /// Active effects with forces that depend on the motion; constant forces are in `weight`, added masses in `mechanism`.
     pub effects: Active,
     /// Names of all active effects.
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
     /// Whether all forces have a potential.
     pub conservative: bool,
-    /// Features of the active effects; events only if the method ends its steps at them.
+    /// Features of the active effects. Events are among them only if the method ends its steps at events.
     pub(super) features: Features,
     /// Whether any effect has unilateral springs.
     pub(super) may_make_contact: bool,
-    /// Inertias by which the conserving method judges the stiffness of a force.
+    /// Typical inertias, to judge the stiffness of a force in the conserving method.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
@@ -54,7 +54,7 @@ pub struct Model {
     pub(super) inertia: Inertia,
     /// Constant force of the active effects in the link angles.
     pub(super) weight_torques: Weight,
-    /// Length to which round-off in Φ is proportional, m.
+    /// Length scale of round-off in Φ, m.
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
     pub regularization: f64,
@@ -65,20 +65,19 @@ pub struct Model {
 }
 
 impl Model {
-    /// Checks the parameters and fixes everything that stays constant.
+    /// Checks the parameters and computes everything that stays constant. Refuses values outside their bounds or that do not fit together.
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         check_bounds(parameters)?;
         Self::within_bounds(parameters)
     }
 
-    /// The model as a simulation holds it, in a function of its own: the stack has no room for a second one.
+    /// The model on the heap. Not inlined: the stack has no room for a second model.
     #[inline(never)]
     pub(super) fn boxed(parameters: &Parameters) -> Result<Box<Self>, SceneError> {
         Self::new(parameters).map(Box::new)
     }
 
-    /// Model of parameters whose numbers have been checked one by one, or learned about such numbers; refuses those that do not fit
-    /// together.
+    /// Model of parameters within their bounds, given or learned; refuses values that do not fit together.
     pub(super) fn within_bounds(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
         let geometry = parameters.effects.with_added_masses(&parameters.geometry);
@@ -112,13 +111,13 @@ impl Model {
         Ok(model)
     }
 
-    /// Takes over other lengths, added masses included, as far as the equations of motion in the link angles have them.
+    /// Sets other lengths, added masses included, but only in the equations of motion in the link angles.
     pub(super) fn lengthen(&mut self, geometry: &Geometry) {
         self.mechanism = Mechanism::new(geometry);
         (self.inertia, self.weight_torques) = (Inertia::new(&self.mechanism), Weight::new(&self.mechanism, &self.weight));
     }
 
-    /// Notes the properties of the active effects that methods ask for in every step.
+    /// Stores the properties of the active effects that methods read in every step.
     fn note_properties(&mut self) {
         let properties = || self.effects.iter().map(|effect| effect.properties());
         let any = |property: fn(&Properties) -> bool| properties().any(|of| property(&of));
@@ -138,13 +137,13 @@ impl Model {
         };
     }
 
-    /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
+    /// Whether no effect has a force that depends on the motion and the solve is leg by leg.
     pub(super) fn is_bare(&self) -> bool {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::Structured
     }
 
-    /// Gives the active effects new parameters, whose numbers have been checked one by one; the set of effects stays. Returns whether
-    /// anything has changed; a refusal changes nothing. A function of its own, so that the stack has no room for its models while the run follows.
+    /// Sets other parameters of the active effects, within their bounds; the set of effects stays. Returns whether anything has changed. A
+    /// refusal changes nothing. Not inlined, so that its models take no stack while the run follows.
     #[inline(never)]
     pub(super) fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
         let parameters = &tuned.effects;
@@ -166,7 +165,7 @@ impl Model {
         Ok(changed)
     }
 
-    /// Potential energy of the active effects at coordinates with their motion, J; 0 of their constant force at the left motor axis.
+    /// Potential energy of the active effects at coordinates and their motion, J; for the constant force it is 0 at the left motor axis.
     pub fn potential(&self, q: &Coordinates, at: &Motion) -> f64 {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - q.dot(&self.weight)
     }
@@ -180,7 +179,7 @@ impl Model {
         guards
     }
 
-    /// Wrench of the effects whose work is put in.
+    /// Wrench of the effects that supply work, which counts as input.
     pub(super) fn drives(&self, at: &Motion) -> Wrench {
         let mut wrench = Wrench::default();
         for drive in self.effects.iter().filter(|effect| effect.properties().power_flow == PowerFlow::Supplied) {
@@ -189,9 +188,9 @@ impl Model {
         wrench
     }
 
-    /// Change of the potential energy of the active effects, J, for a change of the coordinates with that of the motion.
+    /// Change of the potential energy of the active effects, J, for a change of the coordinates and the corresponding change of the motion.
     pub fn potential_change(&self, q_change: &Coordinates, at: &Motion, change: &MotionChange) -> f64 {
-        // At the change as velocity: dU/dt = input − dissipation − power of the wrench.
+        // The change serves as a velocity: dU/dt = input − dissipation − power of the wrench.
         let mut moving = Motion { velocity: change.position, ..*at };
         moving.joints.rates = change.angles;
         let stored = self.effects.iter().map(|effect| {
@@ -202,13 +201,13 @@ impl Model {
         stored.sum::<f64>() - q_change.dot(&self.weight)
     }
 
-    /// Whether two inputs act equally; servo references are ignored in the absence of servos.
+    /// Whether two inputs have the same effect; servo references count only with servos.
     pub fn same_active_inputs(&self, a: &Inputs, b: &Inputs) -> bool {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
 }
 
-/// Refusal of a payload whose inertia ratio exceeds the range of the linear solve of this run; names the mass that is still allowed.
+/// Refusal of a payload that makes the inertia ratio too large for the linear solve of this run; names the mass that is still allowed.
 fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
     let wanted = tuned.effects.payload.mass;
     let (mut taken, mut refused) = (in_force.payload.mass, wanted);
@@ -229,10 +228,10 @@ fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> 
 /// Bisections of the mass interval: 40 give six digits over a range of a million to one.
 const BISECTIONS: usize = 40;
 
-/// e of the error-controlled methods in the link angles, relative to 1 over the mean mass: no more than the round-off of a singular Φ_q M⁻¹
-/// Φ_qᵀ, because 1e-14 already falsifies passages close to a vertex.
+/// e of the error-controlled methods in the link angles, relative to 1 over the mean mass: at most the round-off of a singular
+/// Φ_q M⁻¹ Φ_qᵀ, because even 1e-14 falsifies passages close to a vertex.
 const ANGLE_REGULARIZATION: f64 = 1e-20;
-/// e in the link angles where all links in line turn about coaxial motors, relative to 1 over the mean mass: larger, because rank is lost
-/// along whole lines of configurations and a motion on none of the known closure branches needs bounded joint forces there. Where the links
-/// only come close to being in line, it would carry a motion from one side to the other.
+/// e in the link angles if all links in line turn about coaxial motors, relative to 1 over the mean mass. It is larger, because rank is
+/// lost along whole lines of configurations, and a motion on none of the known closure branches needs bounded joint forces there. If the
+/// links only come close to a line, it would carry a motion from one side to the other.
 const IN_LINE_REGULARIZATION: f64 = 1e-10;

@@ -1,8 +1,8 @@
 //! Model exchange: proximal angles and rates are continuous states that a master integrates.
 //!
-//! Distal angles and rates follow from the closure in the assembly of the start. The states are coordinates except in direct singularities,
-//! where such a run ends. Whole turns of the distal angles are counted from the last completed step, as long as they turn by less than half
-//! a turn between two completed steps.
+//! Distal angles and rates follow from the closure, in the assembly of the start. The states are coordinates except at direct
+//! singularities: such a run ends there. Whole turns of the distal angles are counted from the last completed step; between two completed
+//! steps they must turn by less than half a turn.
 
 use std::f64::consts::TAU;
 
@@ -30,7 +30,7 @@ pub(super) struct ModelExchangeState {
     completed: [f64; 2],
     /// Work put in and dissipated by changes of the payload, J.
     work: Work,
-    /// Assembly in which the distal links follow.
+    /// Assembly of the distal links.
     assembly: Assembly,
 }
 
@@ -40,7 +40,7 @@ impl ModelExchangeState {
         Self { theta, omega, completed: [theta[1], theta[2]], work: Work::default(), assembly }
     }
 
-    /// Run with other states; refused in a direct singularity.
+    /// Run with other states; refused at a direct singularity.
     fn moved(&self, model: &Model, states: [f64; STATES]) -> Result<Self, SceneError> {
         let [left, right, left_rate, right_rate] = states;
         let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly: self.assembly };
@@ -61,7 +61,7 @@ impl ModelExchangeState {
         (self.theta, self.omega)
     }
 
-    /// Continues after a change that did the given work, J, and led to other coordinates and velocities, if any.
+    /// Continues after a change that did this work, J, and may have led to other coordinates and velocities.
     pub(super) fn resume(&mut self, motion: Option<[Coordinates; 2]>, work: Work) {
         self.work += work;
         if let Some([q, v]) = motion {
@@ -87,8 +87,8 @@ impl ModelExchangeState {
 
 /// Calls for a simulation made by [`Simulation::for_model_exchange`].
 impl Simulation {
-    /// Sets the states: proximal angles, rad, left and right, and their rates, rad/s. Refused, with everything unchanged, in a direct
-    /// singularity.
+    /// Sets the states: proximal angles, rad, left and right, and their rates, rad/s. Refused at a direct singularity and in co-simulation;
+    /// a refusal changes nothing.
     pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
         let Integrator::ModelExchange(run) = &mut self.run.integrator else {
             return Err(SceneError(

@@ -1,13 +1,13 @@
 //! Passage through a vertex of the configuration space, where the constraints lose rank and branches cross (`docs/vertices.md`).
 //!
-//! A motion within [`PassageLimits::radius`] of a vertex whose impact parameter is below the limit continues straight along the ray, a line
-//! on the tangent cone, to the other side of the ball: only there the equations of motion do not determine the acceleration, and the
-//! straight line is the physical continuation. A motion with a larger impact parameter is integrated and turns. Before the ball, steps form
-//! a geometric sequence, so that no step jumps over a vertex. From rest exactly in a vertex the motion starts along the branch of least
-//! constraint (Gauss).
+//! If a motion is within [`PassageLimits::radius`] of a vertex and its impact parameter is below the limit, it continues straight along its
+//! ray, a line on the tangent cone, to the other side of the ball. Only there do the equations of motion not determine the acceleration,
+//! and the straight line is the physical continuation. A motion with a larger impact parameter is integrated and turns. Before the ball,
+//! steps form a geometric sequence, so that no step jumps over a vertex. A motion from rest exactly in a vertex starts along the branch of
+//! least constraint (Gauss).
 //!
-//! All quantities are in the four link angles. No function here changes a state: [`AngleSystem::approach`] decides, and returns the end of a
-//! straight motion.
+//! All quantities are in the four link angles. No function here changes a state: [`AngleSystem::approach`] decides, and returns the end of
+//! a straight motion.
 
 use super::angles::{ANGLES, AngleSystem, Angles, angles_of};
 use super::bifurcation;
@@ -28,28 +28,27 @@ const ENERGY_SCALED_WITHIN: f64 = 1e-2;
 /// Factor of e near a vertex.
 pub(super) const VERTEX_REGULARIZATION: f64 = 1e-4;
 
-/// Smallest distance, relative to the radius, at which a ray is caught on its way in: the geometric sequence of steps leaves that much.
-/// Further inside, a motion towards the vertex is one that turns around it.
+/// Smallest distance, relative to the radius, at which a motion enters on a ray: on its way in, the geometric sequence always ends a step
+/// at least this far out. A motion that points to the vertex further inside is turning around it.
 const LEAST_ENTRY_DISTANCE: f64 = 0.2;
 
-/// Distance from a vertex, rad, below which round-off is not assumed to grow further (so that errors stay visible) and no projection is
-/// done.
+/// Distance from a vertex, rad, below which round-off is assumed to stop growing, so that errors stay visible, and nothing is projected.
 const UNPROJECTED_WITHIN: f64 = 1e-5;
 
-/// Largest relative energy error of a step close to a vertex that scaling of the velocity may correct; a larger one fails the step.
+/// Largest relative energy error of a step close to a vertex that scaling of the velocity may correct. A larger error fails the step.
 const LARGEST_ENERGY_CHANGE: f64 = 0.01;
 
-/// Largest variation of the power over a step of high order, relative to the kinetic energy, for which the energy is corrected.
+/// Largest variation of the power over a step of high order, relative to the kinetic energy, at which the energy is still corrected.
 const LARGEST_POWER_VARIATION: f64 = 1e-6;
 
 /// Kinetic energy, relative to the other energies, below which it is lost in their round-off.
 const NEGLIGIBLE_KINETIC_ENERGY: f64 = 1e-9;
 
-/// Round-off of an angle at distance 1 from a vertex, rad: ε over the smallest singular value of Φ_q relative to its largest, which is
-/// proportional to the distance; observed are up to some 10 ε / distance.
+/// Round-off of an angle, rad, times its distance from a vertex: ε times the condition number of Φ_q, which grows as 1 / distance. Observed
+/// values are up to about 10 ε / distance.
 const ANGULAR_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// Largest number of iterations for the duration of a ray and its mean acceleration: they converge in a few.
+/// Largest number of iterations for the duration of a ray and its mean acceleration; a few suffice.
 const MOST_ITERATIONS: u32 = 20;
 
 /// A straight motion through the ball: one-dimensional, with the acceleration of the forces along it.
@@ -63,14 +62,14 @@ struct Ray {
     position: f64,
     speed: f64,
     acceleration: f64,
-    /// Time until the motion leaves the ball, s; infinite if dissipative forces stop it before.
+    /// Time until the motion leaves the ball, s; infinite if dissipative forces stop it first.
     duration: f64,
 }
 
 impl Passage<ANGLES> for AngleSystem<'_> {
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
-            // At rest by friction there is no passage.
+            // A machine that friction keeps at rest passes nothing.
             Some(_) if self.stuck() == Stuck::Wholly => Approach::Clear,
             Some(offset) => self.approach_vertex(limits, from, offset),
             None => Approach::Clear,
@@ -103,8 +102,8 @@ impl Passage<ANGLES> for AngleSystem<'_> {
 }
 
 impl AngleSystem<'_> {
-    /// Factor of the rates that restores the energy balance; an error where it differs too much from 1. It is 1 where the kinetic energy is
-    /// lost in round-off, and where the work is too large or its power varies too much for the trapezoidal rule to be better than the step.
+    /// Factor of the rates that restores the energy balance; an error if it differs too much from 1. It is 1 if the kinetic energy is lost
+    /// in round-off, if the work is too large, or if the power varies too much for the trapezoidal rule to be better than the step.
     fn energy_scale_unless(&self, varied: f64, before: &EnergyBalance, [q, v]: [&Angles; 2], h: f64) -> Result<f64, StepError> {
         let [kinetic, potential, power] = self.energies(q, v);
         let (work, varies) = (h / 2.0 * (before.power + power), h * (power - before.power).abs() > varied * kinetic);
@@ -118,7 +117,7 @@ impl AngleSystem<'_> {
         if part.abs() > LARGEST_ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
     }
 
-    /// Passage, or step limits, near a vertex at this offset.
+    /// Passage or step limits near a vertex at this offset.
     fn approach_vertex(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let (distance, speed) = (offset.norm(), from.v.norm());
         let limited = |longest: f64| {
@@ -143,7 +142,7 @@ impl AngleSystem<'_> {
             let ahead = -position / speed;
             return limited(if ahead > 0.0 && impact_parameter < 0.1 * distance { 0.75 * ahead } else { f64::INFINITY });
         }
-        // Inside the ball: on a ray from outside, from the vertex itself, or continued after the end of a macro step.
+        // Inside the ball, a ray comes from outside, starts in the vertex, or continues from the last macro step.
         let reach = (limits.radius * limits.radius - impact_parameter * impact_parameter).max(0.0).sqrt();
         let entering = position < -LEAST_ENTRY_DISTANCE * limits.radius;
         let starting = position > -AT_REST && position < 0.5 * reach && impact_parameter < AT_REST;
@@ -154,7 +153,7 @@ impl AngleSystem<'_> {
         let Some((acceleration, duration)) = self.along(from.q, &direction, [position, reach, speed], rest) else {
             return limited(f64::INFINITY);
         };
-        // The displacement by forces across the ray must stay below the impact parameter. A start from rest is on its branch already.
+        // Forces across the ray must displace the motion by less than the impact parameter. A start from rest is already on its branch.
         let (pull, ..) = equilibrium(self, (from.q, &self.pose(from.q), &Angles::ZERO), self.regularization());
         if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
@@ -163,7 +162,7 @@ impl AngleSystem<'_> {
         self.transit(from, &ray, rest).map_or(Approach::Limited(StepLimits::NONE), Approach::Passed)
     }
 
-    /// Departure from rest in a vertex: along the branch of least constraint, or none.
+    /// Departure from rest in a vertex along the branch of least constraint, or none.
     fn leave_from_rest(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let rest = self.rest(limits, from);
         let branch = self.branch_of_least_constraint(from.q);
@@ -185,11 +184,11 @@ impl AngleSystem<'_> {
         if self.model().conservative { from.rest } else { from.rest.min(limits.longest_with_dissipation) }
     }
 
-    /// Motion along a ray to the boundary of the ball, or for `rest` seconds. Inside the ball nothing is projected: Φ holds to the order of
-    /// impact parameter × radius, and near the rank loss a projection would divide round-off by the smallest singular value.
+    /// Motion along a ray to the boundary of the ball, or for `rest` seconds. Inside the ball nothing is projected: the error of Φ is of
+    /// the order of impact parameter × radius, and near the loss of rank a projection would divide round-off by the smallest singular
+    /// value.
     ///
-    /// `None` where leaving the ball would change the energy, or where unilateral springs take a large part of it: such a motion is on no
-    /// ray.
+    /// `None` if leaving the ball would change the energy, or if unilateral springs take a large part of it: such a motion is not on a ray.
     fn transit(&self, from: &Departure<'_, ANGLES>, ray: &Ray, rest: f64) -> Option<Transit<ANGLES>> {
         let &Ray { vertex, aside, direction, position, speed, acceleration, .. } = ray;
         let (duration, leaves) = (ray.duration.min(rest), ray.duration <= rest);
@@ -200,7 +199,7 @@ impl AngleSystem<'_> {
             let (_, pose) = self.projection().position(self, &mut q).ok()?;
             v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization()), &v);
         }
-        // The energy determines the rate along the ray better than the acceleration, which was taken as constant.
+        // The energy determines the rate along the ray better than the acceleration does, which was taken as constant.
         let before = self.energy_balance(from.q, from.v);
         let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
         let [kinetic, _, power] = self.energies(&q, &v);
@@ -211,15 +210,15 @@ impl AngleSystem<'_> {
         Some(Transit { q, v: scale * v, duration, on_ray: !leaves, passed, from_rest: None, known: None })
     }
 
-    /// Mean acceleration along a ray until it leaves the ball, rad/s², and the time that takes, s; infinite if dissipative forces stop the
-    /// motion inside, `None` if other forces reverse it.
+    /// Mean acceleration along a ray until it leaves the ball, rad/s², and the time until then, s: infinite if dissipative forces stop the
+    /// motion inside. `None` if other forces reverse it.
     fn along(&self, q: &Angles, direction: &Angles, [position, reach, speed]: [f64; 3], rest: f64) -> Option<(f64, f64)> {
         let acceleration_at = |speed: f64| self.acceleration_along(q, direction, speed);
         let mut acceleration = acceleration_at(speed);
         if self.model().conservative {
             return Some((acceleration, time_to_boundary(reach, position, speed, acceleration)?));
         }
-        // Friction may be stiff: implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), over the time that follows from a.
+        // Friction may be stiff: implicit Euler rule a = f(v + a t), solved by bisection between 0 and f(v); t follows from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
         for _ in 0..MOST_ITERATIONS {
@@ -263,7 +262,7 @@ fn time_to_boundary(reach: f64, position: f64, speed: f64, acceleration: f64) ->
     (discriminant > 0.0).then(|| 2.0 * (reach - position) / (speed + discriminant.sqrt())).filter(|time| *time > 0.0)
 }
 
-/// Passage in the twelve coordinates: mapped to the link angles and back.
+/// Passage in the twelve coordinates: converted to the link angles and back.
 impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, COORDINATES>) -> Approach<COORDINATES> {
         let by_angles = AngleSystem::new(self.general());

@@ -1,4 +1,4 @@
-//! Consistency checks of a stored run with the model and parameters that it is restored under.
+//! Consistency checks of a stored run against the model and parameters under which it is restored.
 
 use super::angles::AngleSystem;
 use super::five_bar::FiveBar;
@@ -13,8 +13,8 @@ use crate::mechanism::{Coordinates, SceneError};
 const POSITION_TOLERANCE: f64 = 1e-10;
 /// Tolerance of the constraints for the printed method, relative: its Newton iteration stops at 1e-8.
 const PRINTED_POSITION_TOLERANCE: f64 = 1e-7;
-/// Tolerances of the constraint rates, relative to their largest term: of all methods but one, also next to a vertex; and of the printed
-/// method, whose finite penalty leaves a sixth of them in short steps.
+/// Tolerances of the constraint rates, relative to their largest term. The first is for most methods, also next to a vertex. The second is
+/// for the printed method: its finite penalty leaves a sixth of the largest term in short steps.
 const RATE_TOLERANCES: [f64; 2] = [1e-5, 0.5];
 impl Run {
     /// Refuses a run that is inconsistent with this model.
@@ -38,7 +38,7 @@ impl Run {
     }
 }
 
-/// Refuses stick-slip states that are impossible in a state.
+/// Refuses stick-slip states that a state does not allow.
 pub(super) fn check_stick_slip(
     model: &Model,
     system: &FiveBar<'_>,
@@ -50,7 +50,7 @@ pub(super) fn check_stick_slip(
     if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 
-/// Tolerances to which the method keeps the constraints.
+/// Tolerances within which the method satisfies the constraints.
 fn bounds(settings: &Settings) -> Bounds {
     let allowed = 4.0 * settings.tolerance;
     match settings.method {

@@ -1,5 +1,5 @@
-//! A run under way: inputs, whole turns, and the integrator with its settings and state, by macro steps, with dense output, conserving, or
-//! for model exchange.
+//! A run under way: inputs, whole turns, and the integrator with its settings and state. There are four kinds: by macro steps, with dense
+//! output, conserving, and for model exchange.
 
 use std::fmt;
 
@@ -24,9 +24,9 @@ use crate::mechanism::{Assembly, COORDINATES, Coordinates};
 /// Changing part of a simulation. A copy is a complete snapshot.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Run {
-    /// Whole turns of links 1 to 4 that the angles of the integrator leave out.
+    /// Whole turns of links 1 to 4 that the angles of the integrator omit.
     pub(super) turns: [i64; 4],
-    /// Held inputs.
+    /// Inputs of the last step.
     pub(super) inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub(super) energy_at_start: f64,
@@ -55,14 +55,14 @@ pub(super) struct MacroStepped {
     pub(super) mode: Mode,
 }
 
-/// Run by the conserving method: accelerations and joint forces are not part of the state.
+/// Run by the conserving method. Accelerations and joint forces are not part of its state.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Conserving {
     pub(super) settings: i3alp_conserving::Settings,
     pub(super) state: ConservingRun<COORDINATES, CUT_UNKNOWNS>,
 }
 
-/// Failure of an advance. The simulation is as it was before the call.
+/// Failure of an advance. The simulation is as before the call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFailure {
     /// Time reached, s after the beginning of the call.
@@ -79,14 +79,14 @@ impl fmt::Display for StepFailure {
 
 impl std::error::Error for StepFailure {}
 
-/// Equal macro steps with inputs held.
+/// Equal macro steps with constant inputs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MacroSteps {
     /// Length of each, s.
     pub(super) h: f64,
-    /// Number.
+    /// Number of macro steps.
     pub(super) count: u64,
-    /// Whether the inputs may stay the same after them, so that a step may run past their end.
+    /// Whether the inputs may stay the same afterwards, so that a step may run past the end.
     pub(super) open_ended: bool,
 }
 
@@ -98,7 +98,7 @@ impl MacroSteps {
 }
 
 impl MacroStepped {
-    /// Continues from a state that has jumped, or with other inputs, which did the given work, J: mode and signs of the singularity
+    /// Continues from a state that has jumped, or with other inputs; the change did this work, J. Mode and signs of the singularity
     /// determinants follow from the state.
     pub(super) fn restart(&mut self, model: &Model, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
         let Self { core, mode, .. } = self;
@@ -132,7 +132,8 @@ impl Run {
         Self { turns, inputs: *inputs, energy_at_start, integrator }
     }
 
-    /// Starts a run whose proximal angles and rates are set by a master; they keep their whole turns. The distal links stay in `assembly`.
+    /// Starts a run for model exchange: the master sets proximal angles and rates, which keep their whole turns. The distal links stay in
+    /// `assembly`.
     pub(super) fn start_for_model_exchange(model: &Model, [q, v]: [Coordinates; 2], inputs: &Inputs, assembly: Assembly) -> Self {
         let states = ModelExchangeState::start(link_angles(&q), link_angles(&v), assembly);
         let core = states.core(model, inputs);
@@ -141,12 +142,12 @@ impl Run {
         Self { turns: [0; 4], inputs: *inputs, energy_at_start, integrator: Integrator::ModelExchange(states) }
     }
 
-    /// Whether proximal angles and rates are set by a master (model exchange).
+    /// Whether a master sets proximal angles and rates (model exchange).
     pub fn is_model_exchange(&self) -> bool {
         matches!(self.integrator, Integrator::ModelExchange(_))
     }
 
-    /// Takes the settings of the model's method; refused if the run was made by a method of another kind.
+    /// Sets the settings of the model's method; refused if a method of another kind made the run.
     pub(super) fn configure(&mut self, model: &Model) -> Result<(), crate::integrator::Inconsistency> {
         match (method_settings(model, self.energy_at_start), &mut self.integrator) {
             (MethodSettings::MacroStep(method), Integrator::MacroStepped(run)) => run.method = method,
@@ -158,7 +159,7 @@ impl Run {
         Ok(())
     }
 
-    /// Advances by macro steps with `inputs` held; the states of model exchange stay. A failure changes nothing.
+    /// Advances by macro steps with constant `inputs`; the states of model exchange do not change. A failure changes nothing.
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         let Self { turns, inputs: held, .. } = self;
         match &mut self.integrator {
@@ -189,7 +190,7 @@ impl Run {
         State { core, turns, inputs: *inputs, energy_at_start, stick_slip }
     }
 
-    /// Replaces the model: the change of potential energy counts as input work, and added mass joins as `join` says. A failure changes
+    /// Replaces the model. The change of potential energy counts as input work, and added mass joins as `join` says. A failure changes
     /// nothing.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
@@ -198,15 +199,15 @@ impl Run {
         }
         let present = tuned.state(before, &self.inputs);
         let (motion, work) = discontinuity(&present, before, after, join);
-        // The method stays.
+        // The method is the same, so this cannot fail.
         let _ = tuned.configure(after);
         tuned.resume(after, motion, work);
         *self = tuned;
         Ok(())
     }
 
-    /// Continues with the held inputs after a change that did the given work, J, and led to other coordinates and velocities, if any. A step
-    /// under way has been ended before.
+    /// Continues with the present inputs after a change that did this work, J, and may have led to other coordinates and velocities. A step
+    /// under way has already been ended.
     pub(super) fn resume(&mut self, model: &Model, motion: Option<[Coordinates; 2]>, work: Work) {
         let Self { turns, inputs, integrator, .. } = self;
         match integrator {
@@ -238,10 +239,10 @@ trait ByMacroSteps: Copy {
     /// Takes one macro step of h seconds. A failure leaves the state undefined.
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError>;
 
-    /// Coordinates, whose whole turns are counted separately, and counters.
+    /// Coordinates, without the whole turns, which are counted separately, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 
-    /// Advances by macro steps with `inputs` held. A failure changes nothing.
+    /// Advances by macro steps with constant `inputs`. A failure changes nothing.
     fn advance(
         &mut self,
         model: &Model,

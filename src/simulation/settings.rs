@@ -1,4 +1,4 @@
-//! Settings of the solver: the `solver.*` variables, and which of them a scene may have.
+//! Settings of the solver: the `solver.*` variables, and the friction laws that each method allows.
 
 use crate::effects::{self, Law};
 use crate::mechanism::SceneError;
@@ -17,36 +17,37 @@ pub enum Method {
     Dop853,
     /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
     I3alpConserving,
-    /// Error control alone: Dop853, a pair of lower order while inputs are held briefly, a Rosenbrock method while loads are stiff.
+    /// Error control: Dop853, a pair of lower order if inputs change often, a Rosenbrock method while loads are stiff.
     Automatic,
 }
 
-/// The solver's settings: the `solver.*` variables of the same names.
+/// Settings of the solver: the `solver.*` variables of the same names.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Integration method.
     pub method: Method,
-    /// Macro step h, s; of [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
+    /// Macro step h, s; for [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
     pub step_size: f64,
-    /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
+    /// Whether macro steps are divided to meet the local error ([`Method::I3alp`] only).
     pub adaptive: bool,
     /// Local error allowed per sub-step, rad.
     pub error_tolerance: f64,
-    /// Constraint violation allowed at h = 1 ms, relative to the machine's size.
+    /// Allowed constraint violation at h = 1 ms, relative to the machine's size.
     pub tolerance: f64,
     /// Largest number of Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// Largest number of iterations and evaluations per macro step; for [`Method::I3alpConserving`] including its fallback stages, 0: none.
+    /// Largest number of iterations and evaluations per macro step; [`Method::I3alpConserving`] includes its fallback stages, and 0 allows
+    /// none.
     pub max_work: u32,
     /// Penalty α of the printed method, N/m.
     pub penalty: f64,
     /// Penalty scale κ of the default method, dimensionless.
     pub penalty_scale: f64,
-    /// Whether steps are checked against what no right step breaks.
+    /// Whether steps are checked for violations that no correct step shows.
     pub checks: bool,
 }
 
-/// Name of the variable that selects stick-slip friction in an active effect, if any does.
+/// Name of the variable that selects stick-slip friction in an active effect; `None` if none does.
 pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
     let (friction, contact) = (&effects.friction, &effects.contact);
     let laws = [
@@ -57,7 +58,7 @@ pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str
 }
 
 impl Settings {
-    /// Whether the method follows its error, so that its steps may end at events.
+    /// Whether the method controls its error, so that its steps may end at events.
     pub(super) fn follows_error(&self) -> bool {
         match self.method {
             Method::Dop853 | Method::Automatic => true,
@@ -66,7 +67,7 @@ impl Settings {
         }
     }
 
-    /// Refuses stick-slip friction with a method whose steps cannot end at an event.
+    /// Refuses stick-slip friction with a method that cannot end its steps at events.
     pub(super) fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
         let Some(name) = sticking_law(effects).filter(|_| !self.follows_error()) else { return Ok(()) };
         let steps = match self.method {

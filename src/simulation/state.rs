@@ -19,10 +19,10 @@ pub type Core = integrator::State<COORDINATES, MULTIPLIERS>;
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: Core,
-    /// Whole turns by which the angles of links 1 to 4 exceed those in q: angles in q stay within a few turns, so that their round-off does
-    /// not grow while a link spins.
+    /// Whole turns by which the angles of links 1 to 4 exceed the angles in q. Angles in q stay within a few turns, so that their round-off
+    /// does not grow while a link spins.
     pub turns: [i64; 4],
-    /// Inputs to which q̈ and λ belong.
+    /// Inputs that q̈ and λ belong to.
     pub inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
@@ -36,7 +36,7 @@ impl State {
         model.mechanism.mass_times(&self.core.v).dot(&self.core.v) / 2.0
     }
 
-    /// Potential energy of the active effects, J; the held loads count as work instead.
+    /// Potential energy of the active effects, J. Constant loads are not included: they count as work.
     pub fn potential_energy(&self, model: &Model) -> f64 {
         model.potential(&self.core.q, &self.motion(model))
     }
@@ -52,14 +52,14 @@ impl State {
         self.energy(model) + work.dissipated - work.input - self.energy_at_start
     }
 
-    /// Motion of joints and tip in the present state.
+    /// Motion of joints and tip.
     pub fn motion(&self, model: &Model) -> Motion<'_> {
         let State { core, inputs, turns, stick_slip, .. } = self;
         let mode = Mode::of_stick_slip(*stick_slip);
         Conditions { inputs, turns, mode }.motion([&core.q, &core.v], &model.mechanism.pose(&core.q))
     }
 
-    /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 where nothing sticks.
+    /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 if nothing sticks.
     pub fn holding(&self, model: &Model) -> [f64; FRICTION_PLACES] {
         if !self.stick_slip.any_sticks() {
             return [0.0; FRICTION_PLACES];
@@ -88,7 +88,7 @@ pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
     }
 }
 
-/// Whole turns of an angle that exceeds two turns, which are added to `turns`; otherwise 0.
+/// Whole turns of an angle that exceeds two turns, which are also added to `turns`; otherwise 0.
 pub(super) fn whole_turns(angle: f64, turns: &mut i64) -> f64 {
     if angle.abs() <= 2.0 * TAU {
         return 0.0;

@@ -1,8 +1,9 @@
-//! Directional derivatives of a state: of accelerations and joint forces with respect to the inputs and to the proximal angles and rates,
-//! the minimal coordinates.
+//! Directional derivatives of a state: of accelerations and joint forces with respect to the inputs and the proximal angles and rates,
+//! which are minimal coordinates.
 //!
-//! Changes of all angles and rates follow from the proximal ones by J_x ([`closure::varied`]); those of the accelerations and of the tip's
-//! force, from the equations of motion linearised in the link angles (`src/dynamics/angles.rs`); those of the other joints, link by link.
+//! Changes of all angles and rates follow from the proximal changes by J_x ([`closure::varied`]). Changes of the accelerations and of the
+//! tip force follow from the equations of motion linearised in the link angles (`src/dynamics/angles.rs`), and changes of the other joint
+//! forces link by link.
 
 use super::angles::{angles, angles_of, legs};
 use super::{Model, State};
@@ -20,7 +21,7 @@ use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 pub struct Direction {
     /// Changes of the inputs.
     pub inputs: Inputs,
-    /// Changes of the proximal angles, rad, and of the proximal rates, rad/s, left and right; `None` where inputs alone are varied.
+    /// Changes of the proximal angles, rad, and rates, rad/s, left and right; `None` if only inputs vary.
     pub proximal: Option<[[f64; 2]; 2]>,
 }
 
@@ -35,14 +36,14 @@ pub struct Variation {
     pub motion: MotionChange,
     /// Change of the inputs.
     pub inputs: Inputs,
-    /// Accelerations.
+    /// Changes of the accelerations.
     pub a: Coordinates,
     /// Changes of the multipliers.
     pub lambda: Multipliers,
 }
 
 impl State {
-    /// Directional derivative of the state. Variations of proximal angles or rates are refused where |det J_x| is below 1e-8 of its largest
+    /// Directional derivative of the state. Variations of proximal angles or rates are refused if |det J_x| is below 1e-8 of its largest
     /// possible value; inputs can be varied everywhere.
     pub fn varied(&self, model: &Model, direction: &Direction) -> Result<Variation, SceneError> {
         let core = &self.core;
@@ -71,7 +72,7 @@ impl State {
         let near = equations.linearised((&alpha, &tip), slopes);
         let (d_alpha, d_tip) = near.change([&turned, &quickened], &angles(by_inputs.torques_in_angles(&pose)));
 
-        // Accelerations q̈ = T α + Ṫ ω of the links, and what is left of the forces on them for the joints.
+        // Accelerations q̈ = T α + Ṫ ω of the links, and the remaining forces on them, which the joints supply.
         let arms = pose.varied(&q);
         let [w, dw] = [&rates, &quickened].map(legs);
         let doubled = [0, 1].map(|i| both(2.0) * w[i] * dw[i]);
