@@ -1,8 +1,8 @@
-//! Turns modelDescription/modelDescription.xml into the tables of src/variables and the bindings of src/simulation.
+//! Generates the tables of src/variables and the bindings of src/simulation from modelDescription/modelDescription.xml.
 //!
-//! Every variable becomes a variant of an enum per role (`Parameter`, `Input`, ...), families such as `link[1..4].length` one variant
-//! with a 0-based index. The name of a variable that is set by a master says which field of the library holds it ([`field`]); what is
-//! computed is bound in src/fmi/computed.rs. A variable without a field, or without an arm there, does not compile.
+//! Every variable becomes a variant of an enum for its role (`Parameter`, `Input`, ...); a family such as `link[1..4].length` becomes one
+//! variant with a 0-based index. The name of a variable that the master sets determines its field in the library ([`field`]);
+//! src/fmi/computed.rs binds computed variables. A variable without a field, or without an arm there, does not compile.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -43,7 +43,7 @@ fn camel(name: &str) -> String {
     name.split('.').map(capital).collect()
 }
 
-/// An enum with descriptions and variants.
+/// Writes an enum with descriptions of itself and its variants.
 fn rust_enum(code: &mut String, description: &str, name: &str, variants: impl Iterator<Item = (String, String)>) -> Written {
     writeln!(code, "\n/// {description}.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum {name} {{")?;
     for (description, variant) in variants {
@@ -80,7 +80,7 @@ fn constants(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(code, "        }}\n    }}\n}}")
 }
 
-/// One Rust enum per enumeration type, so that the numbers of its items stand only in the XML.
+/// Writes one Rust enum per enumeration type, so that only the XML has the numbers of its items.
 fn types(description: &ModelDescription, code: &mut String) -> Written {
     for simple_type in &description.types {
         let TypeKind::Enumeration(enumeration) = &simple_type.kind else {
@@ -99,12 +99,12 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
     Ok(())
 }
 
-/// Name of the enum that a variable belongs to; aliases belong to none. Outputs and local variables share the role `Computed`, since
-/// only masters tell them apart, and are told apart by type, since values of each type are computed in their own way.
+/// Name of the enum that a variable belongs to; aliases belong to none. Outputs and local variables share the role `Computed`, since they
+/// differ only for masters. Computed variables have an enum per type, since the values of each type are computed differently.
 fn group(variable: &Variable) -> Option<String> {
     Some(match variable.causality {
         Causality::Parameter => "Parameter".to_owned(),
-        // A discrete input, constant between communication points, is a sample and no input of the equations of motion.
+        // A discrete input, constant between communication points, is a sample: it does not enter the equations of motion.
         Causality::Input if variable.variability == Variability::Discrete => "Sample".to_owned(),
         Causality::Input => "Input".to_owned(),
         Causality::Output | Causality::Local if variable.is_alias() => return None,
@@ -126,7 +126,7 @@ fn groups(description: &ModelDescription) -> BTreeMap<String, Vec<&Name>> {
     groups
 }
 
-/// Variant of a family, with its index where it has one.
+/// Variant of a family, with its index if it has one.
 fn variant(group: &str, name: &Name, index: &str) -> String {
     let index = if name.index.is_some() { format!("({index})") } else { String::new() };
     format!("{group}::{}{index}", camel(&name.family))
@@ -145,7 +145,7 @@ fn families(description: &ModelDescription, code: &mut String) -> Written {
     rust_enum(code, "A variable of any type and role", "VariableId", variants)
 }
 
-/// Every variable once, by ascending reference: the rows of the table.
+/// Every variable once, in the order of references: the rows of the table.
 fn table_order(description: &ModelDescription) -> Vec<&Variable> {
     let mut variables: Vec<&Variable> = description.variables.iter().filter(|variable| !variable.is_alias()).collect();
     variables.sort_by_key(|variable| variable.reference);
@@ -176,7 +176,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         let (start, min, max) = match &variable.kind {
             Kind::Real { start, bounds } => (start.map(|x| format!("Value::Real({x:?})")), bounds.min, bounds.max),
             Kind::Integer { start, bounds } => {
-                // Integer parameters are counts, u32 in the library; min ≥ 0 keeps every conversion exact.
+                // Integer parameters are counts, u32 in the library; min ≥ 0 makes every conversion exact.
                 let count = variable.causality != Causality::Parameter || bounds.min.is_some_and(|min| min >= 0);
                 assert!(count, "variable {}: an Integer parameter needs a min of at least 0", variable.name.full);
                 (start.map(|n| format!("Value::Integer({n})")), bounds.min.map(f64::from), bounds.max.map(f64::from))
@@ -219,10 +219,10 @@ fn enumeration(variable: &Variable) -> Option<&str> {
     variable.declared_type.as_deref().filter(|_| matches!(variable.kind, Kind::Enumeration { .. }))
 }
 
-/// Path of the field that holds a family, from the struct of its role on; `i` is the index of the variable.
+/// Path of the field of a family, relative to the struct of its role; `i` is the index of the variable.
 ///
-/// The first word of a name says the struct, and the rest in snake case the field; a parameter belongs to the effect of that name unless
-/// the first word stands here. Only what the library names differently is spelt out.
+/// The first word of a name gives the struct, and the rest, in snake case, the field. A parameter belongs to the effect with the first word
+/// as its name, unless the word is listed here. Only names that differ in the library are listed.
 fn field(group: &str, name: &Name) -> String {
     let family = name.family.as_str();
     let (first, rest) = family.split_once('.').unwrap_or(("", family));
@@ -246,7 +246,7 @@ fn field(group: &str, name: &Name) -> String {
     snake(&path) + index
 }
 
-/// Functions from a struct of the library and a variable to the field that holds it.
+/// Writes functions that return a variable's field in a struct of the library.
 fn accessors(description: &ModelDescription, code: &mut String) -> Written {
     let groups = groups(description);
     for (function, reference, of, group, held) in [
@@ -271,8 +271,8 @@ fn accessors(description: &ModelDescription, code: &mut String) -> Written {
     Ok(())
 }
 
-/// A function that checks the numbers among the parameters by their variables. Those under a switch, as `friction.coulomb[1]` under
-/// `friction.enabled`, count where it is on.
+/// Writes a function that checks the numbers among the parameters against the bounds of their variables. Parameters with a switch, such as
+/// `friction.coulomb[1]` with `friction.enabled`, are checked only if it is on.
 fn bounds(description: &ModelDescription, code: &mut String) -> Written {
     let if_on = |variable: &Variable| {
         let switch = variable.name.family.split_once('.').map(|(first, _)| format!("{first}.enabled"));
@@ -298,7 +298,7 @@ fn bounds(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(code, "    Ok(())\n}}\n")
 }
 
-/// The enums of the library whose variants are the items of an enumeration.
+/// Enums of the library that correspond to enumeration types.
 const CHOICES: [(&str, &str); 6] = [
     ("Method", "crate::simulation::Method"),
     ("Join", "crate::effects::payload::Join"),
@@ -308,7 +308,7 @@ const CHOICES: [(&str, &str); 6] = [
     ("Bands", "crate::estimator::Bands"),
 ];
 
-/// Fields that hold an item of an enumeration.
+/// Writes the conversions of these enums from and to variable values.
 fn choices(description: &ModelDescription, code: &mut String) -> Written {
     for simple_type in &description.types {
         let (TypeKind::Enumeration(enumeration), Some((_, path))) =

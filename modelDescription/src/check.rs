@@ -8,7 +8,7 @@ use crate::data::{
     Bounds, Causality, Enumeration, Initial, Kind, ModelDescription, SimpleType, TypeKind, Unknown, Variability, Variable,
 };
 
-/// Checks all rules and returns the first violation.
+/// Checks all rules; returns the first violation.
 pub(crate) fn check(description: &ModelDescription) -> Result<(), Error> {
     unique("unit", description.units.iter().map(|unit| &unit.name))?;
     unique("type", description.types.iter().map(|t| &t.name))?;
@@ -113,7 +113,7 @@ fn check_role(variable: &Variable) -> Result<(), Error> {
     if variable.variability == Variability::Continuous && !matches!(variable.kind, Kind::Real { .. }) {
         return Err(Error("only a Real can be continuous".to_owned()));
     }
-    // Beyond the standard: outputs are Real, since some masters read and plot every output as a Real.
+    // Beyond the standard, outputs must be Real, since some masters read and plot every output as a Real.
     if variable.causality == Causality::Output && !matches!(variable.kind, Kind::Real { .. }) {
         return Err(Error("an output must be a Real; what else is computed is local".to_owned()));
     }
@@ -162,7 +162,7 @@ fn within<T: PartialOrd + Display + Copy>(start: Option<T>, bounds: Bounds<T>) -
     }
 }
 
-/// A derivative has the reference and type of another computed variable, and is named after its state.
+/// Requires that a derivative has the reference and type of another computed variable, and the name of its state.
 fn check_alias(description: &ModelDescription, variable: &Variable, state: &str) -> Result<(), Error> {
     if variable.name.full != format!("der({state})") {
         return Err(Error(format!("the derivative of {state} must be named der({state})")));
@@ -193,7 +193,7 @@ fn check_reference(description: &ModelDescription, variable: &Variable) -> Resul
     }
 }
 
-/// A family becomes one variant of a Rust enum: indices from 1 on without a gap, one type, one role.
+/// Requires that each family can be one variant of a Rust enum: indices from 1 without a gap, one type, one role.
 fn check_families(variables: &[Variable]) -> Result<(), Error> {
     for variable in variables {
         let family = &variable.name.family;
@@ -227,7 +227,7 @@ fn check_structure(description: &ModelDescription) -> Result<(), Error> {
     let structure = &description.structure;
     same("Outputs", &structure.outputs, &names(&|v| v.causality == Causality::Output))?;
     same("Derivatives", &structure.derivatives, &names(&Variable::is_alias))?;
-    // FMI 2.0.4, section 2.2.8: outputs, continuous states and their derivatives, for there are no calculated parameters.
+    // FMI 2.0.4, section 2.2.8: outputs, continuous states and their derivatives. There are no calculated parameters.
     let states = description.states();
     let exposed = |v: &Variable| v.causality == Causality::Output || v.is_alias() || states.contains(&v.name.full.as_str());
     same("InitialUnknowns", &structure.initial_unknowns, &names(&exposed))?;
@@ -237,7 +237,7 @@ fn check_structure(description: &ModelDescription) -> Result<(), Error> {
     Ok(())
 }
 
-/// A list of the model structure names exactly the variables of its kind, in the order of the file.
+/// Requires that a list of the model structure names exactly the expected variables, in the order of the file.
 fn same(list: &str, unknowns: &[Unknown], expected: &[&str]) -> Result<(), Error> {
     for position in 0..unknowns.len().max(expected.len()) {
         match (unknowns.get(position).map(|unknown| unknown.name.as_str()), expected.get(position)) {

@@ -1,9 +1,9 @@
 //! A model description as plain data.
 
-/// A model description, checked.
+/// A checked model description.
 #[derive(Clone, Debug)]
 pub struct ModelDescription {
-    /// The text it was read from.
+    /// Text of the XML file.
     pub xml: String,
     /// Name of the model.
     pub model_name: String,
@@ -28,7 +28,7 @@ pub struct ModelDescription {
 }
 
 impl ModelDescription {
-    /// Names of the continuous states: the variables of which another is the derivative.
+    /// Names of the continuous states: variables with a derivative among the other variables.
     pub fn states(&self) -> Vec<&str> {
         self.variables.iter().filter_map(|variable| variable.derivative_of.as_deref()).collect()
     }
@@ -48,7 +48,7 @@ pub struct Experiment {
 pub struct Unit {
     /// Name, e.g. `rad/s`.
     pub name: String,
-    /// Names of the units that values may be shown in, e.g. `deg/s`.
+    /// Names of the units in which values may be shown, e.g. `deg/s`.
     pub display_units: Vec<String>,
 }
 
@@ -57,7 +57,7 @@ pub struct Unit {
 pub struct SimpleType {
     /// Name.
     pub name: String,
-    /// Description; empty where there is none.
+    /// Description; empty if there is none.
     pub description: String,
     /// Kind of the type.
     pub kind: TypeKind,
@@ -95,7 +95,7 @@ pub struct Item {
     pub name: String,
     /// Number of the item in calls.
     pub value: i32,
-    /// Description; empty where there is none.
+    /// Description; empty if there is none.
     pub description: String,
 }
 
@@ -104,7 +104,7 @@ pub struct Item {
 pub struct Category {
     /// Name.
     pub name: String,
-    /// Description; empty where there is none.
+    /// Description; empty if there is none.
     pub description: String,
 }
 
@@ -127,9 +127,9 @@ pub struct Variable {
     pub kind: Kind,
     /// Name of the declared type.
     pub declared_type: Option<String>,
-    /// Name of the unit: the declared type's.
+    /// Name of the unit of the declared type.
     pub unit: Option<String>,
-    /// Name of the variable whose time derivative this one is.
+    /// Name of the state, if this variable is its time derivative.
     pub derivative_of: Option<String>,
 }
 
@@ -148,11 +148,11 @@ impl Variable {
 /// A structured name, e.g. `link[2].length`: family `link.length`, index 1 (0-based).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Name {
-    /// Name as it stands in the XML.
+    /// Name as written in the XML.
     pub full: String,
     /// Name without the index.
     pub family: String,
-    /// 0-based index, where the name has one.
+    /// 0-based index, if the name has one.
     pub index: Option<usize>,
 }
 
@@ -187,7 +187,7 @@ pub enum Kind {
         /// Start value.
         start: Option<bool>,
     },
-    /// Enumeration; the items stand in the declared type.
+    /// Enumeration; the declared type has the items.
     Enumeration {
         /// Start value: the number of an item.
         start: Option<i32>,
@@ -222,7 +222,7 @@ pub enum Causality {
     Parameter,
     /// Set by the master at communication points.
     Input,
-    /// Read by the master, and connected.
+    /// Read by the master and connected.
     Output,
     /// Read by the master, not meant for connections.
     Local,
@@ -262,7 +262,7 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// The unknowns of an element of `<ModelStructure>`; `None` of any other element.
+    /// The unknowns of an element of `<ModelStructure>`; `None` for any other element.
     pub(crate) fn section(&self, tag: &str) -> Option<&[Unknown]> {
         match tag {
             "Outputs" => Some(&self.outputs),
@@ -273,7 +273,7 @@ impl Structure {
     }
 }
 
-/// An unknown and the known variables that it depends on.
+/// An unknown and the known variables on which it depends.
 #[derive(Clone, Debug)]
 pub struct Unknown {
     /// Name of the unknown.

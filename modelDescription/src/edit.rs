@@ -7,17 +7,17 @@ pub(crate) fn write(writer: &mut Writer<Vec<u8>>, event: Event<'_>) {
     writer.write_event(event).expect("writing to memory does not fail");
 }
 
-/// Value of an attribute, where the element has it.
+/// Value of an attribute, if the element has it.
 pub(crate) fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
     let attribute = element.try_get_attribute(name).expect("parse() has read the same element before");
     attribute.map(|attribute| attribute.value.into_owned())
 }
 
-/// The element with another value of one attribute, escaped, and every line break between the attributes kept.
+/// Replaces the value of one attribute, escaped; line breaks between the attributes are kept.
 pub(crate) fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
     let old = value(element, name).unwrap_or_default();
     let content = format!("{}{}", element.name().0, element.attributes_raw());
-    // The blank before the name tells `version` from `fmiVersion`.
+    // The blank before the name distinguishes `version` from `fmiVersion`.
     let pattern = |blank: char| format!("{blank}{name}=\"{old}\"");
     let content = [' ', '\n']
         .into_iter()

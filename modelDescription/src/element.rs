@@ -1,4 +1,4 @@
-//! XML text → tree of elements.
+//! Parser from XML text to a tree of elements.
 
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
@@ -10,17 +10,17 @@ use crate::Error;
 pub(crate) struct Element {
     /// Tag.
     pub(crate) tag: String,
-    /// Names and unescaped values.
+    /// Attributes: names and unescaped values.
     attributes: Vec<(String, String)>,
-    /// Elements within, in order.
+    /// Child elements, in order.
     pub(crate) children: Vec<Element>,
 }
 
 impl Element {
-    /// Reads a document and returns its root.
+    /// Parses a document and returns its root. Refuses text that is not XML, or has no root or more than one.
     pub(crate) fn parse(xml: &str) -> Result<Self, Error> {
         let mut reader = Reader::from_str(xml);
-        // A stack of open elements; the bottom one stands for the document and receives the root.
+        // A stack of open elements; the bottom element is the document and receives the root.
         let mut open = vec![Self { tag: "document".to_owned(), attributes: Vec::new(), children: Vec::new() }];
         loop {
             let event = reader.read_event().map_err(|error| Error(format!("byte {}: {error}", reader.error_position())))?;
@@ -57,22 +57,22 @@ impl Element {
         Ok(Self { tag, attributes, children: Vec::new() })
     }
 
-    /// Value of an attribute, where it is given.
+    /// Value of an attribute, if it is given.
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
-    /// Value of an attribute; refused where the element does not have it.
+    /// Value of an attribute; refuses an element without it.
     pub(crate) fn required(&self, name: &str) -> Result<&str, Error> {
         self.attribute(name).ok_or_else(|| Error(format!("{self} has no attribute {name}")))
     }
 
-    /// The one child of that tag.
+    /// The first child with this tag; refuses an element without one.
     pub(crate) fn child(&self, tag: &str) -> Result<&Element, Error> {
         self.children.iter().find(|child| child.tag == tag).ok_or_else(|| Error(format!("{self} has no element <{tag}>")))
     }
 
-    /// Refuses attributes that are not in `allowed`, so that a misspelt one does not go unnoticed.
+    /// Refuses attributes that are not in `allowed`, so that a misspelt attribute is noticed.
     pub(crate) fn allow(&self, allowed: &[&str]) -> Result<(), Error> {
         match self.attributes.iter().find(|(key, _)| !allowed.contains(&key.as_str())) {
             Some((key, _)) => Err(Error(format!("{self}: attribute {key} is not one of {}", allowed.join(", ")))),
@@ -82,7 +82,7 @@ impl Element {
 }
 
 impl std::fmt::Display for Element {
-    /// The tag with the element's name, for messages.
+    /// Tag and name of the element, for messages.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.attribute("name") {
             Some(name) => write!(f, "<{} name=\"{name}\">", self.tag),

@@ -6,12 +6,12 @@ use quick_xml::{Reader, Writer};
 use crate::data::{ModelDescription, Unknown};
 use crate::edit::{replace, value, write};
 
-/// Comment on top of the output, in place of the source's.
+/// Comment at the top of the output; it replaces the comment of the source.
 const HEAD: &str = "\n<!-- Written by `cargo xtask package` from modelDescription/modelDescription.xml: do not edit. -->\n";
 
 impl ModelDescription {
-    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants, and every
-    /// comment and line break of the source kept.
+    /// The FMI 2.0 model description: GUID and version are filled in, names in the model structure are replaced by FMI's 1-based indices,
+    /// and other comments and all line breaks of the source are kept.
     pub fn to_fmi(&self, version: &str) -> String {
         const CHECKED: &str = "parse() has read the same text before";
         let mut reader = Reader::from_str(&self.xml);
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(names(&structure.initial_unknowns), [names(&structure.outputs), names(&structure.derivatives)].concat());
     }
 
-    /// The tip's start follows from the geometry: two units that are coupled through their tips form no loop.
+    /// The start of the tip follows from the geometry alone, so two units coupled by their tips form no loop.
     #[test]
     fn families_and_beginnings_become_names() {
         let (description, _, _) = written();

@@ -3,7 +3,7 @@
 use crate::{Error, Name};
 
 impl Name {
-    /// Takes a name apart: identifiers joined by dots, at most one 1-based index, possibly within `der(...)`.
+    /// Parses a name: identifiers joined by dots, with at most one 1-based index, possibly within `der(...)`. Refuses other names.
     pub fn parse(full: &str) -> Result<Self, Error> {
         let refuse = |why: &str| Err(Error(format!("variable name \"{full}\": {why}")));
         let (before, inner, after) = match full.strip_prefix("der(").map(|rest| rest.strip_suffix(')')) {

@@ -1,4 +1,4 @@
-//! Tree of elements → plain data.
+//! Parser from the tree of elements to plain data.
 
 use std::str::FromStr;
 
@@ -9,7 +9,7 @@ use crate::data::{
 };
 use crate::element::Element;
 
-/// Parses the whole description; consistency is checked by [`super::check`].
+/// Parses the whole description. [`super::check`] then checks its consistency.
 pub(crate) fn description(xml: &str) -> Result<ModelDescription, Error> {
     let root = Element::parse(xml)?;
     let types = each(root.child("TypeDefinitions")?, simple_type)?;
@@ -164,7 +164,7 @@ fn kind(variable: &Element, inner: &Element) -> Result<Kind, Error> {
     })
 }
 
-/// An attribute's value as a number or truth value; `owner` is named in the message.
+/// Value of an attribute as a number or truth value; messages name `owner`.
 fn number<T: FromStr>(owner: &Element, element: &Element, attribute: &str) -> Result<Option<T>, Error> {
     let Some(text) = element.attribute(attribute) else {
         return Ok(None);
@@ -175,7 +175,7 @@ fn number<T: FromStr>(owner: &Element, element: &Element, attribute: &str) -> Re
     }
 }
 
-/// An attribute's value as one of several words.
+/// Value of an attribute as one of several words.
 fn choice<T: Copy>(element: &Element, attribute: &str, choices: &[(&str, T)]) -> Result<Option<T>, Error> {
     let Some(text) = element.attribute(attribute) else {
         return Ok(None);
@@ -202,7 +202,7 @@ fn structure(element: &Element, variables: &[Variable]) -> Result<Structure, Err
     })
 }
 
-/// A dependency is a known, a family of knowns without its index, or all knowns that begin alike (`servo.*`).
+/// Parses an unknown. A dependency is a known, a family of knowns without index, or all knowns with the same beginning (`servo.*`).
 fn unknown(element: &Element, known: &[&Name], words: &str) -> Result<Unknown, Error> {
     element.allow(&["name", "dependencies"])?;
     let name = element.required("name")?.to_owned();

@@ -2,7 +2,7 @@
 
 use crate::{ModelDescription, XML};
 
-/// The shipped description with one text replaced, which must occur.
+/// The shipped description with one text replaced; the text must occur.
 fn broken(old: &str, new: &str) -> String {
     assert!(XML.contains(old), "the XML no longer contains {old}");
     let xml = XML.replacen(old, new, 1);
