@@ -1,5 +1,5 @@
-//! The reader's answers, a line of JSON for each file that is named: the scene with nothing left to look up, or the sentence of its
-//! refusal. `tests/python/test_scene_readers.py` holds the reader of users to them.
+//! Prints the reader's answer for each file named, as a line of JSON: the resolved scene, or the sentence of its refusal.
+//! `tests/python/test_scene_readers.py` compares the reader of the Python package with these answers.
 
 use std::env;
 use std::path::Path;

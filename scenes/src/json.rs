@@ -1,14 +1,14 @@
-//! Text → JSON in which no key stands twice: of two values, one would be silently without effect.
+//! Parser from text to JSON without duplicate keys: one of two values would silently have no effect.
 
 use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Value as Json};
 
-/// So many brackets stand in each other at most: what a scene holds takes five.
+/// Largest depth of nested brackets; scenes need five.
 const MOST_BRACKETS: u32 = 8;
 
-/// The content of a file.
+/// Parses the content of a file. Refuses text that is not JSON, duplicate keys and deeper nesting.
 pub(crate) fn read(text: &str) -> serde_json::Result<Json> {
     let mut reader = serde_json::Deserializer::from_str(text);
     let content = Unique { left: MOST_BRACKETS }.deserialize(&mut reader)?;
@@ -16,14 +16,14 @@ pub(crate) fn read(text: &str) -> serde_json::Result<Json> {
     Ok(content)
 }
 
-/// A value in which so many more brackets may stand.
+/// A value with room for `left` more levels of brackets.
 #[derive(Clone, Copy)]
 struct Unique {
     left: u32,
 }
 
 impl Unique {
-    /// Those within its brackets.
+    /// The values within its brackets; refuses deeper nesting.
     fn within<E: Error>(self) -> Result<Self, E> {
         match self.left.checked_sub(1) {
             Some(left) => Ok(Self { left }),

@@ -1,22 +1,22 @@
-//! Variables by name, and those that a misspelt name may mean.
+//! Variables by name, and suggestions for misspelt names.
 
 use std::sync::LazyLock;
 
 use anyhow::{Result, bail, ensure};
 use model_description::{Causality, Item, Kind, ModelDescription, TypeKind, Variability, Variable};
 
-/// The model description that all scenes are checked against.
+/// The model description against which all scenes are checked.
 pub(crate) fn model() -> Result<&'static ModelDescription> {
     static MODEL: LazyLock<Result<ModelDescription, model_description::Error>> = LazyLock::new(ModelDescription::read);
     Ok(MODEL.as_ref()?)
 }
 
-/// Keys of scenes in the tip's coordinates, which need inverse kinematics.
+/// Keys of scenes in tip coordinates, which need inverse kinematics.
 const TIP: [&str; 4] = ["tip.x", "tip.y", "mode.working", "mode.assembly"];
-/// Keys of the mounting angles of a machine's encoders, which no unit has.
+/// Keys of encoder offsets, which are not variables of a unit.
 const OFFSETS: [&str; 2] = ["encoder.offset[1]", "encoder.offset[2]"];
 
-/// Refuses a name that is a key of the tip's coordinates or of an encoder.
+/// Refuses a key of tip coordinates or of an encoder.
 fn not_of_the_package(name: &str) -> Result<()> {
     for (keys, what) in [(&TIP[..], "is in the tip's coordinates"), (&OFFSETS, "is of an encoder")] {
         ensure!(!keys.contains(&name), "'{name}' {what}, which the Python package fivebar reads and this reader does not");
@@ -24,7 +24,8 @@ fn not_of_the_package(name: &str) -> Result<()> {
     Ok(())
 }
 
-/// The variable that a scene gives a start value; `reserved` are other keys that a misspelt name may mean.
+/// The variable of a start value in a scene; refuses unknown and computed variables. `reserved` are other keys that a misspelt
+/// name may mean.
 pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variable> {
     not_of_the_package(name)?;
     let variables = &model()?.variables;
@@ -39,7 +40,7 @@ pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variabl
     }
 }
 
-/// The input that a scene gives a signal.
+/// The input of a signal in a scene; refuses other variables.
 pub(crate) fn input(name: &str) -> Result<&'static Variable> {
     not_of_the_package(name)?;
     if let Some(parameter) = model()?.variables.iter().find(|v| v.name.full == name && v.causality == Causality::Parameter) {
@@ -60,7 +61,7 @@ pub(crate) fn input(name: &str) -> Result<&'static Variable> {
     }
 }
 
-/// The input or tunable Real parameter that a scene changes in steps.
+/// The input or tunable Real parameter that a scene changes in steps; refuses other variables.
 pub(crate) fn input_or_tunable(name: &str) -> Result<&'static Variable> {
     let tunable = |variable: &&Variable| variable.variability == Variability::Tunable && matches!(variable.kind, Kind::Real { .. });
     match model()?.variables.iter().filter(tunable).find(|variable| variable.name.full == name) {
@@ -74,7 +75,7 @@ pub(crate) fn unit(variable: &Variable) -> &str {
     variable.unit.as_deref().unwrap_or("1")
 }
 
-/// The items of a variable that is an enumeration.
+/// Items of an enumeration variable; empty for other types.
 pub(crate) fn items(variable: &Variable) -> Result<&'static [Item]> {
     let declared = model()?.types.iter().find(|declared| Some(&declared.name) == variable.declared_type.as_ref());
     match declared.map(|declared| &declared.kind) {
@@ -83,9 +84,9 @@ pub(crate) fn items(variable: &Variable) -> Result<&'static [Item]> {
     }
 }
 
-/// The end of a sentence about an unknown name: those it may have been meant to be.
+/// End of a sentence about an unknown name, with suggestions.
 pub(crate) fn similar<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
-    /// From here on two names look alike: 0.4 of the letters may differ.
+    /// Likeness from which a name is suggested: 0.4 of the letters may differ.
     const ALIKE: f64 = 0.6;
     const MOST_ALIKE: usize = 3;
     const MOST_KNOWN: usize = 6;

@@ -1,4 +1,4 @@
-//! A file's keys, runs and experiment.
+//! Keys, runs and experiment of a file.
 
 use anyhow::{Context, Result, bail, ensure};
 use model_description::Kind;
@@ -7,7 +7,7 @@ use serde_json::{Map, Value as Json};
 use crate::names::{items, model, settable, similar};
 use crate::{Overlay, Scene, Signal, Value, Values, json, signal};
 
-/// Keys of a scene that are no variables.
+/// Keys of a scene that are not variables.
 const RESERVED: [&str; 4] = [DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY];
 
 const DESCRIPTION: &str = "description";
@@ -15,11 +15,11 @@ const EXPERIMENT: &str = "experiment";
 const SIGNALS: &str = "signals";
 const OVERLAY: &str = "overlay";
 
-/// The key of an overlay that is no variable.
+/// Key of an overlay that is not a variable.
 const LABEL: &str = "label";
 
 impl Scene {
-    /// A scene from the text of its file.
+    /// Parses a scene from the text of its file; refuses text that is not a scene.
     pub fn parse(name: &str, text: &str) -> Result<Self> {
         let content = json::read(text).context("it is not valid JSON")?;
         let content = content.as_object().context("a scene must be an object of variable names and values")?;
@@ -39,7 +39,7 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The labels of its runs: of its own the method, and those of the overlays.
+    /// Labels of the runs: the method for the scene's own run, then the labels of the overlays.
     pub(crate) fn labels(&self) -> Result<Vec<&str>> {
         let own = method(&self.values)?;
         Ok([own].into_iter().chain(self.overlays.iter().map(|overlay| overlay.label.as_str())).collect())
@@ -80,12 +80,12 @@ fn text_of(key: &str, given: Option<&Json>) -> Result<String> {
     }
 }
 
-/// Whether XML, tables or pages cannot have it in a line (XML 1.0, section 2.2).
+/// Whether a line of XML, a table or a page cannot contain the character (XML 1.0, section 2.2).
 fn is_no_text(c: char) -> bool {
     c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{fffe}' | '\u{ffff}')
 }
 
-/// Stop time, if it is given, and communication step, s; where it is not given, that of the model description.
+/// Stop time, s, if it is given, and communication step, s; the default is the step of the model description.
 fn experiment(given: Option<&Json>) -> Result<(Option<f64>, f64)> {
     const KEYS: [&str; 2] = ["stopTime", "stepSize"];
     let none = Map::new();
@@ -107,7 +107,7 @@ fn experiment(given: Option<&Json>) -> Result<(Option<f64>, f64)> {
     Ok((seconds(KEYS[0])?, seconds(KEYS[1])?.unwrap_or(model()?.experiment.step_size)))
 }
 
-/// Stop time of a scene that has none, s: where its signals end, or else that of the model description.
+/// Stop time, s, of a scene without one: the end of its signals, or else the stop time of the model description.
 fn end(signals: &[Signal]) -> Result<f64> {
     let last = signals.iter().map(|signal| signal.end).fold(0.0, f64::max);
     Ok(if last > 0.0 { last } else { model()?.experiment.stop_time })
@@ -134,7 +134,7 @@ fn overlay(given: &Json, own: &Values) -> Result<Overlay> {
     Ok(Overlay { label, values })
 }
 
-/// The name of the method that a run has.
+/// Name of the method of a run.
 fn method(values: &Values) -> Result<&'static str> {
     let variable = settable("solver.method", &[])?;
     let given = values.iter().find(|(set, _)| set.reference == variable.reference).map(|(_, value)| *value);

@@ -1,15 +1,16 @@
-//! Scenes with every name and unit looked up, as JSON.
+//! Scenes with all names and units resolved, as JSON.
 
 use anyhow::{Result, ensure};
 use serde_json::{Map, Value as Json, json};
 
 use crate::{Scene, Values};
 
-/// Communication points of a run, at most.
+/// Largest number of communication points of a run.
 const MOST_POINTS: f64 = 1e6;
 
 impl Scene {
-    /// Every run with its label and its values as calls carry them, and every signal at every communication point.
+    /// Every run with its label and its values as FMI calls pass them, and every signal at every communication point. Refuses scenes with
+    /// too many communication points.
     pub fn resolved(&self) -> Result<Json> {
         let runs = [&self.values].into_iter().chain(self.overlays.iter().map(|overlay| &overlay.values));
         let variants: Vec<Json> = self
@@ -34,7 +35,7 @@ impl Scene {
         }))
     }
 
-    /// 0, H, 2H, ... and the stop time; a remainder within rounding is no step of its own.
+    /// 0, H, 2H, ... and the stop time; a remainder within rounding is not a step.
     fn communication_points(&self) -> Result<Vec<f64>> {
         let Self { stop_time, step_size, .. } = self;
         let steps = stop_time / step_size - 1e-9;

@@ -1,9 +1,9 @@
 //! Inputs and tunable parameters that change with time, given by a few knots [time in s, value].
 //!
-//! `{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in
-//! each, by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688,
-//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the
-//! next, and is the one that a tunable parameter may have. Before its first and after its last knot a signal is constant.
+//! `{"linear": [[t, v], ...]}` connects the knots by straight lines. `{"minimumJerk": [[t, v], ...]}` rests at each knot and moves between
+//! them by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688, eq. 3).
+//! `{"rateOf": "servo.theta[1]"}` is the derivative of another signal. `{"steps": [[t, v], ...]}` keeps the value of each knot until the
+//! next; only this kind is allowed for a tunable parameter. Before its first and after its last knot a signal is constant.
 
 use anyhow::{Context, Result, bail};
 use model_description::Variable;
@@ -19,24 +19,24 @@ const RATE_OF: &str = "rateOf";
 const STEPS: &str = "steps";
 const KINDS: [&str; 4] = [LINEAR, MINIMUM_JERK, RATE_OF, STEPS];
 
-/// A step is there a nanosecond early: times that a master counts together are not quite those that are written.
+/// Lead of a step before its knot, s: a master's sum of step sizes may be slightly below the time of a knot.
 const EARLY: f64 = 1e-9;
 
-/// One variable's way through its knots.
+/// Signal of one variable.
 #[derive(Clone, Debug)]
 pub struct Signal {
     /// The input or tunable parameter.
     pub variable: &'static Variable,
     shape: Shape,
-    /// Whether it is the rate of that way.
+    /// Whether the signal is the rate of the path through the knots.
     rate: bool,
     /// Times, s, and values.
     knots: Vec<(f64, f64)>,
-    /// Time of the last knot as it is written, s.
+    /// Time of the last knot as given, s.
     pub(crate) end: f64,
 }
 
-/// The way from one knot to the next.
+/// Path from one knot to the next.
 #[derive(Clone, Copy, Debug)]
 enum Shape {
     Linear,
@@ -53,7 +53,7 @@ fn number<T: Number>(value: f64) -> T {
 }
 
 impl Shape {
-    /// From 0 to 1 while u goes from 0 to 1.
+    /// Path: from 0 to 1 while u goes from 0 to 1.
     fn way<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => u,
@@ -66,7 +66,7 @@ impl Shape {
         }
     }
 
-    /// Its derivative.
+    /// Derivative of the path.
     fn slope<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => T::one(),
@@ -79,7 +79,7 @@ impl Shape {
     }
 }
 
-/// The signals of a file.
+/// Parses the signals of a file.
 pub(crate) fn read(given: Option<&Json>) -> Result<Vec<Signal>> {
     let given = match given {
         None => return Ok(Vec::new()),
@@ -93,7 +93,7 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     let (kind, value) = kind(&given[name])?;
     let variable = if kind == STEPS { names::input_or_tunable(name)? } else { names::input(name)? };
     if kind == RATE_OF {
-        // Of a rate there is none: one that names itself, or one that names it, would have no end.
+        // A rate of a rate is not allowed: a signal that names itself would never end.
         let has_knots =
             |source: &&str| given.get(*source).and_then(|source| self::kind(source).ok()).is_some_and(|(kind, _)| kind != RATE_OF);
         let source = value.as_str().filter(has_knots).map(|source| signal(given, source)).transpose()?;
@@ -124,7 +124,7 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     Ok(Signal { variable, shape, rate: false, knots, end })
 }
 
-/// The one key of a signal, one of [`KINDS`], and its value.
+/// The only key of a signal, one of [`KINDS`], and its value; refuses anything else.
 fn kind(given: &Json) -> Result<(&str, &Json)> {
     match given.as_object().map(|kinds| kinds.iter().collect::<Vec<_>>()).as_deref() {
         Some([(kind, value)]) if KINDS.contains(&kind.as_str()) => Ok((kind, value)),
@@ -133,12 +133,12 @@ fn kind(given: &Json) -> Result<(&str, &Json)> {
 }
 
 impl Signal {
-    /// Its value at a time, s, to a few units of the last place.
+    /// Value at a time, s, accurate to a few units in the last place.
     pub fn at(&self, time: f64) -> f64 {
         self.value(time)
     }
 
-    /// The double nearest to its value at the beginning of a millisecond, counted from 0.
+    /// The double nearest to the value at the beginning of a millisecond, counted from 0.
     pub fn nearest(&self, millisecond: u32) -> f64 {
         self.value(BigRational::new(millisecond.into(), 1000.into())).to_f64().expect("between finite knots")
     }
@@ -165,7 +165,7 @@ mod tests {
         read(Some(&given)).expect("signals")
     }
 
-    /// Between knots the value is that of the path, outside it stays, the rate is the derivative by central differences.
+    /// Between knots the value follows the path, outside it is constant; the rate is the derivative by central differences.
     #[test]
     fn a_signal_meets_its_knots_and_its_rate() {
         let knots = json!([[0.5, 1.0], [1.0, 3.0], [2.0, 2.0]]);
@@ -176,14 +176,14 @@ mod tests {
                 assert_eq!(way.at(time), value, "{shape}, {time} s");
             }
             for time in [0.1, 0.55, 0.7, 0.95, 1.1, 1.6, 1.99, 2.5] {
-                // The differences' error is d²/6 times the third derivative, some 1e3.
+                // The error of the differences is d²/6 times the third derivative, about 1e3.
                 let difference = (way.at(time + 1e-5) - way.at(time - 1e-5)) / 2e-5;
                 assert!((rate.at(time) - difference).abs() < 1e-6, "{shape}, {time} s: {} and {difference}", rate.at(time));
             }
         }
     }
 
-    /// A step signal keeps its value until the next knot, also where the master's time differs from the knot's by round-off.
+    /// A step signal keeps its value until the next knot, even if the master's time differs from the knot by round-off.
     #[test]
     fn a_step_is_there_at_its_time() {
         let [mass] = signals(json!({ "payload.mass": { STEPS: [[0.1, 1.0], [0.3, 3.0], [0.7, 2.0]] } })).try_into().expect("one");
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!([299, 300, 699, 700].map(|millisecond| mass.nearest(millisecond)), [1.0, 3.0, 3.0, 2.0]);
     }
 
-    /// Rate and acceleration are 0 there, to the first order in the distance of 1e-6 s times the jerk of some 1e3.
+    /// Rate and acceleration are 0 there, to first order in the distance of 1e-6 s times the jerk of about 1e3.
     #[test]
     fn a_minimum_jerk_rests_in_its_knots() {
         let way = json!({ MINIMUM_JERK: [[0.5, 1.0], [1.0, 3.0], [2.0, 2.0]] });
@@ -208,7 +208,7 @@ mod tests {
         }
     }
 
-    /// Equal to the bit to tests/data/reference/make/make.py: values of its `signal_at`, in 80 digits.
+    /// The same bits as in tests/data/reference/make/make.py: values of its `signal_at`, in 80 digits.
     #[test]
     fn the_nearest_double_is_what_references_hold() {
         let held = [
@@ -224,7 +224,7 @@ mod tests {
             let scene = crate::Scene::read(scene).expect("a shipped scene");
             let signal = scene.signals.iter().find(|signal| signal.variable.name.full == name).expect("its signal");
             assert_eq!(signal.nearest(millisecond), value, "{name} at {millisecond} ms");
-            // Doubles are off by some units of the last place, 4e-16 of values around 3.
+            // Doubles are off by a few units in the last place, 4e-16 for values around 3.
             let double = signal.at(1e-3 * f64::from(millisecond));
             assert!((double - value).abs() < 5e-15, "{name} at {millisecond} ms: {double}");
         }

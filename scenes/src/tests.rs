@@ -1,4 +1,4 @@
-//! Values that are read, and the sentences for refusals.
+//! Values as they are read, and sentences of refusals.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use serde_json::{Value as Json, json};
 
 use crate::{Scene, Value, Values, names};
 
-/// A scene of `content`, an object of JSON, with a description.
+/// Parses a scene with this content, a JSON object, and a description.
 fn parse(content: Json) -> anyhow::Result<Scene> {
     let mut content = content;
     content.as_object_mut().expect("an object").entry("description").or_insert_with(|| "trial".into());
@@ -30,14 +30,14 @@ fn shipped_scenes_say_only_what_differs() {
                 Kind::Integer { start, .. } | Kind::Enumeration { start } => start.map(Value::Integer),
                 Kind::Boolean { start } => start.map(Value::Boolean),
             };
-            // Runs of a scene that names no method are by `automatic`, not by the unit's own.
+            // A scene without a method runs by `automatic`, not by the default of the unit.
             let decides = variable.name.full == "solver.method";
             assert!(decides || start != Some(*value), "{}: {} has this value anyway", scene.name, variable.name.full);
         }
     }
 }
 
-/// The double nearest to the decimal number, as any other reader finds it: without `float_roundtrip` it is a neighbour.
+/// The double nearest to the decimal number, as any other reader finds it; without `float_roundtrip` it would be a neighbour.
 #[test]
 fn numbers_are_read_to_the_last_bit() {
     let scene = Scene::read("singular_crossing").expect("a shipped scene");
@@ -52,7 +52,7 @@ fn the_paper_s_scenes_are_there() {
     }
 }
 
-/// Every effect of every scene, and a scene as a user writes it.
+/// docs/scenes.md lists every scene with its effects, and its example is a valid scene.
 #[test]
 fn docs_list_every_scene_with_its_effects() {
     let docs = fs::read_to_string(crate::folder().join("../docs/scenes.md")).expect("docs/scenes.md");
@@ -84,7 +84,7 @@ fn row(line: &str) -> Option<(String, String)> {
     Some((cells[0].split('`').next()?.to_owned(), (*cells.get(2)?).to_owned()))
 }
 
-/// Starts and signals by the tip's place need inverse kinematics, and mounting angles of encoders a feeder of samples, which the package has.
+/// Tip coordinates need inverse kinematics, and encoder offsets need a source of samples: only the Python package has them.
 #[test]
 fn scenes_in_the_tip_s_coordinates_or_with_mounting_angles_are_the_package_s() {
     let knots = json!({ "linear": [[0, 0], [1, 1]] });
@@ -148,7 +148,7 @@ fn a_resolved_scene_has_nothing_left_to_look_up() {
     assert_eq!(scene.expect("a scene").resolved().expect("a file"), expected);
 }
 
-/// Content, and words of the sentence with which it is refused.
+/// Content, and words of the sentence that refuses it.
 #[test]
 fn what_is_wrong_is_named() {
     let knots = json!([[0, 0], [1, 1]]);

@@ -1,4 +1,4 @@
-//! A value of the type that its variable has.
+//! A value of the type of its variable.
 
 use std::fmt::Display;
 
@@ -8,7 +8,7 @@ use serde_json::Value as Json;
 
 use crate::names::{items, unit};
 
-/// A value as calls carry it: enumerations are integers (FMI 2.0.4, section 2.2.7).
+/// A value as FMI calls pass it: enumerations are integers (FMI 2.0.4, section 2.2.7).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value {
     /// For fmi2SetReal.
@@ -20,7 +20,7 @@ pub enum Value {
 }
 
 impl Value {
-    /// The value in the caller's own form, by whichever of the three fits.
+    /// Passes the value to the function of its type.
     pub fn fold<T>(self, real: impl FnOnce(f64) -> T, integer: impl FnOnce(i32) -> T, boolean: impl FnOnce(bool) -> T) -> T {
         match self {
             Self::Real(value) => real(value),
@@ -29,7 +29,7 @@ impl Value {
         }
     }
 
-    /// Value of a variable from a file.
+    /// Parses the value of a variable in a file; refuses values of another type, outside the bounds or not among the items.
     pub(crate) fn read(variable: &Variable, given: &Json) -> Result<Self> {
         let (typed, wanted) = match &variable.kind {
             Kind::Real { bounds, .. } => (
@@ -38,7 +38,7 @@ impl Value {
             ),
             Kind::Integer { bounds, .. } => {
                 let whole = given.as_i64().and_then(|value| i32::try_from(value).ok());
-                // A bound that is not written is that of FMI's integers.
+                // If no bound is given, FMI's integers set the bound.
                 let bounds = Bounds { min: bounds.min.or(Some(i32::MIN)), max: bounds.max.or(Some(i32::MAX)) };
                 (whole.filter(|&value| within(&bounds, value)).map(Self::Integer), format!("a whole number{}", limits(&bounds)))
             }
