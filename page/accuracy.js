@@ -1,4 +1,5 @@
-// Accuracy against time: the scene by every method at several tolerances or steps, each beside a run of tight tolerance.
+// Accuracy against time: runs the scene with every method at several tolerances or steps, and compares each run with a run at a tight
+// tolerance.
 
 import { METHODS } from "./effects.js";
 import { Run } from "./run.js";
@@ -11,17 +12,17 @@ const TIGHT = 1e-13;
 const HORIZON = 500; // ms
 const LONGEST = 400; // ms of computing for one run
 const SLICE = 2; // ms of computing at a time
-const ENOUGH = 4; // ms of computing that a clock can tell
-const BATCHES = 5; // at most
+const ENOUGH = 4; // ms of computing that a clock can resolve
+const BATCHES = 5; // largest number
 
-// Takes a little time whenever it is asked, and is done when every point is there.
+// Works in small slices of time; `done` when every point is measured.
 export class Accuracy {
   constructor(library, settings) {
     [this.library, this.settings, this.points, this.done] = [library, settings, [], false];
     this.work = this.measure();
   }
 
-  // Goes on for about so many milliseconds of real time.
+  // Continues for about `budget` milliseconds of real time.
   advance(budget) {
     const end = performance.now() + budget;
     while (!this.done && performance.now() < end) this.done = this.work.next().done;
@@ -42,12 +43,12 @@ export class Accuracy {
     }
   }
 
-  // Tips every 10 ms, and microseconds per millisecond; nothing where the unit refuses, or takes too long.
+  // Tips every 10 ms, and microseconds per simulated millisecond; empty if the unit refuses the run or it takes too long.
   *run(values) {
     const tips = [];
     const first = yield* this.time(values, tips);
     if (first === undefined) return {};
-    // The clock of a browser is coarse, its compiler warms up, and the computer does other things too: the best of some batches counts.
+    // The browser's clock is coarse, its compiler warms up, and the computer does other work too: take the best of some batches.
     const batch = Math.max(1, Math.ceil(ENOUGH / Math.max(first, 0.1)));
     let [best, total] = [Infinity, 0];
     for (let i = 0; i < BATCHES && total < BATCHES * ENOUGH; i += 1) {
@@ -59,7 +60,7 @@ export class Accuracy {
     return { tips, cost: (1e3 * best) / HORIZON };
   }
 
-  // Milliseconds of one run, taken in slices.
+  // Milliseconds of one run, measured in slices; undefined if the unit refuses the run or it takes too long.
   *time(values, tips) {
     let run;
     try {

@@ -2,7 +2,7 @@
 
 const FONT = "11px system-ui, sans-serif";
 
-// A canvas for a picture: its context, in pixels of the page, and its size.
+// Prepares a canvas for a picture: its context, scaled to CSS pixels, and its size.
 function sheet(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -16,13 +16,13 @@ function sheet(canvas) {
   return { context, width, height };
 }
 
-// Values over the last seconds, as a ring of samples.
+// Values over the last seconds, as a queue of samples.
 export class History {
   constructor(seconds, count) {
     [this.seconds, this.count, this.samples] = [seconds, count, []];
   }
 
-  // A sample, unless the last one is too close.
+  // Adds a sample, unless it follows the last one too closely.
   add(time, values) {
     const last = this.samples.at(-1);
     if (last && time < last.time) this.clear();
@@ -36,7 +36,7 @@ export class History {
   }
 }
 
-// Curves over time: `curves` has colour, dashes and label of each value; `log` is the smallest and largest power of ten.
+// Draws curves over time: `curves` has colour, dashes and label of each value; `log` is the smallest and largest power of ten.
 export function drawHistory(canvas, history, curves, unit, colours, log) {
   const { context, width, height } = sheet(canvas);
   const { samples, seconds } = history;
@@ -70,7 +70,7 @@ export function drawHistory(canvas, history, curves, unit, colours, log) {
     ends.push({ label, colour, at: y(samples.at(-1).values[i]) });
   });
   context.setLineDash([]);
-  // Labels stand at the ends of their curves, apart from each other.
+  // Labels are at the ends of their curves, without overlap.
   ends.sort((a, b) => a.at - b.at);
   let free = top + 4;
   ends.forEach((label, i) => {
@@ -94,14 +94,14 @@ function round(low, high) {
   return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, i) => (first + i) * step);
 }
 
-// A quantity as a person says it: 0.2 mJ, 3 nm.
+// A quantity with an SI prefix: 0.2 mJ, 3 nm.
 export function quantity(value, unit) {
   const prefixes = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"], [1e-15, "f"]];
   const [size, prefix] = prefixes.find(([size]) => Math.abs(value) >= 0.9995 * size) ?? (value ? prefixes.at(-1) : prefixes[0]);
   return `${Number((value / size).toPrecision(2))} ${prefix}${unit}`.replace("-", "−");
 }
 
-// Symbols of methods, told apart by form and colour.
+// Symbols of methods; they differ in form and colour.
 export const SYMBOLS = {
   automatic: { form: "disc", colour: "left" },
   dop853: { form: "square", colour: "right" },
@@ -111,7 +111,7 @@ export const SYMBOLS = {
   rk4: { form: "ring", colour: "ink" },
 };
 
-// A symbol at a place.
+// Draws a symbol.
 function symbol(context, { form, colour }, colours, x, y, size) {
   [context.fillStyle, context.strokeStyle, context.lineWidth] = [colours[colour], colours[colour], 1.75];
   context.beginPath();
@@ -133,7 +133,7 @@ function symbol(context, { form, colour }, colours, x, y, size) {
   else context.fill();
 }
 
-// Error of the tip against cost, both logarithmic; the method in use is drawn larger.
+// Draws the error of the tip against cost, both logarithmic; the method in use is larger.
 export function drawAccuracy(canvas, points, method, colours) {
   const { context, width, height } = sheet(canvas);
   const [left, right, top, bottom] = [44, 8, 8, height - 32];
@@ -176,7 +176,7 @@ function line(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-// The key to the symbols: a small canvas for each method.
+// Draws a symbol on its small canvas in the legend.
 export function drawSymbol(canvas, name, colours) {
   const { context, width, height } = sheet(canvas);
   symbol(context, SYMBOLS[name], colours, width / 2, height / 2, 4);

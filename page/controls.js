@@ -1,4 +1,4 @@
-// The panel and the buttons: they show settings, and tell the page what a person changes.
+// The panel and the buttons: they show the settings and pass the user's changes to the page.
 
 import { EFFECTS, GEOMETRY, KNOBS, METHODS } from "./effects.js";
 import { part } from "./source.js";
@@ -15,7 +15,7 @@ function make(tag, properties = {}, ...children) {
 
 const by = (id) => document.getElementById(id);
 
-// A number with as many digits as a person reads.
+// A number with three digits.
 function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
@@ -23,7 +23,7 @@ function short(value) {
   return minus(String(Number(value.toPrecision(3))));
 }
 
-// With two digits: −6.0·10⁻⁷.
+// Two digits and a power of ten: −6.0·10⁻⁷.
 function powerOfTen(value) {
   if (value === 0) return "0";
   const [digits, power] = value.toExponential(1).split("e");
@@ -44,7 +44,7 @@ export class Controls {
     by("methods").append(...METHODS.map(({ name }) => make("li", {}, make("canvas", { id: `symbol-${name}` }), name)));
     by("speed").append(...SPEEDS.map((speed) => this.speedButton(speed)));
     by("effects").append(...EFFECTS.map((effect) => this.effect(effect)));
-    by("geometry").append(...GEOMETRY.map((parameter) => this.slider({ ...parameter, anew: true })));
+    by("geometry").append(...GEOMETRY.map((parameter) => this.slider({ ...parameter, fromStart: true })));
     for (const [name, knob] of Object.entries(KNOBS)) by("knob").append(this.slider({ ...knob, names: [name], log: true }));
     this.listen();
   }
@@ -57,7 +57,7 @@ export class Controls {
     return button;
   }
 
-  // A switch with the parameters that are there while it is on.
+  // A switch, and its parameters, which are visible while it is on.
   effect({ name, label, parameters, first, hold }) {
     const enabled = `${name}.enabled`;
     const box = make("input", { type: "checkbox", id: `effect-${name}` });
@@ -66,7 +66,7 @@ export class Controls {
       const { settings, run } = this.page;
       if (box.checked) {
         for (const [variable, value] of Object.entries(first ?? {})) if (!(variable in settings.all())) values[variable] = value;
-        // Servos begin by holding the posture.
+        // Servos start by keeping the present posture.
         if (hold && run) for (const i of [1, 2]) values[`servo.theta[${i}]`] = run.now[`theta[${i}]`];
       }
       this.page.change(values);
@@ -86,7 +86,7 @@ export class Controls {
     return make("label", { className: "parameter" }, make("span", { textContent: label }), select);
   }
 
-  slider({ names, label, min, max, log, scale = 1, unit, also, anew }) {
+  slider({ names, label, min, max, log, scale = 1, unit, also, fromStart }) {
     const [to, back] = log ? [Math.log10, (x) => 10 ** x] : [(x) => x, (x) => x];
     const input = make("input", { type: "range", min: to(min), max: to(max), step: "any" });
     input.setAttribute("aria-label", label);
@@ -97,11 +97,11 @@ export class Controls {
       input.setAttribute("aria-valuetext", output.textContent);
     };
     input.oninput = () => {
-      // Three digits: what a link and a command can say.
+      // Three digits, as links and commands contain.
       const value = Number((back(Number(input.value)) * scale).toPrecision(3)) / scale;
       const rounded = Number(value.toPrecision(12));
       say(rounded);
-      this.page.change({ ...Object.fromEntries(names.map((name) => [name, rounded])), ...also?.(rounded) }, anew);
+      this.page.change({ ...Object.fromEntries(names.map((name) => [name, rounded])), ...also?.(rounded) }, fromStart);
     };
     const row = make("label", { className: "parameter" }, make("span", { textContent: label }), input, output);
     row.dataset.knob = names[0];
@@ -192,7 +192,7 @@ export class Controls {
     by("command").textContent = this.page.settings.command();
   }
 
-  // Numbers of a frame.
+  // Shows the numbers of a frame.
   showNow(now, counts) {
     const { settings } = this.page;
     by("time").textContent = now.time.toFixed(3);
@@ -203,16 +203,16 @@ export class Controls {
     by("inverse").textContent = counts.inverse;
   }
 
-  // Of a machine that there is not.
+  // Shows dashes when there is no machine.
   showNothing() {
     for (const id of ["time", "error", "cost", "assembly", "working", "direct", "inverse"]) by(id).textContent = "–";
   }
 
-  // Cost of the method over the last frames but for the slowest tenth, in which the computer has done something else.
+  // Shows the cost of the method over the last frames. The slowest tenth is left out: the computer was busy with other work.
   showCost(costs, lag) {
     const { page } = this;
     const slow = page.settings.speed < 1 ? `slow motion ${SPEED_NAMES[page.settings.speed]}` : "";
-    const pace = !page.playing ? "paused" : lag ? "slower than asked: computing is behind" : slow;
+    const pace = !page.playing ? "paused" : lag ? "slower than set: computing lags behind" : slow;
     if (by("pace").textContent !== pace) by("pace").textContent = pace;
     const usual = costs.toSorted((a, b) => a.spent * b.steps - b.spent * a.steps).slice(0, Math.ceil(0.9 * costs.length));
     const [spent, steps] = usual.reduce(([time, count], frame) => [time + frame.spent, count + frame.steps], [0, 0]);

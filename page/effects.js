@@ -1,10 +1,10 @@
-// Effects that the page switches, each with its parameters. A parameter sets several variables to one value.
+// Effects that can be switched on the page, with their parameters. A parameter sets several variables to one value.
 
 const both = (name) => [1, 2].map((i) => `${name}[${i}]`);
 const joints = (name) => [1, 2, 3, 4, 5].map((i) => `${name}[${i}]`);
 const DEGREES = 180 / Math.PI;
 
-// `scale` turns the unit of the variable into the one that is shown; `log` makes a slider logarithmic.
+// `scale` converts the unit of the variable to the displayed unit; `log` makes a slider logarithmic.
 export const EFFECTS = [
   {
     name: "gravity", label: "Gravity",
@@ -23,7 +23,7 @@ export const EFFECTS = [
     parameters: [
       {
         names: joints("friction.coulomb"), label: "Each joint", min: 1e-4, max: 1e-1, log: true, scale: 1e3, unit: "mN·m",
-        // A joint breaks away at no less than its Coulomb torque.
+        // The breakaway torque of a joint must be at least its Coulomb torque.
         also: (value) => Object.fromEntries(joints("friction.breakaway").map((name) => [name, 1.2 * value])),
       },
       { name: "friction.law", label: "At rest", options: ["smooth", "stick"] },
@@ -60,14 +60,14 @@ export const EFFECTS = [
   },
 ];
 
-// The machine itself.
+// Lengths of the machine.
 export const GEOMETRY = [
   { names: ["base.distance"], label: "Between the motors", min: 0, max: 0.6, scale: 1e3, unit: "mm" },
   { names: ["link[1].length", "link[4].length"], label: "Proximal links", min: 0.05, max: 0.4, scale: 1e3, unit: "mm" },
   { names: ["link[2].length", "link[3].length"], label: "Distal links", min: 0.05, max: 0.4, scale: 1e3, unit: "mm" },
 ];
 
-// Methods in the order of the page, with what a person chooses of each: a tolerance or a step.
+// Methods in the order of the page, each with the setting that the user chooses: a tolerance or a step.
 export const METHODS = [
   { name: "automatic", label: "Automatic", knob: "solver.errorTolerance" },
   { name: "dop853", label: "DOP853, explicit of order 8", knob: "solver.errorTolerance" },

@@ -3,15 +3,15 @@
 const TAU = 2 * Math.PI;
 const LOCUS_POINTS = 720;
 
-// Share of the machine's size below which the elbows are near each other.
+// Distance of the elbows, as a share of the machine's size, below which they count as near each other.
 const SHORT = 1e-2;
 
-// Lengths from values of the unit: base distance, then links 1 to 4.
+// Lengths from the values of variables: base distance, then links 1 to 4.
 export function geometry(value) {
   return { d: value("base.distance"), l: [1, 2, 3, 4].map((i) => value(`link[${i}].length`)) };
 }
 
-// Radii about each motor between which the tip can be: folded and stretched leg. Their circles are the inverse singularities.
+// Inner and outer radius of the tip's reach about each motor: leg folded and leg stretched. These circles are the inverse singularities.
 export function annuli({ d, l }) {
   return [
     { centre: [0, 0], inner: Math.abs(l[0] - l[1]), outer: l[0] + l[1] },
@@ -19,7 +19,7 @@ export function annuli({ d, l }) {
   ];
 }
 
-// The smallest box that holds every posture: { x: [from, to], y: [from, to] }.
+// The smallest box that contains all postures: { x: [from, to], y: [from, to] }.
 export function box(machine) {
   const [left, right] = annuli(machine);
   const { d, l } = machine;
@@ -30,16 +30,16 @@ export function box(machine) {
   };
 }
 
-// Largest height of the reach: where the outer circles meet, or the top of the one inside the other.
+// Largest height of the reach: the intersection of the outer circles, or the top of the smaller circle if it is inside the other.
 function tallest(left, right, d) {
   const x = d > 0 ? (d * d + left.outer ** 2 - right.outer ** 2) / (2 * d) : 0;
   if (x <= 0 || x >= d) return Math.min(left.outer, right.outer);
   return Math.sqrt(Math.max(left.outer ** 2 - x * x, 0));
 }
 
-// Curves on which the distal links are in line, the direct singularities: a list of lists of points. The left elbow goes round;
-// the right one is where its circle meets that of radius l2 + l3, or |l2 - l3|, about the left elbow. If the elbows are near each
-// other, their coupler goes round instead, for its direction would be lost in round-off.
+// Curves of direct singularities (distal links in line), as a list of lists of points. The left elbow moves around its circle; the right
+// elbow is the intersection of its circle with a circle about the left elbow, of radius l2 + l3 or |l2 - l3|. If the elbows are near each
+// other, the line between them turns instead, because round-off would destroy its direction.
 export function directLoci({ d, l }) {
   const curves = [];
   const size = d + l[0] + l[1] + l[2] + l[3];
@@ -63,7 +63,7 @@ export function directLoci({ d, l }) {
   return curves;
 }
 
-// The pieces of a curve over an angle that exists for some angles only, each up to its very ends.
+// Pieces of a curve over an angle. The curve exists only for some angles; each piece extends to its exact ends.
 function pieces(point) {
   const curves = [];
   let curve = [];
@@ -80,7 +80,7 @@ function pieces(point) {
   return curve.length ? [...curves, curve] : curves;
 }
 
-// The last angle with a point between one that has one and one that has none.
+// The last angle with a point, between an angle with a point and one without.
 function end(point, inside, outside) {
   for (let i = 0; i < 40; i += 1) {
     const middle = (inside + outside) / 2;
@@ -90,7 +90,7 @@ function end(point, inside, outside) {
   return inside;
 }
 
-// One of the points where two circles meet.
+// One of the intersections of two circles.
 function meeting(a, ra, b, rb, side) {
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const apart = Math.hypot(dx, dy);

@@ -1,4 +1,4 @@
-// The live page: a machine that falls, is dragged and is switched; one frame after the other.
+// The live page: a machine that falls, is dragged and is switched, frame by frame.
 
 import { Library, Refusal } from "./unit.js";
 import { part } from "./source.js";
@@ -10,19 +10,19 @@ import { History, drawAccuracy, drawHistory, drawSymbol, quantity } from "./char
 import { METHODS } from "./effects.js";
 import { Controls } from "./controls.js";
 
-const BUDGET = 10; // ms of computing in a frame; time runs slower rather than the page stutters
-const LONGEST_FRAME = 50; // ms of real time that a frame makes up for
-const BESIDE = 1e-6; // rad between the starts of two machines
-const PUSH = 1; // N, of the arrow keys
-const COSTS = 120; // frames that the cost is an average of
+const BUDGET = 10; // ms of computing in a frame; beyond it time slows down, so that the page does not stutter
+const LONGEST_FRAME = 50; // ms of real time that a frame can catch up
+const BESIDE = 1e-6; // rad between the starts of both machines
+const PUSH = 1; // N, force of the arrow keys
+const COSTS = 120; // frames over which the cost is averaged
 const TRACED = 4; // ms between points of the trace
-const MEASURED_IN = 2; // ms of a frame for accuracy against time
+const MEASURED_IN = 2; // ms of each frame spent on accuracy against time
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 const element = (id) => document.getElementById(id);
 
-// Whether a key has a meaning of its own where it is pressed.
+// Whether a key already has a meaning for the element that has the focus.
 function means(target, key) {
   if (target.closest("select, dialog")) return true;
   if (target.closest("[type=range]")) return key.startsWith("Arrow");
@@ -47,7 +47,7 @@ class Page {
     requestAnimationFrame(this.frame);
   }
 
-  // Colours by the scheme of the system.
+  // Applies the colour scheme of the system.
   restyle() {
     this.view.restyle();
     this.colours = this.view.colours;
@@ -56,7 +56,7 @@ class Page {
     this.drawnPoints = -1;
   }
 
-  // From the scene's start.
+  // Restarts from the scene's start.
   restart() {
     this.begin({}, 0);
     this.view.clear();
@@ -64,13 +64,13 @@ class Page {
     this.distances.clear();
   }
 
-  // From where the machine is, because something has changed that is fixed in a run.
+  // Continues from the present posture with a new machine, because a setting has changed that is fixed during a run.
   goOn() {
     if (this.run) this.begin(this.run.pose(), this.run.machine.milliseconds);
     else this.restart();
   }
 
-  // Makes the machines anew; what the unit refuses is said in its words.
+  // Makes new machines. If the unit refuses, its message is shown.
   begin(values, start) {
     this.sentence(this.refused.splice(0).join(" "));
     [this.fraction, this.costs] = [0, []];
@@ -90,13 +90,13 @@ class Page {
     this.controls.show();
   }
 
-  // Numbers of a machine that is none any more.
+  // Clears the numbers of a machine that no longer exists.
   forget() {
     for (const name of ["time", "tipX", "tipY", "energyError", "direct", "inverse"]) delete document.body.dataset[name];
     this.controls.showNothing();
   }
 
-  // Something that the unit may refuse; a trap leaves only a fresh memory.
+  // Runs an action that the unit may refuse; after a trap the memory is replaced.
   attempt(action) {
     try {
       action();
@@ -110,20 +110,20 @@ class Page {
   }
 
   async trapped(error) {
-    this.sentence(`The unit has a defect: ${error.message}. Restart begins anew.`);
+    this.sentence(`The unit has a defect: ${error.message}. Restart to continue.`);
     [this.run, this.other, this.accuracy] = [null, null, null];
     this.forget();
     await this.library.start();
   }
 
-  // A sentence about what went wrong; none: all is well.
+  // Shows an error message; an empty text hides it.
   sentence(text) {
     element("problem").textContent = text;
     element("problem").hidden = !text;
     element("hint").hidden ||= Boolean(text);
   }
 
-  // Accuracy against time, once more from its beginning, when nothing has changed for a while.
+  // Measures accuracy against time again, once nothing has changed for a while.
   measure() {
     this.accuracy = null;
     clearTimeout(this.waiting);
@@ -131,13 +131,13 @@ class Page {
     this.drawnPoints = -1;
   }
 
-  // Changes of values: tunable ones and inputs at once, others by a new machine in the same posture, or from the start.
-  change(values, anew = false) {
+  // Changes values. Tunable parameters and inputs are set at once; other values need a new machine, in the same posture or from the start.
+  change(values, fromStart = false) {
     const before = Object.keys(this.settings.signals()).length;
     this.settings.set(values);
     const isLive = (name) => this.library.variable(name).variability !== "fixed";
     const live = Object.keys(values).every(isLive) && Object.keys(this.settings.signals()).length === before;
-    if (anew || !this.run) this.restart();
+    if (fromStart || !this.run) this.restart();
     else if (!live) this.goOn();
     else {
       const done = this.attempt(() => [this.run, this.other].forEach((run) => run?.machine.set(values)));
@@ -154,20 +154,20 @@ class Page {
     this.controls.showPlaying();
   }
 
-  // Writes the state into the address, when nothing has changed for a moment: browsers refuse to do so many times a second.
+  // Writes the settings to the address once nothing has changed for a moment: browsers refuse frequent changes.
   remember() {
     clearTimeout(this.remembering);
     this.remembering = setTimeout(() => history.replaceState(null, "", `#${this.settings.link()}`), 200);
   }
 
-  // Steps of a millisecond; gives back how many were taken.
+  // Takes steps of a millisecond; returns the number of steps taken.
   advance(count) {
     const begin = performance.now();
     const runs = this.other ? [this.run, this.other] : [this.run];
     let done = 0;
     const fine = this.attempt(() => {
       while (done < count && performance.now() - begin < BUDGET) {
-        // The clock of a browser takes longer than a step: it is looked at now and then.
+        // Reading the browser's clock takes longer than a step, so it is read only every 8 steps.
         for (let i = 0; i < 8 && done < count; i += 1, done += 1) {
           if (done === count - 1) this.previous = this.shown(this.run, true);
           for (const run of runs) run.step(this.hand);
@@ -189,7 +189,7 @@ class Page {
     this.passes = passes;
   }
 
-  // Drawn data of a run.
+  // Positions and force of a run that are drawn.
   shown(run, again = false) {
     const now = again ? run.read() : run.now;
     const point = (name) => [now[`${name}.x`], now[`${name}.y`]];
@@ -218,7 +218,7 @@ class Page {
     this.lag = done < count;
   }
 
-  // State that has been reached: numbers, marks, histories, and the data of <body>.
+  // Reports the state reached: numbers, marks, histories, and the data of <body>.
   report() {
     if (!this.attempt(() => [this.run, this.other].forEach((run) => run?.read()))) return;
     const { now } = this.run;
@@ -237,7 +237,7 @@ class Page {
     this.controls.showNow(now, this.passes);
   }
 
-  // The machine between its last two milliseconds, so that slow motion is smooth.
+  // Draws the machine between its last two milliseconds, so that slow motion is smooth.
   draw() {
     document.body.dataset.scene = this.settings.scene.name;
     document.body.dataset.state = this.run ? "ready" : "refused";
@@ -330,7 +330,7 @@ class Page {
     event.preventDefault();
   }
 
-  // Some milliseconds while time stands.
+  // Takes some steps while paused.
   stepOnce(count) {
     this.setPlaying(false);
     this.fraction = 0;

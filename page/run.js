@@ -1,4 +1,4 @@
-// A machine that runs: signals, the hand that drags, one communication step of a millisecond at a time.
+// A running machine: signals, the hand that drags the tip, and communication steps of one millisecond.
 
 import { Machine, listed } from "./unit.js";
 import { signals, repeats } from "./signals.js";
@@ -12,11 +12,11 @@ const PASSES = ["singular.passes.direct", "singular.passes.inverse[1]", "singula
 const TIP = ["tip.x", "tip.y", "tip.vx", "tip.vy"];
 const FORCE = ["tip.fx", "tip.fy"];
 
-// The hand: a spring with a damper between tip and pointer, and the largest force of it. The scenes' machines, of 30 to 80 g at the
-// tip, are at the pointer within two tenths of a second and swing about it hardly.
+// The hand: a spring with a damper between tip and pointer, and its largest force. With the machines of the scenes, 30 to 80 g at the tip,
+// the tip reaches the pointer within 0.2 s and hardly overshoots.
 const HAND = { stiffness: 60, damping: 2, most: 15 };
 
-// The force that the hand has on the tip.
+// Force of the hand on the tip.
 function pull(hand, [x, y, vx, vy]) {
   if (hand.force) return hand.force;
   const fx = HAND.stiffness * (hand.x - x) - HAND.damping * vx;
@@ -26,14 +26,14 @@ function pull(hand, [x, y, vx, vy]) {
 }
 
 export class Run {
-  // With the values of settings, changed by `values`, from a time in milliseconds.
+  // Starts a machine at a time, ms, with the values of `settings`, replaced by `values`.
   constructor(library, settings, values = {}, start = 0) {
     const given = settings.signals();
     const levels = signals(given);
     this.moves = Object.keys(given).length > 0;
     this.period = repeats(given) ? settings.scene.stopTime : Infinity;
     this.force = [0, 0];
-    // The force on the tip first, then all else that the scene moves.
+    // The tip force first, then the other variables that the scene changes.
     this.driven = listed([...FORCE, ...Object.keys(given).filter((name) => !FORCE.includes(name))]);
     this.levels = this.driven.map((name) => levels[name] ?? (() => settings.value(name)));
     const driven = Object.fromEntries(this.inputs(start * 1e-3).map((value, i) => [this.driven[i], value]));
@@ -41,14 +41,14 @@ export class Run {
     this.read();
   }
 
-  // Values of what is driven at a time, s: signals, and the force of the hand on top of that of the scene.
+  // Driven values at a time, s: signals, with the force of the hand added to the scene's tip force.
   inputs(time) {
     const values = this.levels.map((level) => level(time % this.period));
     this.force.forEach((part, i) => (values[i] += part));
     return values;
   }
 
-  // One millisecond, with the hand.
+  // Takes one step of a millisecond, with the hand.
   step(hand) {
     const { machine } = this;
     if (hand || this.pulled || this.moves) {
@@ -65,13 +65,13 @@ export class Run {
     return [x, y];
   }
 
-  // Singularities passed since the start: direct ones, and inverse ones of both legs.
+  // Numbers of singularities passed since the start: direct, and inverse of both legs.
   passes() {
     const [direct, left, right] = this.machine.get(PASSES);
     return { direct, inverse: left + right };
   }
 
-  // Reads everything that is shown.
+  // Reads all displayed values.
   read() {
     const now = { time: this.machine.time, force: this.force };
     for (const names of [REALS, MODES]) {
@@ -82,7 +82,7 @@ export class Run {
     return now;
   }
 
-  // Start values that put a new machine where this one is.
+  // Start values for a new machine in the present posture.
   pose() {
     const { now } = this;
     const pose = { "init.assembly": now["mode.assembly"] };

@@ -1,11 +1,11 @@
-// Choices of a person: scene, values, speed. As a link, as a scene's file, as a command.
+// Settings of the user: scene, values, speed. They can be written as a link, as a scene file and as a command.
 
 export const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
 
-// Booleans as a link has them.
+// Booleans in links.
 const SWITCHED = { true: true, false: false };
 
-// The value of a word, undefined for every other word.
+// The value of a word; undefined for unknown words.
 const item = (items, word) => (Object.hasOwn(items, word) ? items[word] : undefined);
 
 export class Settings {
@@ -21,18 +21,18 @@ export class Settings {
     return this.description.scenes.find((scene) => scene.name === name);
   }
 
-  // Another scene with its own values.
+  // Chooses a scene and drops changed values.
   choose(name) {
     this.scene = this.find(name);
     this.values = {};
   }
 
-  // Value of a parameter or an input now.
+  // Present value of a parameter or input.
   value(name) {
     return this.values[name] ?? this.scene.values[name] ?? this.description.variables[name].start;
   }
 
-  // Sets values; one that is the scene's own is not kept, unless a signal has to be silenced.
+  // Sets values. A value equal to the scene's own is not stored, unless it replaces a signal.
   set(values) {
     for (const [name, value] of Object.entries(values)) {
       const usual = this.scene.values[name] ?? this.description.variables[name].start;
@@ -41,19 +41,19 @@ export class Settings {
     }
   }
 
-  // All values that a machine starts with.
+  // All values that a new machine starts with.
   all() {
     return { ...this.scene.values, ...this.values };
   }
 
-  // The scene's signals but for those that a chosen value replaces.
+  // The scene's signals, without those replaced by a value.
   signals() {
     const silenced = (name) => name in this.values;
     const kept = ([name, signal]) => !silenced(name) && !(signal.rateOf && silenced(signal.rateOf));
     return Object.fromEntries(Object.entries(this.scene.signals).filter(kept));
   }
 
-  // Items of enumerations by their names, as files and commands have them.
+  // Enumeration items by name, as in files and commands.
   written(name, value) {
     const { items } = this.description.variables[name];
     return items ? Object.keys(items).find((item) => items[item] === value) : value;
@@ -67,13 +67,13 @@ export class Settings {
     return String(new URLSearchParams([["scene", this.scene.name], ...speed, ...chaos, ...entries]));
   }
 
-  // Takes over what a link holds; gives back a sentence about each part that it cannot take.
+  // Applies the settings of a link; returns a sentence for each part that is refused.
   read(link) {
     const refused = [];
     const given = new URLSearchParams(link);
     if (given.has("scene")) {
       if (this.find(given.get("scene"))) this.choose(given.get("scene"));
-      else refused.push(`The link names the scene '${given.get("scene")}', which there is not.`);
+      else refused.push(`The link names the scene '${given.get("scene")}', which does not exist.`);
     }
     for (const [name, text] of given) {
       if (name === "scene") continue;
@@ -87,7 +87,7 @@ export class Settings {
         continue;
       }
       const value = this.parse(name, text);
-      if (value === undefined) refused.push(`The link sets '${name}' to '${text}', which is no value of a parameter or an input.`);
+      if (value === undefined) refused.push(`The link sets '${name}' to '${text}', which is not a value of a parameter or an input.`);
       else this.set({ [name]: value });
     }
     return refused;
@@ -104,10 +104,10 @@ export class Settings {
     return Number.isFinite(value) && (kind === "Real" || Number.isInteger(value)) ? value : undefined;
   }
 
-  // The content of a file as scenes/ has them.
+  // The content of a scene file, as in scenes/.
   file() {
     const { name, description, stopTime } = this.scene;
-    // A scene that names no method would run by another one than here.
+    // A scene without a method would run by a different method elsewhere.
     const values = Object.entries({ "solver.method": this.value("solver.method"), ...this.all() }).map(([variable, value]) => [variable, this.written(variable, value)]);
     const own = Object.keys(this.values).length ? `${description} Changed on the live page.` : description;
     const scene = { description: own, experiment: { stopTime, stepSize: 0.001 }, ...Object.fromEntries(values) };
@@ -116,14 +116,14 @@ export class Settings {
     return { name: `${name}.json`, text: `${JSON.stringify(scene, null, 2)}\n` };
   }
 
-  // The command that runs the same; a value in the place of a signal is something that only a file can say.
+  // The command for the same run. Only a file can replace a signal by a value.
   command() {
     if (Object.keys(this.signals()).length < Object.keys(this.scene.signals).length) return `fivebar run ${this.file().name}  # the saved scene`;
     const sets = Object.entries(this.values)
       .filter(([name]) => name !== "solver.method")
       .map(([name, value]) => {
         const assignment = `${name}=${this.written(name, value)}`;
-        // Quotes that every shell knows.
+        // Double quotes work in every shell.
         return ` --set ${/[^\w.=+-]/.test(assignment) ? `"${assignment}"` : assignment}`;
       });
     const named = "solver.method" in this.scene.values && !("solver.method" in this.values);

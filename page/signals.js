@@ -1,6 +1,6 @@
-// Inputs of a scene that change with time: scenes/src/signal.rs has their definition, and its order of operations.
+// Inputs of a scene that change with time. scenes/src/signal.rs defines them; the order of operations here is the same.
 
-// A step is there a nanosecond early: times that are counted together are not quite those that are written.
+// Lead of a step before its knot, s: the sum of step sizes may be slightly below the time of a knot.
 const EARLY = 1e-9;
 
 const SHAPES = {
@@ -12,7 +12,7 @@ const SHAPES = {
   },
 };
 
-// Functions of time by variable.
+// Functions of time, by variable.
 export function signals(given) {
   const shapeOf = (name) => {
     const [[kind, value]] = Object.entries(given[name]);
@@ -36,7 +36,7 @@ function at({ shape, knots, rate }) {
   };
 }
 
-// Whether signals end as they begin, so that they can be repeated.
+// Whether all signals end with their first value, so that they can be repeated.
 export function repeats(given) {
   const kinds = Object.values(given).map((signal) => Object.entries(signal)[0]);
   return kinds.length > 0 && kinds.every(([kind, value]) => kind === "rateOf" || value[0][1] === value.at(-1)[1]);

@@ -1,11 +1,11 @@
-// Sources of the page's parts: the document itself, or files beside it on a web server.
+// Sources of the page's parts: the document itself, or separate files on a web server.
 
 async function unpacked(element) {
   const bytes = Uint8Array.from(atob(element.textContent), (letter) => letter.charCodeAt(0));
   return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")));
 }
 
-// Response with the part of that id, or the file of that name.
+// Response with the part that has this id in the document, or else with the file.
 export async function part(id, file) {
   const element = document.getElementById(`packed-${id}`);
   if (element) return unpacked(element);

@@ -1,15 +1,15 @@
-// The unit in WebAssembly: FMI 2.0's functions, called as a master in C calls them, with variables by their names.
+// The unit in WebAssembly: FMI 2.0 functions, called as by a master in C, with variables by name.
 
 const STATUS = ["OK", "Warning", "Discard", "Error", "Fatal"];
 const CO_SIMULATION = 1;
 const MILLISECOND = 1e-3;
 
-// Lengths within the page of memory that holds arguments, bytes: strings first, then lists of references and values.
+// Layout of the memory page for arguments, bytes: strings first, then lists of references and values.
 const PAGE = 65536;
 const STRINGS = 1024;
 
-// A module that imports a function of six integers, as the unit's logger is one, and exports it: a table of functions takes no
-// function of JavaScript itself.
+// A WebAssembly module that imports a function of six integers, the unit's logger, and exports it: a function table accepts no JavaScript
+// function directly.
 const TRAMPOLINE = new Uint8Array([
   0, 97, 115, 109, 1, 0, 0, 0,
   1, 10, 1, 96, 6, 127, 127, 127, 127, 127, 127, 0,
@@ -17,7 +17,7 @@ const TRAMPOLINE = new Uint8Array([
   7, 5, 1, 1, 102, 0, 0,
 ]);
 
-// Sentence with which the unit refuses something.
+// The unit's message when it refuses a call.
 export class Refusal extends Error {
   constructor(call, status, sentence) {
     super(sentence);
@@ -26,9 +26,9 @@ export class Refusal extends Error {
   }
 }
 
-// The library and what is known of its variables; makes machines.
+// The library and the description of its variables.
 export class Library {
-  // From the bytes of the library, and the content of unit.json.
+  // Loads the bytes of the library and the content of unit.json.
   static async load(bytes, description) {
     const library = new Library();
     library.description = description;
@@ -38,7 +38,7 @@ export class Library {
     return library;
   }
 
-  // A fresh memory: for the first use, and after a trap, which leaves the memory in an unknown state.
+  // Makes a new memory, at first use and after a trap, which leaves the memory in an unknown state.
   async start() {
     this.lines = [];
     const { exports } = await WebAssembly.instantiate(this.module, {});
@@ -48,7 +48,7 @@ export class Library {
     const table = exports.__indirect_function_table;
     const slot = table.grow(1);
     table.set(slot, trampoline.exports.f);
-    // Rust's allocator takes only what its own calls of memory.grow return: these pages are ours.
+    // Rust's allocator only uses pages that its own calls of memory.grow return, so this page is ours.
     this.arguments = exports.memory.grow(1) * PAGE;
     this.free = this.arguments + STRINGS;
     this.callbacks = this.reserve(20);
@@ -57,7 +57,7 @@ export class Library {
     this.name = this.string("page", 128);
   }
 
-  // Memory that is never given back: a place for arguments.
+  // Reserves memory for arguments; it is never freed.
   reserve(bytes) {
     const at = this.free;
     this.free += Math.ceil(bytes / 8) * 8;
@@ -73,11 +73,11 @@ export class Library {
 
   text(at) {
     const bytes = new Uint8Array(this.exports.memory.buffer);
-    // A percent sign comes doubled: the text is a format of printf by contract.
+    // Percent signs are doubled, because FMI defines the text as a printf format.
     return new TextDecoder().decode(bytes.slice(at, bytes.indexOf(0, at))).replaceAll("%%", "%");
   }
 
-  // Calls a function; a status above `allowed` becomes the unit's own sentence.
+  // Calls a function; throws the unit's message if the status is above `allowed`.
   call(name, allowed, ...args) {
     const status = this.exports[name](...args);
     if (status > allowed) throw this.refusal(name, status);
@@ -96,7 +96,7 @@ export class Library {
     return variable;
   }
 
-  // A list of variables of one kind that is read or set again and again.
+  // A list of variables of one type, with memory to read or set them repeatedly.
   reader(names) {
     const kinds = { Real: "Real", Integer: "Integer", Enumeration: "Integer", Boolean: "Boolean" };
     const variables = names.map((name) => this.variable(name));
@@ -108,7 +108,7 @@ export class Library {
     return { kind, names, references, values, array: kind === "Real" ? Float64Array : Int32Array, view: null };
   }
 
-  // Readers belong to a memory: those of a list of names are made once for it.
+  // The reader for a list of names; made once per list and memory.
   readerOf(names) {
     this.readers ??= new Map();
     if (this.readersOf !== this.exports) [this.readers, this.readersOf] = [new Map(), this.exports];
@@ -119,7 +119,7 @@ export class Library {
 
 // A machine: an instance of the unit.
 export class Machine {
-  // With start values and inputs of its own, by name, from a time in milliseconds; ready for its first step.
+  // Makes an instance with these start values and inputs, by name, at a time, ms; ready for its first step.
   constructor(library, values, start = 0) {
     this.library = library;
     this.exports = library.exports;
@@ -143,14 +143,14 @@ export class Machine {
     for (const [name, value] of Object.entries(values)) this.put(listed([name]), [value]);
   }
 
-  // Sets variables of one kind to a list of values.
+  // Sets variables of one type to a list of values.
   put(names, values) {
     const reader = this.library.readerOf(names);
     this.view(reader).set(values);
     this.call("Set", reader);
   }
 
-  // Reads variables of one kind; the values are valid until the next use of this list.
+  // Reads variables of one type; the values are valid until the next use of this list.
   get(names) {
     const reader = this.library.readerOf(names);
     this.call("Get", reader);
@@ -161,7 +161,7 @@ export class Machine {
     this.library.call(`fmi2${way}${kind}`, 1, this.component, references, names.length, values);
   }
 
-  // The values of a list; a view of a memory that has grown since is renewed.
+  // View of the values of a list; renewed if the memory has grown.
   view(reader) {
     const { buffer } = this.exports.memory;
     if (reader.view?.buffer !== buffer) reader.view = new reader.array(buffer, reader.values, reader.names.length);
@@ -173,7 +173,7 @@ export class Machine {
     return this.milliseconds * MILLISECOND;
   }
 
-  // One communication step of a millisecond.
+  // Takes one communication step of a millisecond.
   step() {
     this.library.call("fmi2DoStep", 1, this.component, this.time, MILLISECOND, 1);
     this.milliseconds += 1;
@@ -186,7 +186,7 @@ export class Machine {
   }
 }
 
-// A list of names, always the same list for the same names: `readerOf` has a place in memory for each list.
+// Always returns the same list for the same names, because `readerOf` reserves memory for each list.
 const lists = new Map();
 export function listed(names) {
   const key = names.join(" ");

@@ -1,4 +1,4 @@
-// The mechanism on its canvas: reach and singular loci behind, trace, links, hand.
+// The mechanism on its canvas: reach and singular loci in the background, then trace, links and hand.
 
 import { annuli, box, directLoci, geometry } from "./loci.js";
 
@@ -15,7 +15,7 @@ export class View {
     this.stale = true;
   }
 
-  // Takes over lengths and effects from settings.
+  // Takes lengths and effects from the settings.
   describe(settings) {
     this.settings = settings;
     this.machine = geometry((name) => settings.value(name));
@@ -23,26 +23,26 @@ export class View {
     this.stale = true;
   }
 
-  // Empties trace and marks.
+  // Clears trace and marks.
   clear() {
     this.traces = [];
     this.marks = [];
   }
 
-  // A point of the trace of machine 0 or 1.
+  // Adds a point to the trace of machine 0 or 1.
   trace(which, point) {
     const trace = (this.traces[which] ??= []);
     trace.push(point);
     if (trace.length > TRACE) trace.splice(0, TRACE / 4);
   }
 
-  // A singularity that has been passed at a point.
+  // Marks a singularity passed at a point.
   mark(kind, point) {
     this.marks.push({ kind, point });
     if (this.marks.length > MARKS) this.marks.shift();
   }
 
-  // Fits the canvas to its place on the screen.
+  // Fits the canvas to its size on the screen.
   resize() {
     const { canvas } = this;
     const ratio = window.devicePixelRatio || 1;
@@ -59,7 +59,7 @@ export class View {
     this.origin = [width / 2 - (this.scale * (x[0] + x[1])) / 2, height / 2 + (this.scale * (y[0] + y[1])) / 2];
   }
 
-  // From metres to pixels, and back.
+  // Converts metres to pixels; `from` converts back.
   to([x, y]) {
     return [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y];
   }
@@ -79,7 +79,7 @@ export class View {
     this.stale = true;
   }
 
-  // Draws two states, the machine's and perhaps that of the other one.
+  // Draws the state of the machine, and of the second machine if there is one.
   draw(state, other, hand) {
     this.resize();
     if (this.stale) this.paint();
@@ -98,7 +98,7 @@ export class View {
     canvas.dataset.drawn = state ? "machine" : "empty";
   }
 
-  // Fixed parts, painted once.
+  // Paints the static parts.
   paint() {
     this.fit();
     this.stale = false;
@@ -133,7 +133,7 @@ export class View {
     context.fillStyle = this.colour("reach");
     context.fillRect(0, 0, width, height);
     context.restore();
-    // The circles of stretched and folded legs, as far as the other leg reaches.
+    // The circles of stretched and folded legs, within the reach of the other leg.
     context.strokeStyle = this.colour("inverse");
     context.lineWidth = 1.5;
     context.setLineDash([2, 5]);
@@ -151,14 +151,14 @@ export class View {
     context.strokeStyle = this.colour("direct");
     context.lineWidth = 1.25;
     context.globalAlpha = 0.8;
-    // One path: curves that coincide are not darker.
+    // All in one path, so that coinciding curves are not darker.
     context.beginPath();
     for (const curve of this.loci) curve.forEach((point, i) => (i ? context.lineTo(...this.to(point)) : context.moveTo(...this.to(point))));
     context.stroke();
     context.globalAlpha = 1;
   }
 
-  // Floor, end stops, the direction of gravity.
+  // Paints floor, end stops and the direction of gravity.
   paintEffects(context) {
     const value = (name) => this.settings.value(name);
     if (value("contact.enabled")) this.paintFloor(context, [value("contact.nx"), value("contact.ny")], value("contact.offset"));
@@ -212,7 +212,7 @@ export class View {
     context.stroke();
   }
 
-  // Both motors on their frame.
+  // Paints both motors on their frame.
   paintBase(context) {
     context.strokeStyle = this.colour("muted");
     context.lineWidth = 1.5;
@@ -240,7 +240,7 @@ export class View {
     this.traces.forEach((trace, which) => {
       context.strokeStyle = this.colour(which ? "ghost" : "tip");
       context.lineWidth = which ? 1.25 : 1.75;
-      // Older parts are fainter: a few pieces, each of one colour.
+      // Older parts are fainter: a few pieces, each in one colour.
       const pieces = 8;
       for (let piece = 0; piece < pieces; piece += 1) {
         const [from, to] = [piece, piece + 1].map((i) => Math.floor((i * trace.length) / pieces));
@@ -254,7 +254,7 @@ export class View {
     });
   }
 
-  // Direct singularities are diamonds, inverse ones rings.
+  // Draws direct singularities as diamonds and inverse singularities as rings.
   drawMarks() {
     const { context } = this;
     for (const { kind, point } of this.marks) {
@@ -305,7 +305,7 @@ export class View {
     context.globalAlpha = 1;
   }
 
-  // The spring of the hand, with its force.
+  // Draws the spring of the hand and its force.
   drawHand(tip, hand, force) {
     const { context } = this;
     const [from, to] = [this.to(tip), this.to([hand.x, hand.y])];
