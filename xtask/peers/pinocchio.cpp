@@ -4,7 +4,7 @@
 //     peer-pinocchio METHOD STEP_OR_TOLERANCE KP KD ANGLE ANGLE ANGLE ANGLE
 //
 // METHOD `rk4` (fixed step, s) or `rkf78` (error-controlled, Runge-Kutta-Fehlberg 7(8)); KP, KD are Baumgarte's gains, 1/s^2, 1/s.
-// Reads times, one a line; answers each with the processor's seconds so far, four angles and four rates.
+// Reads times, one per line; answers each with the processor time so far, s, four angles and four rates.
 #include <algorithm>
 #include <array>
 #include <boost/numeric/odeint.hpp>
@@ -20,7 +20,7 @@ namespace odeint = boost::numeric::odeint;
 namespace pin = pinocchio;
 
 constexpr double LENGTH = 0.21, COM = 0.105, MASS = 0.017, INERTIA = 6.23e-5, BASE = 0.42, GRAVITY = 9.81;
-// Four joint angles and their rates: left leg, right leg, each from the motor on.
+// Four joint angles and their rates: left leg, right leg, each starting at the motor.
 using State = std::array<double, 8>;
 
 class FiveBar {
@@ -59,8 +59,8 @@ private:
     pin::Data data_;
     std::vector<pin::RigidConstraintModel> loop_;
     std::vector<pin::RigidConstraintData> loop_data_;
-    // The third direction of the point constraint is never violated and has no mass of its own: mu makes it regular, and is so small
-    // against the others (1/mass, some 50 1/kg) that one iteration leaves nothing to take away.
+    // The third direction of the point constraint is never violated and has no inertia, so mu regularises it. mu is so small compared
+    // with the other directions (1/mass, some 50 1/kg) that one iteration suffices.
     pin::ProximalSettings proximal_{1e-14, 1e-12, 1};
     Eigen::VectorXd q_, v_, tau_;
 };
@@ -88,7 +88,7 @@ int main(int argc, char** argv) {
             const long steps = std::lround((until - now) / knob);
             now = odeint::integrate_n_steps(rk4, system, y, now, knob, steps);
         } else {
-            // As odeint's integrate_adaptive, which forgets its step between calls.
+            // Like odeint's integrate_adaptive, but keeps the step length between calls.
             while (until - now > 1e-12) {
                 double tried = std::min(step, until - now);
                 const bool cut = tried < step;

@@ -1,10 +1,10 @@
 // SUNDIALS as a peer of `cargo xtask peers`: CVODE on the equations in the four link angles with the multipliers eliminated, IDA on
-// the same equations with both multipliers as unknowns (index 1). The formulas are those of machine.py, beside it.
+// the same equations with both multipliers as unknowns (index 1). machine.py has the same formulas.
 //
 //     peer-sundials METHOD TOLERANCE LOADS ANGLE ANGLE ANGLE ANGLE
 //
-// METHOD `adams` or `bdf` (CVODE), `ida`; LOADS `bare`, or `loaded` with the servos and the friction of machine.py. Reads times, one a line; answers each with the processor's seconds so far, four angles and
-// four rates.
+// METHOD `adams` or `bdf` (CVODE), `ida`; LOADS `bare`, or `loaded` with the servos and the friction of machine.py. Reads times,
+// one per line; answers each with the processor time so far, s, four angles and four rates.
 #include <cvode/cvode.h>
 #include <ida/ida.h>
 #include <math.h>
@@ -21,7 +21,7 @@ static const double LENGTH = 0.21, COM = 0.105, MASS = 0.017, INERTIA = 6.23e-5,
 #define NEAR (INERTIA + MASS * COM * COM + MASS * LENGTH * LENGTH)
 #define FAR (INERTIA + MASS * COM * COM)
 #define COUPLING (MASS * COM * LENGTH)
-// The proximal and the distal link of each leg among the angles.
+// Indices of each leg's proximal and distal link angle.
 static const int LEGS[2][2] = {{0, 1}, {3, 2}};
 
 // Servos on links 1 and 4, friction in all joints.
@@ -135,7 +135,7 @@ static double processor_time(void) {
     return t.tv_sec + 1e-9 * t.tv_nsec;
 }
 
-// Ends the program with the name of the function that failed.
+// Exits with the name of the function that failed.
 static void check(int flag, const char *function) {
     if (flag < 0) fprintf(stderr, "%s failed with %d\n", function, flag), exit(1);
 }
@@ -161,7 +161,7 @@ int main(int argc, char **argv) {
         check(IDASStolerances(solver, tolerance, tolerance), "IDASStolerances");
         SUNMatrix matrix = SUNDenseMatrix(size, size, context);
         check(IDASetLinearSolver(solver, SUNLinSol_Dense(state, matrix, context), matrix), "IDASetLinearSolver");
-        // The multipliers are found only as well as the accelerations: their errors do not steer the step.
+        // Multipliers are only as accurate as the accelerations, so their errors do not control the step.
         N_Vector kind = N_VClone(state);
         N_VConst(1, kind);
         N_VGetArrayPointer(kind)[8] = N_VGetArrayPointer(kind)[9] = 0;

@@ -1,4 +1,4 @@
-"""Debian's Chromium, headless, driven by selenium: a browser that stops answering ends its user within nine minutes."""
+"""Debian's Chromium, headless, driven by selenium. If the browser stops answering, the caller fails within nine minutes."""
 
 import os
 import signal
@@ -14,19 +14,19 @@ FLAGS = (
 )
 
 COMMAND_LIMIT = 120
-"""Seconds after which a browser that does not answer a command hangs: on a busy machine one took more than 25 s to load a page. Reading
-commands (GET) are sent four times, by urllib3."""
+"""Seconds until an unanswered command counts as hung. On a busy machine loading a page took more than 25 s. urllib3 sends commands that
+read (GET) four times."""
 
 PROCESS_LIMIT = 60
-"""Seconds after which a browser that starts or ends hangs, and is killed."""
+"""Seconds until a browser that starts or ends counts as hung and is killed."""
 
 
 @contextmanager
 def open_browser(address: str, folder: Path, *flags: str) -> Iterator[Any]:
-    """A browser that has the address open, with its profile in `folder`; at the end it must have had nothing to complain about. `flags` come
-    after `FLAGS` and win.
+    """Opens the address in a browser with its profile in `folder`, and checks at the end that the console has no warnings. `flags` come
+    after `FLAGS` and override them.
 
-    One that stops answering fails within nine minutes: four times the limit of a command and the limit of an end.
+    A browser that stops answering fails within nine minutes: four times the limit of a command, plus the limit of the end.
     """
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
@@ -45,7 +45,7 @@ def open_browser(address: str, folder: Path, *flags: str) -> Iterator[Any]:
         yield driver
         problems = driver.get_log("browser")
     finally:
-        # A driver that is killed closes the connection on which it is told to end.
+        # A killed driver closes the connection through which it gets the command to quit.
         with killed_after(PROCESS_LIMIT, service), suppress(ConnectionError):
             driver.quit()
     assert problems == []
@@ -53,7 +53,7 @@ def open_browser(address: str, folder: Path, *flags: str) -> Iterator[Any]:
 
 @contextmanager
 def killed_after(seconds: float, service: Any) -> Iterator[None]:
-    """Kills the driver and its browser, which are a process group, if the block takes longer."""
+    """Kills the driver and its browser, which share a process group, if the block takes too long."""
     timer = threading.Timer(seconds, lambda: os.killpg(service.process.pid, signal.SIGKILL))
     timer.start()
     try:

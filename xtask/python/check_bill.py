@@ -1,4 +1,4 @@
-"""Judges a bill of materials by the published schema of CycloneDX 1.6, and asks for a licence of each component; `cargo xtask release` runs this."""
+"""Checks a bill of materials against the CycloneDX 1.6 schema, and that each component has a licence; `cargo xtask release` runs this."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ from cyclonedx.validation.json import JsonStrictValidator
 
 
 def main() -> None:
-    """Ends with a sentence where the bill is wrong."""
+    """Exits with a message if the bill is wrong."""
     file = Path(sys.argv[1])
     text = file.read_text(encoding="utf-8")
     problem = JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)

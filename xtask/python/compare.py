@@ -25,19 +25,19 @@ from fivebar.summary import tip_distance
 from fivebar.variables import Values, Variables
 
 LONGEST = 2.0
-"""Seconds of a scene that are compared."""
+"""Largest compared duration of a scene, s."""
 
 COARSEST = 0.01
-"""Communication step, s, of scenes whose own is shorter. Reading outputs more often would show little more: differences stay."""
+"""Communication step, s, of scenes with shorter steps. Reading more often would show little more, because differences persist."""
 
 EARLY = 0.5
-"""Seconds in which round-off may not grow."""
+"""Duration, s, in which round-off may not grow."""
 
 ROUND_OFF = 1e-12
-"""By how much tips may differ until then, m."""
+"""Largest difference of the tips until then, m."""
 
 NUDGES = (1e-14, -1e-14)
-"""Changes of the start angle init.theta[1], rad, that tell whether a run amplifies round-off by itself."""
+"""Changes of the start angle init.theta[1], rad; they show whether a run amplifies round-off by itself."""
 
 
 class Verdict(StrEnum):
@@ -51,7 +51,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Build:
-    """A unit, extracted."""
+    """An extracted unit."""
 
     model: ModelDescription
     directory: str
@@ -59,8 +59,8 @@ class Build:
 
 @dataclass(frozen=True)
 class Difference:
-    """Between two runs of a scene: the first time at which any output differs, the largest distance of the tips in the first
-    EARLY seconds, counters and other whole numbers that differ at the end, and how the ends differ."""
+    """Difference between two runs of a scene: first time at which any output differs, largest distance of the tips in the first EARLY
+    seconds, counters and other integers that differ at the end, and how the ends differ."""
 
     since: float | None
     tip: float
@@ -69,7 +69,7 @@ class Difference:
 
     @property
     def small(self) -> bool:
-        """Whether it may be round-off."""
+        """Whether the difference may be round-off."""
         return self.tip <= ROUND_OFF and self.ends is None
 
     def __str__(self) -> str:
@@ -82,10 +82,10 @@ class Difference:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compares all scenes; the exit code: 0 no more than round-off differs, 1 something else does."""
+    """Compares all scenes; exit code 0: at most round-off differs, 1: something else does."""
     parser = argparse.ArgumentParser(description="Compares two builds of the library, every scene by every method.")
-    parser.add_argument("--before", type=Path, required=True, help="the .fmu that is right")
-    parser.add_argument("--after", type=Path, required=True, help="the .fmu that is judged")
+    parser.add_argument("--before", type=Path, required=True, help="the .fmu taken as correct")
+    parser.add_argument("--after", type=Path, required=True, help="the .fmu to judge")
     parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     options = parser.parse_args(arguments)
     begin = time.perf_counter()
@@ -107,14 +107,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def difference(before: Run, after: Run) -> Difference:
-    """Between two runs of the same scene, over the outputs that both have."""
+    """Compares two runs of the same scene in the outputs that both have."""
     names = [name for name in before.columns if name in after.columns]
     rows = min(len(before.time), len(after.time))
     apart = np.zeros(rows, dtype=bool)
     counters = []
     for name in names:
         old, new = (np.ascontiguousarray(run[name][:rows]) for run in (before, after))
-        # Integers with eight bytes: not a number equals itself, and 0 is not -0.
+        # Compared as integers of eight bytes, so that NaN equals itself and 0 differs from -0.
         unequal = old.view(np.int64) != new.view(np.int64)
         apart |= unequal
         if old.dtype.kind == "i" and rows and unequal[-1]:
@@ -128,7 +128,7 @@ def difference(before: Run, after: Run) -> Difference:
 
 
 def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
-    """Kind of the differences `found` between two builds; `nudged` are those between the old build and itself with other starts."""
+    """Kind of the difference `found` between two builds. `nudged` are differences of the old build from itself at slightly changed starts."""
     if found.since is None and found.ends is None:
         return Verdict.SAME
     if found.small:
@@ -137,7 +137,7 @@ def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
 
 
 def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple[Verdict, str]:
-    """The verdict, and words for it; the other starts are made only where they are needed."""
+    """The verdict and its text; the changed starts run only if needed."""
     old = _run(before, scene, variant)
     found = difference(old, _run(after, scene, variant))
     judged = verdict(found, [])
@@ -159,7 +159,7 @@ def _nudged(variant: Variant, model: ModelDescription) -> Iterator[Variant]:
 
 
 def _run(build: Build, scene: Scene, variant: Variant) -> Run:
-    """One run; a start that is refused is a run without a row."""
+    """One run; if the start is refused, a run without rows."""
     try:
         return drive(build.model, build.directory, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
     except StartRefused as sentence:
@@ -168,7 +168,7 @@ def _run(build: Build, scene: Scene, variant: Variant) -> Run:
 
 
 def _by_every_method(before: ModelDescription, after: ModelDescription, values: Values) -> Iterator[Variant]:
-    """A scene by each method that both builds have and that takes it; `i3alp` also with a fixed step."""
+    """A scene by each method that both builds have and that accepts it; `i3alp` also with a fixed step."""
     sticks = 2 in (values.get("friction.law"), values.get("contact.law"))
     old, new = (_methods(model) for model in (before, after))
     for name, number in old.items():

@@ -1,5 +1,5 @@
-"""Prints the Python packages that `fivebar` asks for, with all that they ask for, as components of CycloneDX; `cargo xtask release` puts them
-into its bill of materials. Versions are those of the environment that runs this, in which the tests run."""
+"""Prints the Python packages required by `fivebar`, directly or indirectly, as CycloneDX components; `cargo xtask release` puts them into
+its bill of materials. Versions come from the environment that runs this, the environment of the tests."""
 
 import json
 import re
@@ -11,7 +11,7 @@ EXTRAS = ("twin", "calibrate", "ensemble", "cluster")
 
 
 def closure(extras: tuple[str, ...]) -> dict[str, metadata.Distribution]:
-    """Installed distributions by their normal names: all that `fivebar` with these extras needs on this machine, without itself."""
+    """Installed distributions by normalised name: everything that `fivebar` with these extras needs on this machine, except itself."""
     found: dict[str, metadata.Distribution] = {}
     waiting = [("fivebar", extras)]
     done = set()
@@ -34,12 +34,12 @@ def closure(extras: tuple[str, ...]) -> dict[str, metadata.Distribution]:
 
 
 def normal(name: str) -> str:
-    """A name as the index has it."""
+    """Normalised name, as in the index."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def component(name: str, distribution: metadata.Distribution, optional: bool) -> dict[str, object]:
-    """One package; what an extra alone asks for is optional."""
+    """One package; optional if only an extra requires it."""
     purl = f"pkg:pypi/{name}@{distribution.version}"
     made: dict[str, object] = {
         "type": "library",
@@ -58,7 +58,7 @@ def component(name: str, distribution: metadata.Distribution, optional: bool) ->
     elif text := distribution.metadata.get("License"):
         made["licenses"] = [{"license": {"name": text.splitlines()[0]}}]
     elif files := distribution.metadata.get_all("License-File"):
-        # A package that names no licence brings the text of one.
+        # The package names no licence but contains its text.
         made["licenses"] = [
             {"license": {"name": file, "text": {"content": distribution.read_text(f"licenses/{file}")}}}
             for file in files
@@ -67,7 +67,7 @@ def component(name: str, distribution: metadata.Distribution, optional: bool) ->
 
 
 def main() -> None:
-    """Prints them, sorted by name."""
+    """Prints the components, sorted by name."""
     core, all_of_it = closure(()), closure(EXTRAS)
     print(json.dumps([component(name, all_of_it[name], name not in core) for name in sorted(all_of_it)]))
 

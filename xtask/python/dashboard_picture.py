@@ -19,22 +19,22 @@ from selenium.webdriver.support.wait import WebDriverWait
 from browser import open_browser
 
 AFTER = 26.0
-"""Time of the machine that is shown, s: the charts go back by 20 s."""
+"""Time of the machine in the picture, s; the charts show the last 20 s."""
 
 WIDTH = 1224
 """Width of the page, pixels."""
 
 MARGIN = 7
-"""Height below the last panel that is shown, pixels."""
+"""Height shown below the last panel, pixels."""
 
 COLOURS = 256
-"""Colours of the picture, which then has 0.4 of the bytes; of the docs' pixels one in a thousand is off by more than 9 of 255, none by more than 33."""
+"""Colours of the picture, which takes 0.4 of the bytes. Of the docs' pixels one in a thousand is off by more than 9 of 255, none by more than 33."""
 
 TITLE = "The dashboard in Chromium during a run of fivebar twin --learn --exact"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the twin until the picture is taken."""
+    """Runs the twin until the picture has been taken."""
     parser = argparse.ArgumentParser(description="The dashboard of a run that learns.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--folder", type=Path, required=True, help="the folder of the run, which is replaced")
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     ]
     twin = subprocess.Popen([sys.executable, "-m", "fivebar", *given], stdout=subprocess.PIPE, text=True)
     try:
-        # The first line comes when all processes have been started.
+        # The first line appears after all processes have started.
         twin.stdout.readline()
         [run] = (options.folder / "twin" / "runs").iterdir()
         port = json.loads((run / "twin.json").read_text(encoding="utf-8"))["dashboard_port"]
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def shown(address: str, folder: Path) -> Image.Image:
-    """The page down to what is learned, at the time `AFTER`; the browser's profile is in `folder`."""
+    """The page from the top to the learned values, at the time `AFTER`; the browser's profile is in `folder`."""
     with open_browser(address, folder, "--hide-scrollbars", f"--window-size={WIDTH},1400") as driver:
         WebDriverWait(driver, 4 * AFTER).until(lambda d: float(d.find_element("id", "clock").text) > AFTER)
         shot = Image.open(io.BytesIO(driver.get_screenshot_as_png()))
@@ -76,7 +76,7 @@ def shown(address: str, folder: Path) -> Image.Image:
 
 
 def drawing(shot: Image.Image) -> str:
-    """The picture inside an SVG of its size, in as many colours as `COLOURS`."""
+    """The picture inside an SVG of the same size, reduced to `COLOURS` colours."""
     file = io.BytesIO()
     few = shot.convert("RGB").quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE)
     few.save(file, "png", optimize=True)

@@ -1,8 +1,8 @@
-"""Other filters on measured machines beside the unit's own: a table, and a picture for docs/notes/estimator.md.
+"""Other filters on measured machines, compared with the unit's own: a table, and a picture for docs/notes/estimator.md.
 
-`cargo xtask estimator --only compare` calls it. An unscented Kalman filter of filterpy is built around the .fmu through FMPy, as its users
-do; the unit's own corrector is called through FMPy as well, and timed. The other ways are computed by the crate `tracking`, whose tables
-(runs.csv, samples.csv, errors.csv) lie in the folder that is named.
+`cargo xtask estimator --only compare` calls it. An unscented Kalman filter of filterpy drives the .fmu through FMPy, as its users do. The
+unit's own corrector is also called through FMPy and timed. The crate `tracking` computes the other filters; its tables (runs.csv,
+samples.csv, errors.csv) are in the folder `--runs`.
 
 python followers.py --fmu target/fmu/FiveBar.fmu --runs target/estimator --picture docs/images/followers.svg
 """
@@ -30,16 +30,16 @@ from fivebar.drawing import STYLE
 from fivebar.slave import Log, instantiate
 
 STEP = 1e-3
-"""Between samples, s."""
+"""Sampling interval, s."""
 
 SETTLED = 0.1
-"""Time left out at the beginning, s."""
+"""Beginning left out, s."""
 
 LOST = 0.01
-"""A tip that is further off at the end, m, is lost."""
+"""Error of the tip at the end, m, above which it counts as lost."""
 
 NOISE, START = (0.1, 1e-4), (0.02, 0.2, 0.02)
-"""As the filters of `tracking`: white acceleration of motors, rad²/s³, walk of torques, N²m²/s; standard deviations of the start."""
+"""As in the filters of `tracking`: white acceleration of motors, rad²/s³; random walk of torques, N²m²/s; standard deviations of the start."""
 
 INPUTS = ("tau[1]", "tau[2]", "servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
 
@@ -50,7 +50,7 @@ COLOURS = ("#868e96", "#e8590c", "#a67c00", "#862e9c", "#2b8a3e", "#1864ab")
 
 @dataclass(frozen=True)
 class Machine:
-    """A run: start values of its twin; for each sample its time, the measured angles, the inputs, the true tip."""
+    """A run: start values of its twin; times, measured angles, inputs and true tip of each sample."""
 
     scene: str
     encoder: str
@@ -62,7 +62,7 @@ class Machine:
 
 
 class Unit:
-    """An instance, set and read by references that are looked up once."""
+    """An instance, accessed by value references that are looked up once."""
 
     def __init__(self, model: ModelDescription, directory: str):
         self.variables = {v.name: v for v in model.modelVariables}
@@ -73,7 +73,7 @@ class Unit:
         self.slave = instantiate(model, directory, Log())
 
     def initialise(self, values: dict[str, float], inputs: np.ndarray, assembly: int = 1) -> None:
-        """At a start, anew."""
+        """Restarts the instance."""
         self.slave.reset()
         reals = {name: value for name, value in values.items() if self.variables[name].type == "Real"}
         flags = {name: bool(value) for name, value in values.items() if self.variables[name].type == "Boolean"}
@@ -87,18 +87,18 @@ class Unit:
         self.slave.exitInitializationMode()
 
     def read(self, *names: str) -> list[float]:
-        """Values of Reals."""
+        """Values of Real variables."""
         return self.slave.getReal([self.references[name] for name in names])
 
     def assembly(self) -> int:
-        """The present assembly: an item of `mode.assembly`."""
+        """The current assembly, an item of `mode.assembly`."""
         (value,) = self.slave.getInteger([self.references["mode.assembly"]])
         return value
 
 
 class Around:
-    """filterpy's unscented filter in angles and rates of the motors and two unknown motor torques. The unit moves each sigma point: it is
-    initialised at it, in the assembly of the mean, and steps."""
+    """filterpy's unscented filter. Its state: angles and rates of the motors and two unknown motor torques. The unit moves each sigma point:
+    it is initialised there, in the assembly of the mean, and makes one step."""
 
     def __init__(self, unit: Unit, machine: Machine):
         self.unit, self.drive, self.assembly = unit, machine.inputs[0], 1
@@ -116,14 +116,14 @@ class Around:
         self.filter.R = np.eye(2) * machine.start["estimator.quantum[1]"] ** 2 / 12
 
     def place(self, x: np.ndarray) -> None:
-        """The unit at a state."""
+        """Initialises the unit at a state."""
         names = (f"init.{what}[{i}]" for what in ("theta", "omega") for i in (1, 2))
         drive = np.array(self.drive)
         drive[:2] += x[4:]
         self.unit.initialise(self.constants | dict(zip(names, x[:4], strict=True)), drive, self.assembly)
 
     def move(self, x: np.ndarray, size: float) -> np.ndarray:
-        """A state a step later; one that cannot be assembled, or moved, stays."""
+        """The state one step later; unchanged if it cannot be assembled or moved."""
         try:
             self.place(x)
             self.unit.slave.doStep(0.0, size)
@@ -132,18 +132,18 @@ class Around:
         return np.array([*self.unit.read("theta[1]", "theta[2]", "omega[1]", "omega[2]"), *x[4:]])
 
     def correct(self, measured: np.ndarray) -> None:
-        """By a sample."""
+        """Updates with a sample."""
         self.filter.update(measured)
         if not np.isfinite(self.filter.x).all():
             self.begin_anew(measured)
 
     def begin_anew(self, angles: np.ndarray) -> None:
-        """A mean that is no number, or a covariance that is none, which filterpy cannot factor, gives way to that of the start."""
+        """Resets mean and covariance if the mean is not finite or the covariance cannot be factored."""
         self.filter.x = np.array([*angles, 0.0, 0.0, 0.0, 0.0])
         self.filter.P = self.first.copy()
 
     def tip(self) -> list[float]:
-        """Position of the tip at the mean, m; NaN where the mean is out of reach."""
+        """Position of the tip at the mean, m; NaN if the mean is out of reach."""
         try:
             self.place(self.filter.x)
         except FMICallException:
@@ -151,10 +151,10 @@ class Around:
         return self.unit.read("tip.x", "tip.y")
 
     def predict(self, drive: np.ndarray, measured: np.ndarray) -> None:
-        """A step on from a sample."""
+        """Predicts one step after a sample."""
         self.drive = drive
         try:
-            # The assembly in which the mean arrives is that of the next step.
+            # The next step starts in the assembly that the mean has reached.
             self.place(self.filter.x)
             self.unit.slave.doStep(0.0, STEP)
             next_assembly = self.unit.assembly()
@@ -173,7 +173,7 @@ def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def by_filterpy(unit: Unit, machine: Machine) -> tuple[np.ndarray, float]:
-    """The tip's error after each sample, m, and the median time of a sample, s."""
+    """Error of the tip after each sample, m, and median time of a sample, s."""
     around, errors, spent = Around(unit, machine), [], []
     for measured, drive, tip in zip(machine.measured, machine.inputs, machine.tip, strict=True):
         begin = perf_counter()
@@ -187,7 +187,7 @@ def by_filterpy(unit: Unit, machine: Machine) -> tuple[np.ndarray, float]:
 
 
 def by_the_unit(unit: Unit, machine: Machine) -> tuple[float, float]:
-    """The median times of a sample, s: of setting samples and inputs and of the step, and with the reading of the estimate."""
+    """Median times of a sample, s: setting samples and inputs plus the step; the same plus reading the estimate."""
     unit.initialise(machine.start | {"estimator.enabled": 1.0}, machine.inputs[0])
     names = ("measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]", *INPUTS)
     references = [unit.references[name] for name in names]
@@ -220,7 +220,7 @@ def machines(folder: Path) -> dict[int, Machine]:
 
 
 def rms(errors: np.ndarray) -> float:
-    """Root of the mean square without the beginning, and without samples that have no tip."""
+    """Root mean square without the beginning and without samples that have no tip."""
     return float(np.sqrt(np.nanmean(errors[round(SETTLED / STEP) :] ** 2)))
 
 
@@ -230,7 +230,7 @@ def is_lost(errors: np.ndarray) -> bool:
 
 
 def draw(picture: Path, all_machines: dict[int, Machine], errors: dict[tuple[int, str], np.ndarray]) -> None:
-    """Above, tip errors of the first fall over time for both encoders; below, medians over the runs of every scene."""
+    """Top: tip error of the first fall over time for both encoders. Bottom: medians over the runs of every scene."""
     scenes = list(dict.fromkeys(m.scene for m in all_machines.values()))
     encoders = list(dict.fromkeys(m.encoder for m in all_machines.values()))
     with plt.rc_context(STYLE | {"svg.hashsalt": "followers"}):
@@ -240,7 +240,7 @@ def draw(picture: Path, all_machines: dict[int, Machine], errors: dict[tuple[int
             fall = next(run for run, m in all_machines.items() if m.scene.startswith("fall") and m.encoder == encoder)
             for k, (way, colour) in enumerate(zip(WAYS, COLOURS, strict=True)):
                 course = errors[fall, way]
-                # The worst of each hundredth of a second.
+                # The largest error in each hundredth of a second.
                 worst = 1e3 * course[: len(course) // 10 * 10].reshape(-1, 10).max(axis=1)
                 over_time.semilogy(
                     0.01 * np.arange(len(worst)), worst, color=colour, label=way, linewidth=2.2 if way == UNIT else 1.1
@@ -275,7 +275,7 @@ def draw(picture: Path, all_machines: dict[int, Machine], errors: dict[tuple[int
 
 def main(arguments: list[str] | None = None) -> int:
     """Follows all runs with filterpy and with the unit; prints the table, draws the picture."""
-    parser = argparse.ArgumentParser(description="Other ways to follow, side by side.")
+    parser = argparse.ArgumentParser(description="Compares other filters with the unit.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--runs", type=Path, required=True, help="the folder with runs.csv, samples.csv, errors.csv")
     parser.add_argument("--picture", type=Path, required=True, help="the SVG file to write")

@@ -27,11 +27,11 @@ COLOURS = {
 }
 
 FIT = (1e-10, 1e-3)
-"""Differences, rad, between which the growth is taken as exponential: above round-off, below the size of the machine."""
+"""Range of differences, rad, for the exponential fit: above round-off, below the size of the machine."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draws both pictures; the exit code: 0 done, 1 there are no tables."""
+    """Draws both pictures; exit code 0: done, 1: no tables."""
     parser = argparse.ArgumentParser(description="Draws the tables of the battery of hard cases.")
     parser.add_argument("--folder", type=Path, required=True, help="the folder with hard-cases.csv and horizon.csv")
     folder = parser.parse_args(arguments).folder
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     with plt.rc_context(STYLE):
         for name, figure in (("hard-cases", matrix(rows)), ("horizon", horizon(pairs))):
             figure.savefig(folder / f"{name}.png")
-            # As text, the way docs/hard-cases.md shows it.
+            # Same text rendering as docs/hard-cases.md.
             with plt.rc_context({"svg.hashsalt": name}):
                 figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
             plt.close(figure)
@@ -52,7 +52,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of the matrix."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
@@ -76,7 +75,7 @@ def colour_of(row: Row) -> str:
 
 
 def e_fold(pair: np.ndarray) -> float:
-    """Time, s, in which the difference grows by a factor e: least squares over its logarithm, up to the end of the range FIT."""
+    """Time, s, in which the difference grows by a factor e: least-squares fit to its logarithm, up to the end of the range FIT."""
     time, difference = pair.T
     reached = np.flatnonzero(difference > FIT[1])
     end = reached[0] if len(reached) else len(time)
@@ -88,8 +87,8 @@ def e_fold(pair: np.ndarray) -> float:
 
 
 def matrix(rows: list[Row]) -> Figure:
-    """Cases by methods; the number is the worst energy error. The first case is run by every method and setting; a row of any other takes the
-    whole line and names its own."""
+    """Cases by methods; the number is the worst energy error. The first case has every method and setting; each row of another case takes
+    the whole line and names its own method."""
     cases = sorted(dict.fromkeys((row["item"], row["case"]) for row in rows), key=lambda case: int(case[0]))
     columns = [(row["method"], row["setting"]) for row in rows if (row["item"], row["case"]) == cases[0]]
     figure, axes = plt.subplots(figsize=(2.6 + 1.28 * len(columns), 1.3 + 0.56 * len(cases)))
@@ -124,7 +123,7 @@ def matrix(rows: list[Row]) -> Figure:
 
 
 def horizon(pairs: dict[str, np.ndarray]) -> Figure:
-    """Difference over time of runs that were all but equal at the start."""
+    """Difference over time between runs with nearly equal starts."""
     figure, axes = plt.subplots(figsize=(10, 4.6))
     for (name, pair), colour in zip(pairs.items(), RUN_COLOURS):
         time, difference = pair.T
@@ -143,7 +142,7 @@ def _energy(row: Row) -> str:
     if row["item"] == "8":
         return "the same bits" if row["verdict"] == "pass" else "different bits"
     if row["item"] == "10":
-        # A correction puts energy in: nothing is balanced.
+        # A correction adds energy, so there is no balance.
         return "followed"
     return "0" if energy == 0 else f"{energy:.1e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 

@@ -17,17 +17,17 @@ PAGE, NOTES = "docs/hard-cases.md", "docs/notes/hard-cases.md"
 PICTURES = ("hard-cases", "horizon")
 
 ITEMS, FALLS = 10, 1000
-"""Items of the list, and runs of the first case, if nothing is left out."""
+"""Number of items in the list, and of runs of the first case, in a full run."""
 
 Column = tuple[str, ...]
-"""A method and its settings, of which a case has one."""
+"""A method and its settings; a case has one of them."""
 
 DEFAULT, TIGHT = ("i3alp", "default tolerance", "own settings"), ("i3alp", "tolerance 3e-10 rad")
 EXPLICIT, AUTOMATIC = ((method, "tolerance 1e-10 rad") for method in ("dop853", "automatic"))
 CONSERVING = [("i3alpConserving", f"{step} ms") for step in ("0.25", "1", "4")]
 
 Found = list[Row | None]
-"""Rows of a case by columns, None for one by which it is not run."""
+"""Rows of a case by columns; None if a column does not have the case."""
 
 BARE = {
     "perturbed free falls of 50 s": ("perturbed free falls",),
@@ -48,18 +48,18 @@ BARE = {
     ),
     "one hour": ("one hour",),
 }
-"""Lines of the table of the page: cases that it shows, some together."""
+"""Rows of the table on the page: its cases, some grouped."""
 
 FIRST = ["item", "case", "runs"]
 ENERGY, POSITION, VELOCITY = "worst |dE| [mgL]", "worst Phi [m]", "worst Phidot [m/s]"
 """Columns of the battery's table."""
 
 OTHERS = ("perturbed free falls", "exact crossings")
-"""Cases of which the methods are shown that are not judged."""
+"""Cases with a table of methods that are not judged."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The exit code: 0 done, 1 there is no table, or none that is fit for the docs."""
+    """Exit code 0: done, 1: no table, or none fit for the docs."""
     parser = argparse.ArgumentParser(
         description="Writes the tables and pictures of the hard cases into docs/hard-cases.md and its notes."
     )
@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def update(root: Path, folder: Path) -> str:
-    """Writes tables and pictures; or why they are not fit to be shown."""
+    """Writes tables and pictures; returns the reason if they are not fit for the docs."""
     try:
         rows = sorted(read_rows(folder / "hard-cases.csv"), key=lambda row: int(row["item"]))
         drawings = {name: (folder / f"{name}.svg").read_text(encoding="utf-8") for name in PICTURES}
@@ -87,7 +87,7 @@ def update(root: Path, folder: Path) -> str:
 
 
 def unfit(rows: list[Row]) -> str:
-    """Why the rows are not shown; nothing if they are those of all cases and none of them fails."""
+    """Reason not to show the rows; empty if all cases are present and none fails."""
     if missed := [f"{row['case']} by {row['method']}" for row in rows if row["verdict"] == "FAIL"]:
         return f"cases are not met: {', '.join(missed)}"
     if {row["item"] for row in rows} != {str(item) for item in range(1, ITEMS + 1)}:
@@ -110,12 +110,12 @@ def texts(rows: list[Row]) -> dict[tuple[str, tuple[str, str]], list[str]]:
 
 
 def marks(name: str) -> tuple[str, str]:
-    """The comments around a table."""
+    """Comments around a table."""
     return docs.marks(name, "cargo xtask hard-cases")
 
 
 def bare_machine(rows: list[Row]) -> list[str]:
-    """Energies of the methods at a setting each, and how far `i3alp` leaves the constraints."""
+    """Energy errors of the methods at one setting each, and constraint violation of `i3alp`."""
     shown = (DEFAULT, EXPLICIT, CONSERVING[1])
     lines = []
     for label, cases in BARE.items():
@@ -128,7 +128,7 @@ def bare_machine(rows: list[Row]) -> list[str]:
 
 
 def default_method(rows: list[Row]) -> list[str]:
-    """The cases by `i3alp` at the tolerances at which it is judged."""
+    """The cases by `i3alp` at its judged tolerances."""
     head = [*FIRST, "worst \\|ΔE\\| default, mgL", "tight, mgL", "worst Φ, m", "worst Φ̇, m/s", "ended early"]
     return docs.markdown(
         head,
@@ -150,7 +150,7 @@ def explicit_method(rows: list[Row]) -> list[str]:
 
 
 def conserving_step(rows: list[Row]) -> list[str]:
-    """The cases by strictly fixed steps of three lengths, the middle one judged; and how many are made by the fallback."""
+    """The cases by fixed steps of three lengths, the middle one judged; and the number of steps made by the fallback."""
     head = [
         *FIRST,
         "worst \\|ΔE\\| at 0.25 ms, mgL",
@@ -178,7 +178,7 @@ def conserving_step(rows: list[Row]) -> list[str]:
 
 
 def discontinuities(rows: list[Row]) -> list[str]:
-    """The scenes of loads with discontinuities by the methods that are judged."""
+    """Scenes of loads with discontinuities by the judged methods."""
     head = ["case", "`i3alp`", "`i3alp`, 3e-10 rad", "`dop853`", "`automatic`"]
     return docs.markdown(
         head,
@@ -206,7 +206,7 @@ def by(column: Column, rows: list[Row]) -> list[Row]:
 
 
 def by_case(rows: list[Row], *columns: Column) -> Iterator[Found]:
-    """The rows of each case that is run by one of the columns at least."""
+    """The rows of each case that at least one of the columns has."""
     for case in dict.fromkeys(row["case"] for row in rows):
         of_case = [row for row in rows if row["case"] == case]
         found = [next(iter(by(column, of_case)), None) for column in columns]
@@ -221,12 +221,12 @@ def first(found: Found) -> list[str]:
 
 
 def energies(found: Found) -> list[str]:
-    """The worst energy error of each."""
+    """Worst energy error of each."""
     return [worst([row], ENERGY) for row in found]
 
 
 def violations(found: Found) -> list[str]:
-    """The worst violations of all."""
+    """Worst violations over all."""
     return [worst(found, POSITION), worst(found, VELOCITY)]
 
 
@@ -237,23 +237,23 @@ def worst(found: Found, name: str) -> str:
 
 
 def demand(row: Row | None) -> str:
-    """The energy error that is allowed, mgL."""
+    """Allowed energy error, mgL."""
     return re.search(r"\|dE\| <= (\S+) mgL", row["criterion"])[1] if row else ""
 
 
 def early(found: Found) -> str:
-    """How many runs ended early."""
+    """Number of runs that ended early."""
     return slashed(found, lambda row: row["ended early"])
 
 
 def fallbacks(row: Row) -> str:
-    """How many steps are made by the fallback of the conserving step."""
+    """Number of steps made by the fallback of the conserving step."""
     counted = re.search(r"(\d+) x of \d+ steps by the fallback", row["status"])
     return counted[1] if counted else "0"
 
 
 def slashed(found: Found, cell: Callable[[Row], str]) -> str:
-    """The cells of several settings in one."""
+    """Cells of several settings joined by slashes."""
     return " / ".join(cell(row) for row in found if row)
 
 

@@ -1,4 +1,4 @@
-"""The picture of loads with kinks in docs/effects.md: stick and slip, a bounce, a hold.
+"""The picture of loads with kinks in docs/effects.md: stick-slip, a bounce, a hold.
 
 python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out docs/images/kinks.svg
 """
@@ -28,7 +28,7 @@ LAWS = {"smooth": 1, "stick": 2}
 
 
 def held(scene: Scene, law: str) -> Scene:
-    """The joint of `stick_slip` under half its breakaway torque, which the servo keeps, by a law of friction."""
+    """The joint of `stick_slip` under a constant servo torque of half its breakaway torque, with a friction law."""
     values = scene.variants[0].values
     pull = values["friction.breakaway[1]"] / 2 / values["servo.kp[1]"]
     load = {
@@ -40,8 +40,7 @@ def held(scene: Scene, law: str) -> Scene:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the scenes and draws them side by side."""
-    parser = argparse.ArgumentParser(description="Stick and slip, a bounce, a hold.")
+    parser = argparse.ArgumentParser(description="Draws stick-slip, a bounce and a hold.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     parser.add_argument("--out", type=Path, required=True, help="the SVG file to write")
@@ -65,12 +64,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(model: ModelDescription, directory: str, scene: Scene) -> Run:
-    """A scene by itself."""
+    """Runs a scene."""
     return drive(model, directory, scene, scene.variants[0], Progress(scene.name, scene.stop_time))
 
 
 def draw_stick_and_slip(axes: Axes, found: Run) -> None:
-    """The angle and its reference from the start, mrad."""
+    """Angle and reference relative to the start, mrad."""
     start = found["theta[1]"][0]
     for values, colour, label in ((found["servo.theta[1]"], FAINT, "reference"), (found["theta[1]"], LEFT, "angle")):
         axes.plot(*thinned(found.time, 1e3 * (values - start), buckets=400), color=colour, linewidth=1.4, label=label)
@@ -79,7 +78,7 @@ def draw_stick_and_slip(axes: Axes, found: Run) -> None:
 
 
 def draw_bounce(axes: Axes, found: Run) -> None:
-    """The gap between tip and floor, mm."""
+    """Gap between tip and floor, mm."""
     normal, offset = plane(found)
     gap = normal[0] * found["tip.x"] + normal[1] * found["tip.y"] - offset
     axes.plot(*thinned(found.time, 1e3 * gap, buckets=400), color=TIP, linewidth=1.4)
@@ -88,7 +87,7 @@ def draw_bounce(axes: Axes, found: Run) -> None:
 
 
 def draw_hold(axes: Axes, runs: list[Run]) -> None:
-    """The angle from its start under a load that stays, µrad."""
+    """Angle relative to its start under a constant load, µrad."""
     for found, colour in zip(runs, (FAINT, INK)):
         moved = found["theta[1]"] - found["theta[1]"][0]
         axes.plot(*thinned(found.time, 1e6 * moved, buckets=400), color=colour, linewidth=1.4, label=found.label)

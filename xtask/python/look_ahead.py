@@ -1,8 +1,8 @@
-"""How many predictions a second a twin can make through FMPy, on one core: stored state, torque, one doStep of 0.5 s, tip read, back.
+"""Predictions per second of a twin through FMPy on one core: restore a stored state, set the torque, one doStep of 0.5 s, read the tip.
 
 python look_ahead.py --fmu target/fmu/FiveBar.fmu --out target/bench/look-ahead.csv
 
-Part of `cargo xtask bench`; docs/notes/growth.md has the figures. Seconds are processor time: other load on the machine hardly counts.
+Part of `cargo xtask bench`; docs/notes/growth.md has the figures. Times are processor times, so that other load on the machine hardly counts.
 """
 
 import argparse
@@ -26,7 +26,7 @@ STRONG = {
     f"servo.{name}[{side}]": value for name, value in (("kp", 200.0), ("kd", 2.0), ("limit", 50.0)) for side in (1, 2)
 }
 GOALS = {"servo, payload, dry friction": 1000, "servo, payload": 6000}
-"""Predictions a second that are wanted at the default tolerance by `automatic`."""
+"""Target of `automatic` at the default tolerance, predictions per second."""
 
 MACHINES = {
     "servo, payload, dry friction": SERVO | {"friction.enabled": True},
@@ -38,11 +38,11 @@ TOLERANCES = (1e-4, 1e-6, 3e-9)
 DEFAULT = TOLERANCES[-1]
 
 SECONDS = 1.0
-"""For how long each row is measured; a tenth of it with --quick."""
+"""Duration of the measurement of each row; a tenth of it with --quick."""
 
 
 def per_second(folder: str, values: dict[str, float | bool], seconds: float) -> float:
-    """Predictions a second of a machine, measured over so many."""
+    """Predictions per second of a machine, measured for `seconds`."""
     model = read_model_description(folder)
     variables = {v.name: (v.type.replace("Enumeration", "Integer"), v.valueReference) for v in model.modelVariables}
     slave = instantiate_fmu(folder, model, "CoSimulation")
@@ -68,9 +68,9 @@ def per_second(folder: str, values: dict[str, float | bool], seconds: float) -> 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints a row for each machine and tolerance, with the goals."""
+    """Prints a row for each machine and tolerance, with the target."""
     parser = argparse.ArgumentParser(
-        description="How many predictions of 0.5 s a twin can make a second, through FMPy, on one core."
+        description="Predictions of 0.5 s per second of a twin, through FMPy, on one core."
     )
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")

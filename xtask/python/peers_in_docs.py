@@ -13,17 +13,17 @@ from report import docs, tables
 ROOT = Path(__file__).resolve().parents[2]
 FILE = "docs/notes/peers.md"
 COMMAND = "cargo xtask peers"
-"""End of the table's head if all peers were asked for; names of some follow."""
+"""The table's head ends with it if all peers ran; otherwise names follow."""
 
 AHEAD, ENERGIES = (docs.marks(name, COMMAND) for name in ("peers", "peers' energies"))
-"""The comments around the written text."""
+"""Comments around the generated text."""
 
 SECOND = 1
-"""After which errors are compared, s."""
+"""Time at which errors are compared, s."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The exit code: 0 done, 1 there is no table, or not of all peers."""
+    """Exit code 0: done, 1: no table, or peers are missing."""
     parser = argparse.ArgumentParser(description="Writes the tables of the peers into docs/notes/peers.md.")
     parser.add_argument("--peers", type=Path, required=True, help="the folder of peers.csv")
     options = parser.parse_args(arguments)
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def left_out(found: tables.Table) -> str:
-    """Names of peers that were not run; nothing if all were."""
+    """Names of peers that did not run; empty if all did."""
     of_some = found.about.partition(f"{COMMAND} ")[2] if COMMAND in found.about else found.about
     return ", ".join([row["peer"] for row in found.rows if not row["scene"]]) or (
         f"others than {of_some}" if of_some else ""
@@ -51,7 +51,7 @@ def left_out(found: tables.Table) -> str:
 
 
 def update(root: Path, rows: list[ahead.Row], about: str) -> None:
-    """Writes one table for each scene, and that of the energies, between their comments."""
+    """Writes one table per scene and the table of energies between their comments."""
     measured, lines = f"Measured on: {about}", []
     for scene in ahead.SCENES:
         shown = ahead.markdown(ahead.cells(ahead.table(rows, scene, SECOND)))

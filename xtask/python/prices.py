@@ -19,17 +19,17 @@ from fivebar.scene import Scene, Variant, read
 from fivebar.variables import Values, Variables
 
 STEP = 0.02
-"""Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""
+"""Communication step, s. 20 macro steps share one call, so that the call's own cost, some microseconds in Python, is negligible."""
 
 REPEATS = 15
-"""Number of equal runs, of which the fastest counts for every call: other load on the machine only adds."""
+"""Number of equal runs. The fastest counts for each call, because other load on the machine only adds time."""
 
 
 @dataclass(frozen=True)
 class Price:
-    """One row: a scene with its effects, and bare (the same start and inputs, no effect but gravity where it was on).
+    """One row: a scene with its effects, and bare (same start and inputs, no effect except gravity if it was on).
 
-    A scene that is bare itself is measured once.
+    A scene that is already bare is measured once.
     """
 
     scene: str
@@ -44,10 +44,10 @@ class Price:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measures all scenes of a folder."""
-    parser = argparse.ArgumentParser(description="What the effects of each scene cost against the bare mechanism.")
+    parser = argparse.ArgumentParser(description="Cost of the effects of each scene against the bare mechanism.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
-    parser.add_argument("--method", help="an item of solver.method for all scenes; without it what each says")
+    parser.add_argument("--method", help="an item of solver.method for all scenes [default: the method of each]")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     options = parser.parse_args(arguments)
     directory = fmpy.extract(str(options.fmu))
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def table(prices: list[Price]) -> str:
-    """The rows as Markdown, as docs/notes/effects.md has them."""
+    """The rows as Markdown, for docs/notes/effects.md."""
     lines = [
         "| scene | effects | sub-steps per step | µs per step | µs per sub-step | the same bare | price of a sub-step |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
@@ -82,7 +82,7 @@ def table(prices: list[Price]) -> str:
 
 
 def _number(model: ModelDescription, method: str) -> int:
-    """Number of an item of solver.method."""
+    """Number of a method in solver.method."""
     [variable] = [v for v in model.modelVariables if v.name == "solver.method"]
     items = {item.name: int(item.value) for item in variable.declaredType.items}
     if method not in items:
@@ -97,7 +97,7 @@ def _price(model: ModelDescription, directory: str, scene: Scene, method: Values
     active = [name for name, start in switches.items() if own.values.get(name, start)]
     off = {name: False for name in active if name != "gravity.enabled"}
     variants = [own, Variant("bare", own.values | off)] if off else [own]
-    # Turn by turn, so that a busy moment of the machine hits both.
+    # Alternating, so that other load on the machine affects both.
     runs = [[_run(model, directory, scene, variant) for variant in variants] for _ in range(REPEATS)]
     numbers = [_numbers(list(same)) for same in zip(*runs)]
     effects = ", ".join(name.removesuffix(".enabled") for name in active) or "none"
@@ -112,7 +112,7 @@ def _run(model: ModelDescription, directory: str, scene: Scene, variant: Variant
 
 
 def _numbers(runs: list[Run]) -> tuple[float, float, float]:
-    """Sub-steps per step, microseconds per step and per sub-step, of equal runs."""
+    """Sub-steps per step, microseconds per step and per sub-step, over equal runs."""
     steps, substeps = (int(runs[0][f"solver.{counter}"][-1]) for counter in ("steps", "substeps"))
     fastest = 1e6 * sum(map(min, zip(*(run.call_seconds for run in runs))))
     return substeps / steps, fastest / steps, fastest / substeps

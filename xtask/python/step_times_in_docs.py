@@ -1,4 +1,4 @@
-"""Writes times and work of strictly fixed steps, as `cargo xtask bench` measures them, into the docs of the conserving method.
+"""Writes times and work of fixed steps, measured by `cargo xtask bench`, into the docs of the conserving method.
 
 python step_times_in_docs.py --folder target/bench
 """
@@ -16,14 +16,14 @@ from report.tables import Row, read
 ROOT = Path(__file__).resolve().parents[2]
 NOTES = "docs/notes/conserving.md"
 MARKS = docs.marks("bounded work", "cargo xtask bench")
-"""The comments around the table."""
+"""Comments around the table."""
 
 STEPS = 10_000_000
-"""Steps of the first setting, if the falls are not a sample."""
+"""Steps of the first setting in a full measurement."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The exit code: 0 done, 1 there are no tables, or they are of a sample."""
+    """Exit code 0: done, 1: no tables, or only of a sample."""
     parser = argparse.ArgumentParser(description="Writes times and work of strictly fixed steps into the docs.")
     parser.add_argument("--folder", type=Path, required=True, help="the folder of step-times.csv and step-work.csv")
     with plt.rc_context(STYLE):
@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def update(root: Path, folder: Path) -> str:
-    """Writes the picture and the table; or why they are not fit to be shown."""
+    """Writes the picture and the table; returns the reason if they are not fit for the docs."""
     times, work = (read(folder / f"{name}.csv").rows for name in ("step-times", "step-work"))
     if not (times and work and int(work[0]["steps"]) == STEPS):
         return f"{NOTES} stays as it is, for tables are missing or of a sample; `cargo xtask bench` measures all."
@@ -43,7 +43,7 @@ def update(root: Path, folder: Path) -> str:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """Iterations of a step, and steps of a million that need more than a first guess."""
+    """Iterations of a step, and how many of a million steps need more than a first guess."""
     head = [
         "step",
         "`solver.maxWork`",

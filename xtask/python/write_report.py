@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Writes the page; the exit code: 0 done, 1 there is nothing to draw or to update."""
+    """Writes the page; exit code 0: done, 1: nothing to draw or to update."""
     parser = argparse.ArgumentParser(description="Writes the accuracy report from the tables of the measurements.")
     parser.add_argument("--folder", type=Path, required=True, help="the folder of the report; tables are in its data/")
     for name, text in (
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
         ("peers", "peers"),
     ):
         parser.add_argument(
-            f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out"
+            f"--{name}", type=Path, required=True, help=f"the folder of the {text}; missing tables are left out"
         )
     parser.add_argument("--update-docs", action="store_true", help="also write tables and pictures into the docs")
     options = parser.parse_args(arguments)
@@ -54,7 +54,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]]) -> None:
-    """Writes the page."""
     found, judged = markers(m.precision), references(m.references)
     parts = [
         sections.run(m, m.precision.about),
@@ -75,8 +74,8 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
 
 
 def update_docs(m: Measurements, bench: Path, hard_cases: Path) -> str:
-    """The picture and the short table, where readers meet them first, the ratios, and where there are any the fixed steps and the hard
-    cases; why these are not fit to be shown."""
+    """Updates the picture, the short table and the ratios, and if there are any the fixed steps and hard cases; returns the reason if those are
+    not fit for the docs."""
     found, judged = markers(m.precision), references(m.references)
     docs.figure(ROOT, "accuracy", figures.main_picture(found, judged))
     head, rows = picks.ratio_table(found, judged)
@@ -89,7 +88,7 @@ def update_docs(m: Measurements, bench: Path, hard_cases: Path) -> str:
 
 
 def keep_beside(table: Table, data: Path) -> None:
-    """The tables of other commands, beside the page that shows them; one of an earlier report that is gone there goes here, too."""
+    """Copies tables of other commands beside the page that shows them; removes copies that no longer have a source."""
     copy = data / table.file.name
     copy.unlink(missing_ok=True)
     if table:
@@ -97,7 +96,7 @@ def keep_beside(table: Table, data: Path) -> None:
 
 
 def curves_of(folder: Path, scene: str, data: Path) -> dict[str, np.ndarray]:
-    """Time and position of the tip of a scene's run and its overlays, by label; also as CSV, as thin as drawn."""
+    """Time and tip position of a scene's run and its overlays, by label; also written as CSV, as thinned as drawn."""
     curves = {}
     own = folder / f"{scene}.csv"
     for file in [own, *sorted(folder.glob(f"{scene}.*.csv"))] if own.is_file() else []:

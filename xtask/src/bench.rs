@@ -1,5 +1,5 @@
-//! `cargo xtask bench`: times and instructions, the falls of the battery, predictions through FMPy; tables under `target/bench/`. With `--check` the
-//! instructions that CI checks.
+//! `cargo xtask bench`: times and instructions, falls of the battery, predictions through FMPy; tables in `target/bench/`. With
+//! `--check`, only the instruction counts that CI checks.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -8,27 +8,26 @@ use anyhow::Result;
 use clap::Args;
 use std::process::Command;
 
-/// The crate that holds the benchmarks.
+/// The crate with the benchmarks.
 const CRATE: &str = "benches";
 
-/// How much is done.
+/// Scope of a run.
 #[derive(Args)]
 pub(crate) struct Options {
     /// Few repeats, scenes of at most 2 s, a sample of the falls
     #[arg(long)]
     quick: bool,
-    /// Only hold instructions against the ceilings of measure/benches/ceilings.csv; needs valgrind, like the whole command
+    /// Only check instructions against the ceilings of measure/benches/ceilings.csv; needs valgrind, like the whole command
     #[arg(long, conflicts_with = "quick")]
     check: bool,
-    /// Do not measure; for --update-docs, from the last tables
+    /// Do not measure; use the last tables, for --update-docs
     #[arg(long, conflicts_with_all = ["quick", "check"], requires = "update_docs")]
     reuse: bool,
-    /// Also write times and work of strictly fixed steps into the docs
+    /// Also write times and work of fixed steps into the docs
     #[arg(long, conflicts_with_all = ["quick", "check"])]
     update_docs: bool,
 }
 
-/// Measures, or checks.
 pub(crate) fn bench(options: &Options) -> Result<()> {
     if options.check {
         return process::run(&mut instructions());
@@ -43,7 +42,7 @@ pub(crate) fn bench(options: &Options) -> Result<()> {
     process::run(python.arg("xtask/python/step_times_in_docs.py").arg("--folder").arg(paths::in_root("target/bench")))
 }
 
-/// Measures everything, `quick` with few repeats.
+/// Measures everything; if `quick`, with few repeats.
 pub(crate) fn measure(quick: bool) -> Result<()> {
     for (mut program, task) in [(benches(), "run"), (hard_cases::battery(), "falls")] {
         program.args([task, "--out"]).arg(paths::in_root("target/bench"));
@@ -61,7 +60,7 @@ pub(crate) fn measure(quick: bool) -> Result<()> {
     process::run(&mut look_ahead)
 }
 
-/// The program that checks instructions against their ceilings, and that effects that are off cost nothing.
+/// The program that checks instructions against their ceilings, and that disabled effects cost nothing.
 pub(crate) fn instructions() -> Command {
     let mut program = benches();
     program.arg("check");

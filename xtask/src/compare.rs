@@ -1,4 +1,5 @@
-//! `cargo xtask compare`: two builds of the library over every scene by every method; differences, and whether they are round-off.
+//! `cargo xtask compare`: runs every scene by every method on two builds of the library; reports differences, and whether they are
+//! round-off.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -8,10 +9,9 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// Folder in which older revisions are built; each is kept.
+/// Folder in which other revisions are built and kept.
 const FOLDER: &str = "target/compare";
 
-/// Compares the working tree with a revision.
 pub(crate) fn compare(revision: &str) -> Result<()> {
     let before = packed(revision).with_context(|| format!("revision {revision} could not be packed"))?;
     let after = package::package(Scope::Here)?;
@@ -27,7 +27,7 @@ pub(crate) fn compare(revision: &str) -> Result<()> {
     )
 }
 
-/// The unit of a revision, packed by its own sources where this was not done before.
+/// The unit of a revision. Packs it from its own sources if this was not done before.
 fn packed(revision: &str) -> Result<PathBuf> {
     let commit = format!("{revision}^{{commit}}");
     let hash = process::output(process::program("git").args(["rev-parse", "--short=12", "--verify", "--end-of-options", &commit]))?;
@@ -41,14 +41,14 @@ fn packed(revision: &str) -> Result<PathBuf> {
             process::cargo()
                 .args(["run", "--quiet", "--locked", "--package", "xtask", "--", "package"])
                 .current_dir(&folder)
-                // One for all revisions, so that crates from elsewhere are built once.
+                // One folder for all revisions, so that external crates are built once.
                 .env("CARGO_TARGET_DIR", paths::in_root(FOLDER).join("cargo")),
         )?;
     }
     Ok(fmu)
 }
 
-/// Writes the files of a commit to `folder`, without a trace in `.git`.
+/// Writes the files of a commit to `folder`, without a worktree in `.git`.
 fn check_out(commit: &str, folder: &Path) -> Result<()> {
     let unfinished = folder.with_extension("unfinished");
     let archive = folder.with_extension("zip");
@@ -56,6 +56,6 @@ fn check_out(commit: &str, folder: &Path) -> Result<()> {
     process::run(process::program("git").args(["archive", "--format=zip", "--output"]).arg(&archive).arg(commit))?;
     ZipArchive::new(File::open(&archive)?)?.extract(&unfinished)?;
     fs::remove_file(&archive)?;
-    // A checkout that was interrupted never gets the name under which one is looked for.
+    // The folder gets its final name last, so that an interrupted checkout is never used.
     fs::rename(&unfinished, folder).with_context(|| format!("{} cannot be written", paths::short(folder)))
 }

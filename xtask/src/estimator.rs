@@ -1,4 +1,4 @@
-//! `cargo xtask estimator`: how well machines are followed; tables of figures on the terminal.
+//! `cargo xtask estimator`: accuracy of following machines; tables on the terminal.
 
 use anyhow::Result;
 
@@ -6,10 +6,10 @@ use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
 use crate::{paths, process};
 
-/// The table of other ways to follow, which asks for Python's as well.
+/// The comparison table, which also needs Python.
 const COMPARE: &str = "compare";
 
-/// Makes a part of the runs of the tables whose name contains `only`; fails if a figure is not reached.
+/// Runs the tables with `only` in their names, with a part of their runs; fails if a figure misses its target.
 pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
     let tracking = || {
         let mut cargo = process::cargo();
@@ -17,7 +17,7 @@ pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
         cargo.args(["--seeds", &seeds.to_string()]);
         cargo
     };
-    // All parts but the comparison, which follows with the filters written in Python.
+    // The program in Rust has all tables; the filters in Python add to the comparison.
     let own = if COMPARE.contains(only) && !only.is_empty() { Ok(()) } else { process::run(tracking().args(["--only", only])) };
     if COMPARE.contains(only) {
         let folder = paths::in_root("target/estimator");

@@ -1,13 +1,13 @@
 //! `cargo xtask format`: rustfmt over every .rs file of the repository.
 //!
-//! `cargo fmt` follows `mod` declarations of the source text only, so that modules declared inside a macro are invisible to it.
+//! `cargo fmt` follows `mod` declarations in the source text and cannot see modules declared inside a macro.
 
 use crate::{paths, process};
 use anyhow::{Context, Result, ensure};
 use std::path::PathBuf;
 use walkdir::{DirEntry, WalkDir};
 
-/// Formats every .rs file, or with `check` fails where one is not formatted.
+/// Formats every .rs file; with `check`, only fails if a file is not formatted.
 pub(crate) fn format(check: bool) -> Result<()> {
     let files = rust_files()?;
     println!("$ rustfmt {}({} files)", if check { "--check " } else { "" }, files.len());
@@ -18,7 +18,7 @@ pub(crate) fn format(check: bool) -> Result<()> {
     Ok(())
 }
 
-/// Every .rs file below the workspace root, but for `target/` and hidden folders.
+/// Every .rs file below the workspace root, except in `target/` and hidden folders.
 fn rust_files() -> Result<Vec<PathBuf>> {
     let is_source = |entry: &DirEntry| {
         let name = entry.file_name().to_string_lossy();

@@ -8,16 +8,16 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The crate that holds the battery.
+/// The crate with the battery.
 const CRATE: &str = "hard-cases";
 
-/// How much is done.
+/// Scope of a run.
 #[derive(Args)]
 pub(crate) struct Options {
     /// Run only a sample of every case
     #[arg(long)]
     quick: bool,
-    /// Do not run; for --update-docs, from the last tables
+    /// Do not run; use the last tables, for --update-docs
     #[arg(long, conflicts_with = "quick", requires = "update_docs")]
     reuse: bool,
     /// Also write tables and pictures into docs/hard-cases.md and its notes
@@ -25,7 +25,6 @@ pub(crate) struct Options {
     update_docs: bool,
 }
 
-/// Runs the battery and shows it.
 pub(crate) fn hard_cases(options: &Options) -> Result<()> {
     if !options.reuse {
         run(options.quick)?;
@@ -36,7 +35,7 @@ pub(crate) fn hard_cases(options: &Options) -> Result<()> {
     process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases_in_docs.py").arg("--folder").arg(folder()))
 }
 
-/// Runs the battery, `quick` a sample of it, and draws its pictures; fails if a case that is judged does.
+/// Runs the battery (if `quick`, a sample) and draws its pictures; fails if a judged case fails.
 pub(crate) fn run(quick: bool) -> Result<()> {
     let out = folder();
     fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", paths::short(&out)))?;
@@ -47,7 +46,7 @@ pub(crate) fn run(quick: bool) -> Result<()> {
     if quick {
         cases.arg("--quick");
     }
-    // Its tables are worth drawing above all when a case fails.
+    // Pictures are most useful when a case fails.
     let table = out.join("hard-cases.csv");
     remove(&table)?;
     let outcome = process::run(&mut cases);
@@ -61,19 +60,18 @@ pub(crate) fn run(quick: bool) -> Result<()> {
         .with_context(|| format!("a run with coaxial motors is wrong; {} says which", paths::short(&out.join("coaxial.csv"))))
 }
 
-/// The folder of tables and pictures.
 fn folder() -> PathBuf {
     paths::in_root("target/hard-cases")
 }
 
-/// The battery's program; its arguments are still to be added.
+/// Command of the battery's program, without arguments.
 pub(crate) fn battery() -> Command {
     let mut cargo = process::cargo();
     cargo.args(["run", "--release", "--locked", "--package", CRATE, "--"]);
     cargo
 }
 
-/// The bits of a sample of the battery from a build in which nothing is optimised, in a file.
+/// Writes the bits of a sample of the battery, from an unoptimised build, to a file.
 fn unoptimised_fingerprint(out: &std::path::Path) -> Result<PathBuf> {
     let packages = ["fivebar", CRATE, "nalgebra", "wide"];
     let mut cargo = process::cargo();

@@ -5,7 +5,7 @@ use crate::venv::{self, Packages};
 use crate::{paths, process};
 use anyhow::Result;
 
-/// Packs the unit, runs three scenes and draws stick and slip, a bounce and a hold to docs/images/kinks.svg.
+/// Packs the unit, runs three scenes and draws stick-slip, a bounce and a hold to docs/images/kinks.svg.
 pub(crate) fn kinks() -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::run(

@@ -1,4 +1,4 @@
-//! The commands of this repository, started as `cargo xtask`: one file per command.
+//! The commands of this repository, started as `cargo xtask`; one file per command.
 
 mod bench;
 mod compare;
@@ -45,11 +45,11 @@ enum Command {
         /// A file of scenes/, without `.json`
         #[arg(long, default_value = "paper_free_fall")]
         scene: String,
-        /// A method, an item of `solver.method`, in the place of the scene's own
+        /// A method (an item of `solver.method`) instead of the scene's own
         #[arg(long)]
         method: Option<String>,
     },
-    /// Run the live twin in real time: a machine's stand-in, corrector, recorder, watch and dashboard on a broker; write target/twin/
+    /// Run the live twin in real time: simulated machine, corrector, recorder, watch and dashboard on a broker; write target/twin/
     Twin(twin::Options),
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
@@ -57,41 +57,41 @@ enum Command {
         /// valgrind. CI runs this
         #[arg(long)]
         full: bool,
-        /// Run all of that, tests that are too long for every run, --platforms and --page
+        /// Run all of these, long tests, --platforms and --page
         #[arg(long, conflicts_with = "full")]
         nightly: bool,
-        /// Pack for all platforms and test that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
+        /// Pack for all platforms and test this unit; runs libraries under wine and qemu (installed by .ci/setup-platforms)
         #[arg(long, conflicts_with_all = ["full", "nightly"])]
         platforms: bool,
-        /// Only build the master fmi-sim, which takes minutes, and let it drive the FMU (its needs: .ci/setup-fmi-sim)
+        /// Only build the master fmi-sim, which takes minutes, and drive the FMU with it (needs .ci/setup-fmi-sim)
         #[arg(long, conflicts_with_all = ["full", "nightly", "platforms"])]
         fmi_sim: bool,
-        /// Only make the live page, compare its bits with the unit's and open it in a browser (its needs: .ci/setup-page)
+        /// Only make the live page, compare its bits with the unit's and open it in a browser (needs .ci/setup-page)
         #[arg(long, conflicts_with_all = ["full", "nightly", "platforms", "fmi_sim"])]
         page: bool,
     },
-    /// Format every .rs file, also those that `cargo fmt` does not find because a macro declares their modules
+    /// Format every .rs file, also modules that a macro declares and `cargo fmt` therefore misses
     Format {
-        /// Change nothing, fail where a file is not formatted
+        /// Change nothing; fail if a file is not formatted
         #[arg(long)]
         check: bool,
     },
-    /// Compare the library with that of an earlier revision, every scene by every method: same bits, or by how much they differ
+    /// Compare the library with an earlier revision, every scene by every method: same bits, or the size of the differences
     Compare {
         /// A revision that git knows
         #[arg(default_value = "HEAD")]
         revision: String,
     },
-    /// Make random calls, legal and illegal, on the packed library, each judged by FMI's table
+    /// Make random calls, legal and illegal, on the packed library and check each against FMI's table of allowed calls
     Walk(walk::Options),
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
     HardCases(hard_cases::Options),
-    /// Measure how well machines are followed, print tables of figures beside their targets; half an hour
+    /// Measure how accurately machines are followed, print figures beside their targets; half an hour
     Estimator {
         /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes, foreign, geometry, workshop, learning
         #[arg(long, default_value = "")]
         only: String,
-        /// Part of the runs that are made
+        /// Fraction of the runs
         #[arg(long, default_value_t = 1.0)]
         part: f64,
         /// Added to the seeds of all runs
@@ -112,37 +112,37 @@ enum Command {
         #[arg(long, value_name = "NAME")]
         method: Option<String>,
     },
-    /// Draw stick and slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
+    /// Draw stick-slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
     Kinks,
-    /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
+    /// Build the library, pack it as target/fmu/FiveBar.fmu and verify the archive
     Package {
-        /// Also a unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from a file like those of
-        /// scenes/, or a shipped scene
+        /// Also make a unit of one's own, target/fmu/NAME.fmu; start values, experiment and description come from this scene file, or from
+        /// a shipped scene
         #[arg(long, value_name = "FILE")]
         scene: Option<PathBuf>,
-        /// Name of that unit [default: the file's name in CamelCase]
+        /// Name of the unit of one's own [default: the file's name in CamelCase]
         #[arg(long, requires = "scene")]
         name: Option<String>,
-        /// With a library for every machine that is shipped, in target/fmu/all-platforms/: takes minutes
+        /// With libraries for all shipped platforms, in target/fmu/all-platforms/: takes minutes
         #[arg(long)]
         all_platforms: bool,
     },
-    /// Build the Python package with the unit, the scenes and the live page (where it has been made) inside: target/wheel/
+    /// Build the Python package with the unit, the scenes and the live page (if it has been made): target/wheel/
     Wheel {
-        /// For every machine that is shipped: takes minutes
+        /// With libraries for all shipped platforms: takes minutes
         #[arg(long)]
         all_platforms: bool,
     },
-    /// Make the files that a version is published as, target/release-files/: wheel, sdist, FiveBar.fmu, licences, notes, a bill of
-    /// materials and checksums; takes minutes
+    /// Make the files of a release, target/release-files/: wheel, sdist, FiveBar.fmu, licences, notes, a bill of materials and
+    /// checksums; takes minutes
     Release {
-        /// With the library of this machine alone, to see what the files are
+        /// With the library of this machine only, for a look at the files
         #[arg(long)]
         this_platform: bool,
     },
-    /// Pin the Python packages that python/pyproject.toml names, with hashes: python/lock.txt. Versions that are pinned already stay
+    /// Pin the Python packages that python/pyproject.toml names, with hashes, in python/lock.txt; keeps versions already pinned
     Lock,
-    /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
+    /// Write the live page, the library in a browser: target/page/fivebar.html (needs .ci/setup-page)
     Page,
 }
 
@@ -150,7 +150,7 @@ fn main() -> ExitCode {
     match command(Arguments::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // The failure and its causes, on one line; the place in this program would not help.
+            // The failure and its causes on one line. A backtrace would not help.
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }

@@ -6,20 +6,20 @@ use crate::{paths, process};
 use anyhow::Result;
 use clap::Args;
 
-/// The folder of what the command writes.
+/// Output folder.
 const OUT: &str = "target/mujoco";
 
 #[derive(Args)]
 pub(crate) struct Options {
-    /// How long the machine moves, minutes
+    /// Duration of the motion, minutes
     #[arg(long, default_value_t = 20.0)]
     minutes: f64,
-    /// Determines the machine, its motion and the pushes
+    /// Seed of the machine, its motion and the pushes
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// Packs the unit, simulates the machine and lets the unit follow it.
+/// Packs the unit, simulates the machine and follows it.
 pub(crate) fn mujoco(options: &Options) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     let mut python = venv::python(Packages::Mujoco)?;

@@ -1,4 +1,4 @@
-//! `cargo xtask page`: the live page, the unit's own library in a browser. `target/page/fivebar.html` holds everything and opens from
+//! `cargo xtask page`: the live page, the unit's own library in a browser. `target/page/fivebar.html` is a single file that opens from
 //! disk; `target/page/site/` is the same page as separate files, for a web server.
 
 use crate::package::{self, Files};
@@ -20,10 +20,10 @@ use std::path::Path;
 /// Sources of the page.
 const SOURCES: &str = "page";
 
-/// The module that the page starts with.
+/// The first module of the page.
 const MAIN: &str = "main.js";
 
-/// Largest size of the one file, bytes.
+/// Size limit of the single file, bytes.
 const LARGEST: usize = 2_000_000;
 
 /// Builds the library for a browser and writes both forms of the page.
@@ -54,7 +54,7 @@ pub(crate) fn page() -> Result<()> {
     Ok(())
 }
 
-/// Data of the unit for the page: GUID, version, variables with their references, and the scenes.
+/// Data of the unit for the page: GUID, version, variables with their references, and scenes.
 fn unit() -> Result<Json> {
     let description = ModelDescription::read().map_err(|error| anyhow::anyhow!("the model description: {error}"))?;
     let variables: Map<String, Json> =
@@ -63,7 +63,7 @@ fn unit() -> Result<Json> {
     Ok(json!({ "guid": description.guid(), "version": env!("CARGO_PKG_VERSION"), "variables": variables, "scenes": scenes }))
 }
 
-/// A variable: reference, kind, role, and what of start, unit and items there is.
+/// A variable: reference, kind, role; start, unit and items if it has them.
 fn variable_of(description: &ModelDescription, variable: &Variable) -> Json {
     let start = match &variable.kind {
         Kind::Real { start, .. } => json!(start),
@@ -93,7 +93,7 @@ fn variable_of(description: &ModelDescription, variable: &Variable) -> Json {
     json
 }
 
-/// A scene: its values as calls carry them, its signals as the file has them.
+/// A scene: its values as encoded for calls, its signals as in the file.
 fn scene(scene: &Scene) -> Result<Json> {
     let file = paths::in_root("scenes").join(&scene.name).with_extension("json");
     let text = fs::read_to_string(&file).with_context(|| paths::short(&file))?;
@@ -108,14 +108,14 @@ fn scene(scene: &Scene) -> Result<Json> {
     }))
 }
 
-/// All licence files as one text; a text that several parts have stands once.
+/// All licence files as one text; a text shared by several parts appears once.
 pub(crate) fn notices(licenses: &Files) -> String {
     let mut names: BTreeMap<&[u8], Vec<&str>> = BTreeMap::new();
     for (name, text) in licenses {
         names.entry(text).or_default().push(name.rsplit_once("licenses/").map_or(name.as_str(), |(_, short)| short));
     }
     let mut sections: Vec<_> = names.into_iter().map(|(text, names)| (names.join("\n"), text)).collect();
-    // The list of all parts first.
+    // The list of all parts comes first.
     sections.sort_by_key(|(names, _)| (names != "license.txt", names.clone()));
     let mut all = String::new();
     for (names, text) in sections {
@@ -124,7 +124,7 @@ pub(crate) fn notices(licenses: &Files) -> String {
     all
 }
 
-/// The one file: style, modules, library, variables and licences inside the document.
+/// The single file: style, modules, library, variables and licences inside the document.
 fn whole(library: &[u8], unit: &str, licenses: &str) -> Result<String> {
     let document = source("index.html")?;
     let mut script = String::new();
@@ -147,8 +147,8 @@ fn whole(library: &[u8], unit: &str, licenses: &str) -> Result<String> {
     })
 }
 
-/// Appends a module to the script after those that it imports, each once. All share one scope: their imports and the word
-/// `export` go away.
+/// Appends a module to the script after its imports, each once. All modules share one scope; `import` lines and the word `export` are
+/// removed.
 fn bundle(name: &str, done: &mut Vec<String>, script: &mut String) -> Result<()> {
     if done.iter().any(|other| other == name) {
         return Ok(());
@@ -169,7 +169,7 @@ fn bundle(name: &str, done: &mut Vec<String>, script: &mut String) -> Result<()>
     Ok(())
 }
 
-/// A script as it may stand inside a document.
+/// A script, escaped for use inside a document.
 fn inside_script(script: &str) -> Result<&str> {
     ensure!(!script.contains("</script"), "a module of the page ends the script that it stands in");
     Ok(script)

@@ -2,32 +2,31 @@
 
 use std::path::{Path, PathBuf};
 
-/// The workspace root: the folder above this crate's.
+/// The workspace root: the parent of this crate's folder.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in a folder of the workspace")
 }
 
-/// A file or folder of the repository.
 pub(crate) fn in_root(path: impl AsRef<Path>) -> PathBuf {
     root().join(path)
 }
 
-/// A path as a person reads it: relative to the workspace root where it lies below it.
+/// A path for messages: relative to the workspace root if it lies below it.
 pub(crate) fn short(path: &Path) -> String {
     path.strip_prefix(root()).unwrap_or(path).display().to_string()
 }
 
-/// The packed unit of that name, for this machine.
+/// The packed unit `name`, for this machine.
 pub(crate) fn fmu(name: &str) -> PathBuf {
     in_root("target/fmu").join(name).with_extension("fmu")
 }
 
-/// The packed unit of that name, with a library for every machine.
+/// The packed unit `name`, with a library for every shipped platform.
 pub(crate) fn fmu_for_all_platforms(name: &str) -> PathBuf {
     in_root("target/fmu/all-platforms").join(name).with_extension("fmu")
 }
 
-/// The live page, in one file.
+/// The live page as a single file.
 pub(crate) fn page() -> PathBuf {
     in_root("target/page/fivebar.html")
 }

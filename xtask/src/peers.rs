@@ -1,4 +1,4 @@
-//! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI. Sources of compiled peers are in
+//! `cargo xtask peers`: other programs and the packed unit on the same scenes; not part of CI. Sources of compiled peers are in
 //! `xtask/peers/`, outside the workspace.
 
 use crate::package::{self, Scope};
@@ -7,12 +7,12 @@ use crate::{paths, process, report};
 use anyhow::Result;
 use clap::Args;
 
-/// Programs to run, and where their tables go.
+/// Programs to run, and use of their tables.
 #[derive(Args)]
 pub(crate) struct Options {
     /// Names of the programs to run [default: all]
     only: Vec<String>,
-    /// Do not measure; for --update-docs, from the last measurements
+    /// Do not measure; use the last measurements, for --update-docs
     #[arg(long, conflicts_with = "only", requires = "update_docs")]
     reuse: bool,
     /// Also write the tables into docs/notes/peers.md
@@ -20,7 +20,6 @@ pub(crate) struct Options {
     update_docs: bool,
 }
 
-/// Runs programs and writes their measurements.
 pub(crate) fn peers(options: &Options) -> Result<()> {
     if !options.reuse {
         measure(&options.only)?;
@@ -33,7 +32,7 @@ pub(crate) fn peers(options: &Options) -> Result<()> {
     )
 }
 
-/// Runs those named in `only`, or all; the table goes to `target/peers/peers.csv`.
+/// Runs the programs in `only`, or all; writes `target/peers/peers.csv`.
 fn measure(only: &[String]) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     let mut command = venv::python(Packages::Peers)?;

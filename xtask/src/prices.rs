@@ -5,7 +5,7 @@ use crate::venv::{self, Packages};
 use crate::{paths, process};
 use anyhow::Result;
 
-/// Packs the unit and measures every scene with its effects and without; the table goes to `target/run/prices.csv`.
+/// Packs the unit and measures every scene with and without its effects; writes `target/run/prices.csv`.
 pub(crate) fn prices(method: Option<&str>) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     let mut python = venv::python(Packages::Usual)?;

@@ -1,4 +1,4 @@
-//! Runs other programs: the command is printed before, and named by the error if it fails.
+//! Runs other programs: prints each command first, and names it in the error if it fails.
 
 use crate::paths;
 use anyhow::{Context, Result, bail, ensure};
@@ -11,21 +11,21 @@ pub(crate) fn cargo() -> Command {
     program(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
-/// A program that starts in the workspace root.
+/// Command of a program in the workspace root.
 pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(name);
     command.current_dir(paths::root());
     command
 }
 
-/// Shows the command, runs it with this process' input and output, and fails if it fails.
+/// Prints the command, runs it with this process's input and output, and fails if it fails.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     println!("$ {}", short_form(command));
     let status = command.status().with_context(|| format!("`{}` could not be started", short_form(command)))?;
     check(&short_form(command), status)
 }
 
-/// Shows the command and becomes it, where the system can do that, so that Ctrl-C and the terminal are its alone; elsewhere runs it.
+/// Prints the command and replaces this process by it, if the system can, so that it alone gets Ctrl-C and the terminal; elsewhere runs it.
 pub(crate) fn become_program(command: &mut Command) -> Result<()> {
     #[cfg(unix)]
     {
@@ -37,14 +37,14 @@ pub(crate) fn become_program(command: &mut Command) -> Result<()> {
     run(command)
 }
 
-/// A command that runs beside others; ended with this value.
+/// A command that runs in the background; killed when dropped.
 pub(crate) struct Beside {
     child: Child,
     command: String,
     log: PathBuf,
 }
 
-/// Shows the command and starts it; its output is shown when it has ended. Until then the output lies in a file of that name.
+/// Prints the command and starts it. Its output goes to a file `name` and is shown after the end.
 pub(crate) fn start(name: &str, command: &mut Command) -> Result<Beside> {
     let (text, log) = (short_form(command), paths::in_root("target").join(name).with_extension("log"));
     println!("$ {text} &");
@@ -55,7 +55,7 @@ pub(crate) fn start(name: &str, command: &mut Command) -> Result<Beside> {
 }
 
 impl Beside {
-    /// Waits for its end, shows its output, and fails if it failed.
+    /// Waits for the end, shows the output, and fails if the command failed.
     pub(crate) fn finish(mut self) -> Result<()> {
         let status = self.child.wait()?;
         print!("{}", fs::read_to_string(&self.log)?);
@@ -65,19 +65,19 @@ impl Beside {
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        // A command that has ended already cannot be killed, which is no error.
+        // Killing a command that has already ended fails; this is no error.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Shows the command and returns its standard output.
+/// Prints the command, runs it and returns its standard output.
 pub(crate) fn run_for_output(command: &mut Command) -> Result<String> {
     println!("$ {}", short_form(command));
     output(command)
 }
 
-/// Runs the command unseen and returns its standard output; its errors stay visible.
+/// Runs the command without printing it and returns its standard output; its errors stay visible.
 pub(crate) fn output(command: &mut Command) -> Result<String> {
     let output =
         command.stderr(Stdio::inherit()).output().with_context(|| format!("`{}` could not be started", short_form(command)))?;
@@ -85,8 +85,8 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     String::from_utf8(output.stdout).with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
 }
 
-/// Fails, naming the Debian packages and the script that installs them, where one of the programs is not on the path
-/// (or a file, given with its whole path, is not there).
+/// Fails if one of the programs is not on the path (or a file, given with its whole path, is missing); names the Debian packages and the
+/// script that installs them.
 pub(crate) fn need(command: &str, script: &str, programs: &[(&str, &str)]) -> Result<()> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let missing: Vec<&str> = programs
@@ -106,7 +106,7 @@ fn check(command: &str, status: ExitStatus) -> Result<()> {
     }
 }
 
-/// The command as one would type it in the workspace root.
+/// The command as typed in the workspace root.
 fn short_form(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let name = match program.strip_prefix(paths::root()) {

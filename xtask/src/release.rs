@@ -1,4 +1,4 @@
-//! `cargo xtask release`: the files that a version is published as, in `target/release-files/`.
+//! `cargo xtask release`: the files of a release, in `target/release-files/`.
 
 use crate::package::{self, Files, Scope};
 use crate::venv::{self, Packages};
@@ -13,12 +13,12 @@ use std::io::Read;
 use std::path::Path;
 use zip::ZipArchive;
 
-/// Name of the version's part of the change log.
+/// Heading of the version's part of the change log.
 const NOTES: &str = "release-notes.txt";
 
-/// Makes wheel, sdist, the .fmu, licences, notes, a bill of materials, and the checksums of all of them.
+/// Makes wheel, sdist, the .fmu, licences, notes, a bill of materials, and checksums of all of them.
 ///
-/// With libraries for all platforms the wheel carries the live page, made anew: the file of an earlier build would hold another library.
+/// With libraries for all platforms the wheel contains the live page, built again: an older file would contain another library.
 pub(crate) fn release(scope: Scope) -> Result<()> {
     if matches!(scope, Scope::All) {
         page::page()?;
@@ -47,7 +47,7 @@ pub(crate) fn release(scope: Scope) -> Result<()> {
     Ok(())
 }
 
-/// The licence files of everything in a unit, by their names.
+/// Licence files of everything in a unit, by name.
 fn licenses(fmu: &Path) -> Result<Files> {
     let mut archive = ZipArchive::new(File::open(fmu)?)?;
     let mut files = Files::new();
@@ -71,7 +71,7 @@ struct Crate {
     license: String,
 }
 
-/// The crates that the summary of licences lists, in lines of name, version and licence.
+/// The crates in the summary of licences; its lines have name, version and licence.
 fn crates(licenses: &Files) -> Result<Vec<Crate>> {
     let summary = licenses.get("documentation/licenses/license.txt").context("license.txt is missing")?;
     let listed: Vec<Crate> = String::from_utf8_lossy(summary)
@@ -86,7 +86,7 @@ fn crates(licenses: &Files) -> Result<Vec<Crate>> {
     Ok(listed)
 }
 
-/// Part of the change log on a version, which must be there.
+/// The change log's part on a version; an error if missing.
 fn notes(changes: &str, version: &str) -> Result<String> {
     let sections = changes.split("\n## ").skip(1);
     let section = sections.into_iter().find(|section| section.split_whitespace().next() == Some(version));
@@ -94,9 +94,9 @@ fn notes(changes: &str, version: &str) -> Result<String> {
     Ok(format!("# FiveBar {}\n", section.trim_end()))
 }
 
-/// The crates linked into the libraries and the Python packages that the wheel asks for, as a CycloneDX 1.6 document.
+/// The crates linked into the libraries and the Python packages required by the wheel, as a CycloneDX 1.6 document.
 ///
-/// A component has five fields; the crate for the format, cyclonedx-bom, brings 60 others and stops at version 1.5.
+/// Written by hand: a component has five fields, but the crate cyclonedx-bom brings 60 dependencies and ends at version 1.5.
 fn bill(crates: &[Crate], python: &Json, lock: &str) -> Result<Json> {
     let sums = sums_of(lock);
     let mut components = Vec::new();
@@ -141,13 +141,13 @@ fn sums_of(lock: &str) -> BTreeMap<(&str, &str), &str> {
         .collect()
 }
 
-/// The packages that the wheel asks for, with all that they ask for, as installed in the environment that the tests run in.
+/// The packages required by the wheel, and their own requirements, as installed in the environment of the tests.
 fn python_packages() -> Result<Json> {
     let script = paths::in_root("xtask/python/components.py");
     Ok(serde_json::from_str(&process::output(venv::python(Packages::Usual)?.arg(script))?)?)
 }
 
-/// Lines of SHA256SUMS, as `sha256sum --check` reads them.
+/// Lines of SHA256SUMS, for `sha256sum --check`.
 fn checksums(folder: &Path) -> Result<String> {
     let mut files = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     files.sort();

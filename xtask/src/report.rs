@@ -8,10 +8,10 @@ use std::fs;
 
 /// The crate that measures.
 const CRATE: &str = "accuracy";
-/// The scenes of the paper, whose figures the page shows.
+/// The scenes of the paper, shown on the page.
 const PAPER: [&str; 2] = ["paper_torque", "paper_free_fall"];
 
-/// How much is done.
+/// Scope of a run.
 #[derive(Args)]
 pub(crate) struct Options {
     /// Measure only a sample of everything
@@ -25,7 +25,7 @@ pub(crate) struct Options {
     update_docs: bool,
 }
 
-/// Measures, and writes `target/report/index.html`.
+/// Measures and writes `target/report/index.html`.
 pub(crate) fn report(options: &Options) -> Result<()> {
     let folder = paths::in_root("target/report");
     if !options.reuse {
@@ -54,7 +54,7 @@ fn measure(quick: bool) -> Result<()> {
     for scene in PAPER {
         run::run(scene, None)?;
     }
-    // A case that is not met belongs on the page above all; so does the absence of valgrind, which counts instructions.
+    // The page is written even if a case fails or valgrind, which counts instructions, is missing.
     for outcome in [hard_cases::run(quick), bench::measure(quick)] {
         if let Err(error) = outcome {
             eprintln!("the page will mention it: {error:#}");
@@ -63,7 +63,7 @@ fn measure(quick: bool) -> Result<()> {
     Ok(())
 }
 
-/// Machine, load, compiler, commit and command, for the head of every table.
+/// Machine, load, compiler, commit and command; heads every table.
 pub(crate) fn about(command: &str) -> Result<String> {
     let said = |program: &str, arguments: &[&str]| process::output(process::program(program).args(arguments));
     let cpu_info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

@@ -5,10 +5,10 @@ use crate::venv::{self, Packages};
 use crate::{paths, process, scenes};
 use anyhow::Result;
 
-/// Packs the unit and runs a scene, by its own method or another one; CSV, pictures and the page go to `target/run/NAME/`, or to
+/// Packs the unit and runs a scene by its own method, or another one; CSV, pictures and the page go to `target/run/NAME/` or
 /// `target/run/NAME-METHOD/`.
 pub(crate) fn run(scene: &str, method: Option<&str>) -> Result<()> {
-    // First of all, so that a misspelt name does not cost a build.
+    // Checked first, so that a misspelt name does not cost a build.
     scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
     process::run(

@@ -1,10 +1,10 @@
-//! The scenes, known by their names.
+//! Names of scenes.
 
 use anyhow::{Result, ensure};
 use scenes::Scene;
 use std::fmt::Write;
 
-/// Whether there is a scene of that name; an unknown one is answered with the list of those that exist.
+/// Fails if there is no scene of this name; the error lists the existing ones.
 pub(crate) fn check(name: &str) -> Result<()> {
     check_in(&Scene::all()?, name)
 }

@@ -11,16 +11,16 @@ pub(crate) struct Options {
     /// Seconds of real time
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// A file of scenes/, without `.json`: the machine and its motion
+    /// A file of scenes/, without `.json`: machine and motion
     #[arg(long, default_value = "pick_and_place")]
     scene: String,
-    /// An MQTT broker in the place of the one that comes along
+    /// An MQTT broker instead of the included one
     #[arg(long, value_name = "HOST:PORT")]
     broker: Option<String>,
     /// Show the dashboard in a browser and keep running until Ctrl-C
     #[arg(long)]
     open: bool,
-    /// Instead draw the dashboard of a run that learns, write docs/images/dashboard.svg (its needs: .ci/setup)
+    /// Draw the dashboard of a run that learns instead, write docs/images/dashboard.svg (needs .ci/setup)
     #[arg(long, exclusive = true)]
     picture: bool,
 }
@@ -31,7 +31,7 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
     if *picture {
         return draw_dashboard();
     }
-    // First of all, so that a misspelt name does not cost a build.
+    // Checked first, so that a misspelt name does not cost a build.
     scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
     process::become_program(
@@ -47,7 +47,7 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
     )
 }
 
-/// Packs the unit, and writes docs/images/dashboard.svg from a run of some 30 s.
+/// Packs the unit, runs the twin for some 30 s and writes docs/images/dashboard.svg.
 fn draw_dashboard() -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::run(

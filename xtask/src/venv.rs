@@ -9,7 +9,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// The name under which a Python 3 is on the path.
+/// Name of Python 3 on the path.
 const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 
 /// The package, its dependencies and the dependency groups.
@@ -21,28 +21,28 @@ const LOCK: &str = "python/lock.txt";
 /// The pinned `uv`.
 const UV: &str = "xtask/python/uv.txt";
 
-/// Packages that need another version of a package in the lock. They lie in a folder of their own, which a test puts on Python's path.
+/// Packages that need other versions than the lock's. They are in a separate folder, which a test adds to Python's path.
 const APART: &str = "xtask/python/cofmupy.txt";
 
 /// The groups of [`PROJECT`].
 const GROUPS: [&str; 7] = ["test", "full", "platforms", "release", "filters", "mujoco", "peers"];
 
-/// What a command needs beside the package `fivebar`, its extras and the group `test`.
+/// Packages that a command needs beside `fivebar`, its extras and the group `test`.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
     /// Nothing.
     Usual,
-    /// A driver of browsers, masters other than FMPy.
+    /// Driver of browsers, other masters than FMPy.
     Full,
     /// Linker and C libraries of other machines.
     Platforms,
-    /// The validator of bills of materials.
+    /// Validator of bills of materials.
     Release,
-    /// The filters that the estimator is compared with.
+    /// Filters for comparison with the estimator.
     Filters,
-    /// MuJoCo, which simulates a machine that is followed.
+    /// MuJoCo, which simulates a followed machine.
     Mujoco,
-    /// The programs that the unit is compared with: large.
+    /// Programs for comparison with the unit: large.
     Peers,
 }
 
@@ -60,13 +60,13 @@ impl Packages {
     }
 }
 
-/// Python of the private environment, which is made or completed first if it lacks packages or the pins have changed.
+/// Python of the private environment. Makes or completes the environment if packages are missing or pins have changed.
 pub(crate) fn python(packages: Packages) -> Result<Command> {
     let pins = pins()?;
-    // Commands that run at the same time wait for each other here.
+    // Serialises commands that run at the same time.
     let guard = File::create(paths::in_root("target/venv.lock"))?;
     guard.lock()?;
-    // The environment's Python is a link, which leads nowhere once the system's has been replaced.
+    // The environment's Python is a symbolic link, which may dangle after an upgrade of the system.
     let has_python = folder().join(program("python")).exists();
     let is_installed = |group: &str| has_python && fs::read_to_string(stamp(group)).is_ok_and(|text| text == pins);
     for group in packages.groups() {
@@ -84,20 +84,20 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
         }
     }
     let mut command = process::program(folder().join(program("python")));
-    // The caller's own settings of Python must not reach into the private environment. Without bytecode every process would compile
-    // all that it imports, a second of CPU or two.
+    // The caller's Python settings must not affect the private environment. Without bytecode every process would compile all its imports,
+    // one or two seconds of CPU.
     command.env_remove("PYTHONPATH").env_remove("PYTHONHOME").env_remove("PYTHONDONTWRITEBYTECODE");
     command.env("PYTHONPYCACHEPREFIX", paths::in_root("target/pycache"));
     Ok(command)
 }
 
-/// A program that a package of the environment has brought.
+/// A program from a package of the environment.
 pub(crate) fn installed(packages: Packages, name: &str) -> Result<Command> {
     python(packages)?;
     Ok(process::program(folder().join(program(name))))
 }
 
-/// Pins the newest allowed versions of all packages in [`LOCK`]; versions that are pinned already stay.
+/// Pins the newest allowed versions of all packages in [`LOCK`]; versions already pinned stay.
 pub(crate) fn lock() -> Result<()> {
     let mut compile = uv()?;
     compile.args(["pip", "compile", "--quiet", "--universal", "--python-version", "3.11", "--generate-hashes", "--no-annotate"]);
@@ -108,19 +108,18 @@ pub(crate) fn lock() -> Result<()> {
     process::run(compile.args(["--output-file", LOCK]).stdout(Stdio::null()))
 }
 
-/// The folder that the packages are installed in.
+/// The folder of installed packages.
 pub(crate) fn site_packages(packages: Packages) -> Result<PathBuf> {
     let ask = "import sysconfig; print(sysconfig.get_path('purelib'))";
     Ok(process::output(python(packages)?.args(["-c", ask]))?.trim().into())
 }
 
-/// The folder of the packages that are kept apart.
+/// The folder of the packages in [`APART`].
 pub(crate) fn apart() -> PathBuf {
     folder().join("cofmupy")
 }
 
-/// The pinned `uv`, which is installed first if it is missing. It uses the Python that it was installed with, and the machine's
-/// certificates.
+/// The pinned `uv`, installed first if missing. It uses its own Python and the machine's certificates.
 pub(crate) fn uv() -> Result<Command> {
     let folder = folder_of_uv();
     let pin = fs::read_to_string(paths::in_root(UV)).context(UV)?;
@@ -152,13 +151,13 @@ fn uv_pip_install() -> Result<Command> {
     Ok(uv)
 }
 
-/// Makes an empty environment in the place of an older one, so that packages go that nothing names any longer.
+/// Replaces an old environment by an empty one, so that packages no longer named disappear.
 fn make() -> Result<()> {
     println!("making a private Python environment in {}", paths::short(&folder()));
     process::run(uv()?.args(["venv", "--quiet", "--clear", "--python"]).arg(folder_of_uv().join(program("python"))).arg(folder()))
 }
 
-/// Installs a group; with the group `test` also the package, from where it lies, with all its extras.
+/// Installs a group; with the group `test` also the package itself (editable) with all its extras.
 fn install(group: &str) -> Result<()> {
     println!("installing the Python packages of the group `{group}` (first run, or the pins have changed)");
     let mut install = uv_pip_install()?;
@@ -169,7 +168,7 @@ fn install(group: &str) -> Result<()> {
     process::run(&mut install).context("the Python packages could not be installed")
 }
 
-/// Makes the environment that holds `uv` alone.
+/// Makes the separate environment of `uv`.
 fn make_for_uv(folder: &Path) -> Result<()> {
     need_python()?;
     if process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder)).is_err() {
@@ -181,7 +180,7 @@ fn make_for_uv(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The oldest Python for which the pinned packages exist is 3.11.
+/// Fails if Python is older than 3.11, the oldest for which the pinned packages exist.
 fn need_python() -> Result<()> {
     let found = process::program(PYTHON)
         .args(["-c", "import sys; sys.exit(sys.version_info < (3, 11))"])
@@ -203,17 +202,17 @@ fn folder() -> PathBuf {
     paths::in_root("target/venv")
 }
 
-/// Path of a program within an environment.
+/// Path of a program inside an environment.
 fn program(name: &str) -> PathBuf {
     if cfg!(windows) { Path::new("Scripts").join(name).with_extension("exe") } else { Path::new("bin").join(name) }
 }
 
-/// A file that says with which pins a group was installed; an interrupted installation has none.
+/// File with the pins of an installed group; missing after an interrupted installation.
 fn stamp(group: &str) -> PathBuf {
     folder().join(group).with_extension("installed")
 }
 
-/// All that an installation follows from. The package's version is the workspace's, and its place is the checkout's.
+/// All inputs of an installation. The package's version is the workspace's; its place is the checkout.
 fn pins() -> Result<String> {
     let mut pins = format!("version {} in {}\n", env!("CARGO_PKG_VERSION"), paths::root().display());
     for file in [PROJECT, LOCK, APART, UV] {

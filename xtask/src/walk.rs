@@ -1,20 +1,20 @@
-//! `cargo xtask walk`: the random walk of the conformance tests, of any length and from any seed.
+//! `cargo xtask walk`: the random walk of the conformance tests, with any length and seed.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
 use crate::{paths, process};
 use anyhow::Result;
 
-/// How far, from where, and how wild.
+/// Length, seed and range of values.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// Calls to make
     #[arg(long, default_value_t = 1_000_000)]
     calls: u64,
-    /// Seed of the random numbers: the same seed, the same calls
+    /// Seed of the random numbers; the same seed gives the same calls
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Largest power of ten among values that are far from sensible
+    /// Largest power of ten of extreme values
     #[arg(long, default_value_t = 308)]
     largest: u32,
 }

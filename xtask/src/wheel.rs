@@ -1,4 +1,4 @@
-//! `cargo xtask wheel`: the package that users have in Python, with the unit, the scenes and the live page inside.
+//! `cargo xtask wheel`: the Python package for users, with the unit, the scenes and the live page inside.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Packs the unit and builds the wheel in `target/wheel/`, the only file there; gives back its path. The same sources give the same bytes.
+/// Packs the unit and builds the wheel, the only file in `target/wheel/`; returns its path. The same sources give the same bytes.
 pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
     let fmu = package::package(scope)?;
     let folder = paths::in_root("target/wheel");
@@ -21,7 +21,7 @@ pub(crate) fn wheel(scope: Scope) -> Result<PathBuf> {
     Ok(wheel)
 }
 
-/// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds to the package what is shipped.
+/// Builds `wheel`, `sdist` or both around a packed unit, in a folder; python/hatch_build.py adds the shipped files.
 pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
     if let Some(sentence) = missing(&paths::page()) {
         println!("{sentence}");
@@ -36,7 +36,7 @@ pub(crate) fn build(fmu: &Path, targets: &[&str], folder: &Path) -> Result<()> {
     )
 }
 
-/// A sentence if there is no live page for the package to carry.
+/// A message if the live page for the package is missing.
 fn missing(page: &Path) -> Option<String> {
     (!page.is_file()).then(|| {
         format!(

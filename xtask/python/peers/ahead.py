@@ -1,47 +1,47 @@
-"""Comparison of our methods with each peer, for every wanted accuracy; from the rows of peers.csv."""
+"""Compares our methods with each peer at every wanted accuracy, from the rows of peers.csv."""
 
 import re
 from dataclasses import dataclass
 
 OURS = "FiveBar "
-"""Beginning of the names of our methods."""
+"""Prefix of the names of our methods."""
 
 SCENES = ("fall_90_120", "swing", "servo_friction")
-"""Scenes whose errors are compared: one with fast passages, a smooth one, and one with servos and friction."""
+"""Scenes for the comparison of errors: one with fast passages, a smooth one, and one with servos and friction."""
 
 WANTED = tuple(10.0**-n for n in range(2, 11))
 """Errors of the tip, m."""
 
 ENERGY_SCENE = "paper_free_fall"
-"""The scene of 50 s in which energies are compared."""
+"""The scene of 50 s for the comparison of energies."""
 
 FIXED_STEP = re.compile(r"(?:h|solver\.stepSize) = (?:0\.001|1e-03)(?![\d.])")
-"""In settings: strictly fixed steps of 1 ms."""
+"""In settings: fixed steps of 1 ms."""
 
 Row = dict[str, str]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """For one accuracy: our cheapest, and each peer's cheapest time against it."""
+    """For one accuracy: our cheapest setting, and the ratio of each peer's cheapest time to it."""
 
     wanted: float
     method: str
-    """With its settings; empty if none of ours is good enough."""
+    """With its settings; empty if none of ours is accurate enough."""
     ms: float
     """Milliseconds per simulated second."""
     ratios: dict[str, float | None]
-    """The peer's time over ours; None for a peer that does not get there."""
+    """Ratio of the peer's time to ours; None if the peer does not reach this accuracy."""
 
 
 def table(rows: list[Row], scene: str, second: int) -> list[Answer]:
-    """The answers for a scene, for the error after 1 or 2 seconds. A small error by luck counts for a peer; for one of our methods a setting
-    counts only if all its dearer ones are good enough as well."""
+    """Answers for a scene, for the error after 1 or 2 seconds. A small error by luck counts for a peer. A setting of ours counts only if all its
+    more expensive settings are accurate enough as well."""
     column = f"error_{second}s_m"
     done = [r for r in rows if r["scene"] == scene and r[column] and r["ms_per_simulated_second"]]
     points = [(r["peer"], r["settings"], float(r[column]), float(r["ms_per_simulated_second"])) for r in done]
     ours = [p for p in points if p[0].startswith(OURS)]
-    # Also those that never gave a result, so that they are seen; not those that were left out, or do not have the loads of the scene.
+    # Includes peers without any result, so that they are visible; excludes peers left out or without the scene's loads.
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["scene"] == scene and not r["peer"].startswith(OURS)))
     answers = []
     for wanted in WANTED:
@@ -57,7 +57,7 @@ def table(rows: list[Row], scene: str, second: int) -> list[Answer]:
 
 
 def cells(answers: list[Answer]) -> list[list[str]]:
-    """Head and lines: wanted error, our method, its time, then a column per peer."""
+    """Head and rows: wanted error, our method, its time, then a column per peer."""
     peers = list(dict.fromkeys(peer for answer in answers for peer in answer.ratios))
     lines = [["error below", "ours", "ms/s", *peers]]
     for answer in answers:
@@ -70,7 +70,7 @@ def cells(answers: list[Answer]) -> list[list[str]]:
 
 
 def energies(rows: list[Row]) -> list[list[str]]:
-    """Head and lines: of every program at strictly fixed steps of 1 ms, the energy error over 50 s, the least first."""
+    """Head and rows: energy error over 50 s of every program at fixed steps of 1 ms, smallest first."""
     fixed = [row for row in rows if row["scene"] == ENERGY_SCENE and FIXED_STEP.search(row["settings"])]
     fixed.sort(key=lambda row: (bool(row["note"]), float(row["energy_error_mgL"] or "inf")))
     lines = [
@@ -86,7 +86,7 @@ def energies(rows: list[Row]) -> list[list[str]]:
 
 
 def markdown(table: list[list[str]]) -> list[str]:
-    """Lines of Markdown of a head and lines."""
+    """Lines of Markdown for a table."""
     head, *lines = table
     return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *lines)]
 

@@ -1,4 +1,4 @@
-"""Drake: a discrete MultibodyPlant with the SAP solver; a ball constraint joins the legs' ends. (Its continuous mode has no loops.)"""
+"""Drake: a discrete MultibodyPlant with the SAP solver; a ball constraint joins the legs' ends. (Its continuous mode supports no loops.)"""
 
 import importlib.metadata
 from functools import partial
@@ -23,7 +23,7 @@ def _plant(step: float) -> tuple:
     plant = MultibodyPlant(step)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     plant.mutable_gravity_field().set_gravity_vector([0.0, -G, 0.0])
-    # Inertia about the link's first end, per unit of mass, the same about all axes but for the shift of the centre of mass.
+    # Unit inertia about the link's first end: the same about all axes, except for the shift of the centre of mass.
     central, shift = INERTIA / MASS, COM**2
     inertia = SpatialInertia(MASS, [COM, 0.0, 0.0], UnitInertia(central, central + shift, central + shift))
     joints, ends = [], []
@@ -41,7 +41,7 @@ def _plant(step: float) -> tuple:
 
 
 class _Loads(LeafSystem):
-    """Servos and friction as generalised forces, held over a step: Drake's discrete plant takes no others of one's own."""
+    """Servos and friction as generalised forces, constant during a step: Drake's discrete plant accepts no other custom forces."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +54,6 @@ class _Loads(LeafSystem):
 
 
 def _loaded(plant):
-    """The plant with its loads, as one system."""
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     loads = builder.AddSystem(_Loads())

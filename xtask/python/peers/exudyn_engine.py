@@ -8,11 +8,11 @@ import numpy as np
 
 from machine import BASE, COM, INERTIA, JOINTS, LENGTH, MASS, G, Peer, Setting, friction_torque, servo_torque
 
-# Spectral radius 1: the trapezoidal rule with its index-2 constraints; 0.8: generalised-alpha.
+# Spectral radius 1: the trapezoidal rule with index-2 constraints; 0.8: generalised-alpha.
 RUNS = tuple(
     (solver, step) for solver in ("TrapezoidalIndex2", "GeneralizedAlpha") for step in (4e-3, 2e-3, 1e-3, 1e-4, 1e-5)
 )
-# Bodies: each link with the link that carries it; -1 is the ground.
+# Each link with the link that carries it; -1 is the ground.
 LINKS = ((0, -1), (1, 0), (2, 3), (3, -1))
 
 
@@ -88,7 +88,7 @@ def _setting(solver: str, step: float) -> Setting:
 
 
 def _load(system, nodes: list, start: np.ndarray) -> None:
-    """Servos and friction: forces of one's own between the angles of two links, or of a link and the ground."""
+    """Servos and friction: user forces between the angles of two links, or of a link and the ground."""
     ground = system.AddNode(item.NodePointGround())
 
     def angle(link: int | None):
@@ -96,7 +96,7 @@ def _load(system, nodes: list, start: np.ndarray) -> None:
         return system.AddMarker(item.MarkerNodeCoordinate(nodeNumber=node, coordinate=coordinate))
 
     def between(first: int, second: int | None, force) -> None:
-        # Exudyn's force pulls the second marker back by the returned value, and its rate is that of the second one.
+        # Exudyn applies the returned value to the second marker with a negative sign, and passes the second marker's rate.
         markers = [angle(second), angle(first)]
         system.AddObject(
             item.ObjectConnectorCoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=force)

@@ -1,4 +1,4 @@
-"""heyoka: Taylor's method on the four link angles, of an order that follows from the tolerance; the right side compiled by LLVM."""
+"""heyoka: Taylor's method on the four link angles, with an order chosen from the tolerance; LLVM compiles the right side."""
 
 import math
 from functools import cache, partial
@@ -51,7 +51,7 @@ def _loads(theta: list, omega: list) -> list:
 
 
 def _equations(loaded: bool) -> list:
-    """Equations of motion of machine.py, as expressions."""
+    """Equations of motion as in machine.py, as expressions."""
     theta, omega = hy.make_vars("a", "b", "c", "d"), hy.make_vars("u", "v", "w", "x")
     sin, cos = [hy.sin(x) for x in theta], [hy.cos(x) for x in theta]
     force = _loads(theta, omega) if loaded else [hy.expression(0.0)] * 4
@@ -90,7 +90,7 @@ def _equations(loaded: bool) -> list:
 
 @cache
 def _integrator(tolerance: float, loaded: bool):
-    """Compiled once: seconds for each."""
+    """Compiled once, because each takes seconds."""
     return hy.taylor_adaptive(_equations(loaded), [0.0] * 8, tol=tolerance)
 
 

@@ -1,4 +1,4 @@
-"""The paper's mechanism for the peers: its numbers, its equations in the four link angles, its energy, and the loads of one scene.
+"""The paper's mechanism for the peers: parameters, equations of motion in the four link angles, energy, and the loads of one scene.
 
 Links 1 to 4: left proximal, left distal, right distal, right proximal; absolute angles, distal ones from elbow to tip. A state is
 (four angles, four rates), SI units. All links are equal, gravity pulls along -y.
@@ -15,37 +15,37 @@ from numba import njit
 LENGTH, MASS, INERTIA, COM, BASE, G = 0.21, 0.017, 6.23e-5, 0.105, 0.42, 9.81
 MGL = MASS * G * LENGTH
 
-NEAR = INERTIA + MASS * COM**2 + MASS * LENGTH**2  # proximal link with the distal one at its end, about the motor
+NEAR = INERTIA + MASS * COM**2 + MASS * LENGTH**2  # proximal link about the motor, with the distal mass at its end
 FAR = INERTIA + MASS * COM**2  # distal link about the elbow
 COUPLING = MASS * COM * LENGTH
 
-# The loads of the scene servo_friction, with the laws of src/effects: servos on links 1 and 4, friction in all joints.
+# Loads of the scene servo_friction, with the laws of src/effects: servos on links 1 and 4, friction in all joints.
 REFERENCES, KP, KD, LIMIT = (1.2, 2.4), 0.2, 5e-4, 0.1
 COULOMB, BREAKAWAY, BREAKAWAY_RATE, VISCOUS = 1e-3, 1.2e-3, 0.1, 1e-4
 STRIBECK = math.sqrt(2 * math.e) * (BREAKAWAY - COULOMB)
 STRIBECK_RATE, COULOMB_RATE = math.sqrt(2) * BREAKAWAY_RATE, BREAKAWAY_RATE / 10
-# Each joint by its links: it turns at the rate of the first minus that of the second, and its torque acts on both, with + and -.
+# Links of each joint. Its rate is the first link's minus the second's; its torque acts with + on the first and - on the second.
 JOINTS = ((0, None), (1, 0), (1, 2), (2, 3), (3, None))
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to run a peer: a text on its settings, and a function that begins a run from angles at rest.
+    """One way to run a peer: a description of its settings, and a function that starts a run from angles at rest.
 
-    The run is advanced to a time and gives back the state there; a peer that gives up raises.
+    The run advances to a time and returns the state there; a peer that fails raises.
     """
 
     text: str
     begin: Callable[[np.ndarray], Callable[[float], np.ndarray]]
     clock: Callable[[], float] = time.process_time
-    """Processor time so far, in s: of this process, or of the last run if the peer is a program by itself."""
+    """Processor time so far, s: of this process, or of the last run if the peer is a separate program."""
     begin_loaded: Callable[[np.ndarray], Callable[[float], np.ndarray]] | None = None
-    """`begin` with servos and friction; None for a peer that is given gravity only."""
+    """`begin` with servos and friction; None if the peer runs only under gravity."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A program to compare with."""
+    """A program for comparison."""
 
     name: str
     version: str
@@ -53,17 +53,17 @@ class Peer:
 
 
 def closed(left: float, right: float, side: int) -> np.ndarray:
-    """The state at rest with these proximal angles and the tip to the left (1) or right (-1) of the arrow between the elbows."""
+    """State at rest with these proximal angles; the tip is to the left (1) or right (-1) of the arrow between the elbows."""
     ax, ay = LENGTH * math.cos(left), LENGTH * math.sin(left)
     bx, by = BASE + LENGTH * math.cos(right), LENGTH * math.sin(right)
     gap = math.hypot(bx - ax, by - ay)
-    # Equal distal links: an isosceles triangle over the line between the elbows.
+    # Equal distal links form an isosceles triangle over the line between the elbows.
     base_angle, line = side * math.acos(min(1.0, gap / (2 * LENGTH))), math.atan2(by - ay, bx - ax)
     return np.array([left, line + base_angle, line + math.pi - base_angle, right, 0.0, 0.0, 0.0, 0.0])
 
 
 def tip(y: np.ndarray) -> np.ndarray:
-    """The end of the left leg."""
+    """Position of the end of the left leg."""
     return LENGTH * np.array([math.cos(y[0]) + math.cos(y[1]), math.sin(y[0]) + math.sin(y[1])])
 
 
@@ -105,7 +105,7 @@ def torques(y):
 
 @njit(cache=False)
 def joint_torques(y):
-    """Torques of servos and friction in the angles of two legs of two hinges: left motor, left elbow, right motor, right elbow."""
+    """Torques of servos and friction on the hinge angles of two legs: left motor, left elbow, right motor, right elbow."""
     t = torques(y)
     return np.array([t[0] + t[1], t[1], t[3] + t[2], t[2]])
 
@@ -154,7 +154,7 @@ def loaded_derivative(_t, y):
 
 @njit(cache=False)
 def moved(y, applied):
-    """Rates and accelerations under torques on the links (index 1: the two forces at the tip that close the loop are eliminated)."""
+    """Rates and accelerations under torques on the links. Index 1: the two closing forces at the tip are eliminated."""
     b, f, jx, jy, c = terms(y)
     f = f + applied
     free, by_x, by_y = by_mass(b, f), by_mass(b, jx), by_mass(b, jy)

@@ -1,4 +1,4 @@
-"""MuJoCo: two legs of two hinges, their ends held together by a point constraint that is as hard as the step allows."""
+"""MuJoCo: two legs of two hinges, joined at their ends by a point constraint as stiff as the step allows."""
 
 from functools import partial
 
@@ -7,24 +7,24 @@ import numpy as np
 
 from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting, joint_torques
 
-# The loop hardens with the step, so that RK4 is of second order here.
+# The constraint stiffens as the step shrinks, so RK4 is only of second order here.
 RUNS = tuple(("RK4", h) for h in (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 2e-5)) + tuple(
     ("implicitfast", h) for h in (1e-3, 1e-4, 2e-5)
 )
 
 
 def peer() -> Peer:
-    # Otherwise it appends to MUJOCO_LOG.TXT in the folder where it is called; failures are asked for below.
+    # By default MuJoCo appends warnings to MUJOCO_LOG.TXT in the working directory; failures are checked below.
     mujoco.set_mju_user_warning(lambda _text: None)
     return Peer("MuJoCo", mujoco.__version__, (_setting(*run) for run in RUNS))
 
 
 def _setting(integrator: str, step: float) -> Setting:
-    # A time constant of two steps is the hardest that MuJoCo takes (refsafe); the impedance is next to 1.
+    # A time constant of two steps is the stiffest that MuJoCo accepts (refsafe); the impedance is close to 1.
     text = f"{integrator}, h = {step:g} s, equality solref = (2 h, 1), solimp = 0.9999, Newton tolerance 1e-14"
 
     def begin(start, loaded=False):
-        mujoco.set_mjcb_passive(None)  # while it makes a model MuJoCo steps one that Python does not know
+        mujoco.set_mjcb_passive(None)  # while compiling, MuJoCo steps a model that Python does not know
         model = mujoco.MjModel.from_xml_string(_xml(integrator, step))
         data = mujoco.MjData(model)
         mujoco.set_mjcb_passive(_load if loaded else None)
@@ -54,12 +54,12 @@ def _state(data) -> np.ndarray:
 
 
 def _load(_model, data) -> None:
-    """Servos and friction: called by MuJoCo wherever it evaluates forces, so that RK4 sees them at each of its stages."""
+    """Servos and friction. MuJoCo calls this at each evaluation of forces, so that RK4 sees them at every stage."""
     data.qfrc_passive[:] = joint_torques(_state(data))
 
 
 def _xml(integrator: str, step: float) -> str:
-    # At angle 0 a link lies along +x. The inertia about the other axes does not matter, but must satisfy the triangle inequality.
+    # At angle 0 a link lies along +x. Inertia about the other axes has no influence, but must satisfy the triangle inequality.
     link = f'<joint axis="0 0 1"/><inertial pos="{COM} 0 0" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>'
 
     def leg(side: str, x: float) -> str:

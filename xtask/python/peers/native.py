@@ -1,7 +1,7 @@
-"""Peers that are programs: compiled from xtask/peers, one process per run, which tells its own time.
+"""Peers that are programs: compiled from xtask/peers, one process per run; each reports its own time.
 
-A program reads times from its input, one a line, and answers each with the processor's seconds that it has spent so far on advancing
-and the state there, four angles and four rates. So neither Python nor the pipe is in its time.
+A program reads times from its input, one per line. For each it prints the processor time spent so far on advancing, s, and the state there:
+four angles and four rates. Its time thus includes neither Python nor the pipe.
 """
 
 import os
@@ -16,25 +16,25 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 SOURCES = REPOSITORY / "xtask" / "peers"
 BUILT = REPOSITORY / "target" / "peers"
 
-# Seconds of the processor's time after which a run is ended at the next whole simulated second; a program of its own also when it has
-# not answered for so long.
+# Processor time, s, after which a run ends at the next whole simulated second. A separate program also ends if it has not answered for
+# this long.
 BUDGET = 10
 TOO_LONG = f"takes longer than {BUDGET} s"
 
 
 class CannotBuild(Exception):
-    """A compiler or a library is not there; the message is its own."""
+    """A compiler or library is missing; carries its message."""
 
 
 def compiled(source: str, compiler: str, flags: list[str], libraries: list[str]) -> Path:
-    """The program made from a file of xtask/peers by gcc or g++."""
+    """Program compiled from a file of xtask/peers by gcc or g++."""
     program = BUILT / f"peer-{Path(source).stem}"
     _build([compiler, *flags, str(SOURCES / source), "-o", str(program), *libraries])
     return program
 
 
 def cargo_built(folder: str) -> Path:
-    """The program of a crate of xtask/peers, which is no part of the workspace."""
+    """Program built from a crate of xtask/peers, which is not part of the workspace."""
     target = BUILT / folder
     manifest = SOURCES / folder / "Cargo.toml"
     cargo = os.environ.get("CARGO", "cargo")
@@ -67,18 +67,18 @@ def _build(command: list[str]) -> None:
 
 
 class Program:
-    """A program with its arguments; the angles of the start come after them."""
+    """A program with its arguments; the start angles follow them."""
 
     def __init__(self, *command: object) -> None:
         self.command = [str(word) for word in command]
         self.spent = 0.0
 
     def clock(self) -> float:
-        """Processor time of the last run, in s, as it last reported it."""
+        """Processor time of the last run, s, as last reported."""
         return self.spent
 
     def begin(self, start: np.ndarray) -> Callable[[float], np.ndarray]:
-        """A run from angles at rest; the process ends with the function that is given back."""
+        """Starts a run from angles at rest; the process ends with the returned function."""
         run = _Run([*self.command, *(repr(float(angle)) for angle in start[:4])])
         self.spent = 0.0
 
@@ -99,8 +99,8 @@ class _Run:
             self.process.stdin.write(f"{until!r}\n")
             self.process.stdin.flush()
         except BrokenPipeError:
-            pass  # its last words tell why
-        # A solver may stick in steps of no size. (A limit of the process would make its clock as coarse as the system's tick.)
+            pass  # its last output gives the reason
+        # A solver may hang in steps of zero length. (A CPU limit of the process would coarsen its clock to the system's tick.)
         if not select.select([self.process.stdout], [], [], BUDGET)[0]:
             self.process.kill()
             raise RuntimeError(TOO_LONG)

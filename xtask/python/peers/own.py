@@ -1,4 +1,4 @@
-"""Methods of this repository, through the packed .fmu, with which the peers are compared."""
+"""Methods of this repository, through the packed .fmu, for comparison with the peers."""
 
 import math
 from functools import partial
@@ -24,7 +24,7 @@ STATE = [
     "omega[2]",
 ]
 
-# Names as in the report, then the method as in the model description; a method that this .fmu does not have is left out.
+# Name in the report, then the method in the model description; a method that this .fmu lacks is skipped.
 RUNS = {
     "i3alp, adaptive": (
         "i3alp",
@@ -39,7 +39,6 @@ RUNS = {
 
 
 def peers(fmu: Path) -> list[Peer]:
-    """One peer per method."""
     directory = fmpy.extract(str(fmu))
     model = fmpy.read_model_description(directory, validate=False)
     method = next(v for v in model.modelVariables if v.name == "solver.method")
@@ -58,7 +57,7 @@ def peers(fmu: Path) -> list[Peer]:
     ]
 
 
-# Values that the scene servo_friction sets beside its start; friction has its start values.
+# Values of the scene servo_friction besides its start; friction uses its start values.
 LOADED = {"servo.enabled": True, "viscous.enabled": True, "friction.enabled": True} | {
     f"servo.{name}[{motor}]": value
     for name, pair in {
@@ -77,7 +76,7 @@ def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, f
     def begin(start, loads=None):
         log = Log()
         slave = instantiate(model, directory, log)
-        # Equal distal links: the tip is on the right where they turn clockwise from the left one to the right one.
+        # Equal distal links: the tip is on the right if the turn from the left one to the right one is clockwise.
         side = sides["plus" if math.sin(start[2] - start[1]) >= 0 else "minus"]
         set_values(
             slave,

@@ -1,4 +1,4 @@
-"""Pinocchio's constrained dynamics in C++, integrated by Boost.Odeint: it has no integrator of its own."""
+"""Pinocchio's constrained dynamics in C++, integrated by Boost.Odeint, because Pinocchio has no integrator."""
 
 import importlib.metadata
 from importlib.util import find_spec
@@ -7,8 +7,8 @@ from pathlib import Path
 import native
 from machine import Peer, Setting
 
-# Definitions that Pinocchio's own CMake files set. Its functions come compiled from its library: compiled here for this very processor they
-# are no faster.
+# Definitions from Pinocchio's own CMake files. Its functions come compiled from its library; compiling them here for this processor is not
+# faster.
 DEFINITIONS = (
     "BOOST_FUSION_INVOKE_MAX_ARITY=12",
     "BOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",

@@ -1,12 +1,12 @@
-"""A peer, rapier2d in double precision: impulse joints, and multibody joints with the loop closed by an impulse joint."""
+"""rapier2d in double precision: impulse joints, and multibody joints with the loop closed by an impulse joint."""
 
 import re
 
 import native
 from machine import Peer, Setting
 
-# Joints, step (s), sweeps of the impulse joints. More solver iterations are shorter steps by another name. With the joints as hard as
-# they are by default, the rest is the error of the first-order step.
+# Joints, step (s), sweeps of the impulse joints. More solver iterations are equivalent to shorter steps. With joints as stiff as the
+# default, the remaining error is due to the first-order step.
 RUNS = tuple(
     (joints, h, sweeps) for joints in ("impulse", "multibody") for h in (1e-3, 1e-4, 1e-5, 1e-6) for sweeps in (1, 4)
 )

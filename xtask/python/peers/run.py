@@ -1,6 +1,6 @@
-"""Runs every peer and this repository's methods over the same scenes, one after the other on one core, and writes a table.
+"""Runs every peer and this repository's methods on the same scenes, one after the other on one core, and writes a table.
 
-Times are the processor's, of the process that does the work alone: other work on the machine counts little.
+Times are processor times of the working process alone, so that other work on the machine hardly counts.
 
     python run.py --fmu target/fmu/FiveBar.fmu --references tests/data/reference --about 'this machine' --out target/peers/peers.csv
 """
@@ -24,7 +24,7 @@ import native
 import own
 import timing
 
-# Module and function of each peer; one whose package, compiler or library is not installed is listed as left out.
+# Module and function of each peer. A peer is left out if its package, compiler or library is not installed.
 PEERS = {
     "MuJoCo": ("mujoco_engine", "peer"),
     "Exudyn": ("exudyn_engine", "peer"),
@@ -37,7 +37,7 @@ PEERS = {
     "heyoka": ("heyoka_taylor", "peer"),
 }
 
-# Both proximal angles, and the side of the tip.
+# Both proximal angles, and side of the tip.
 START = {
     "fall_90_120": (math.radians(90), 2.0943951023931953, 1),
     "swing": (-1.05, -1.7, -1),
@@ -45,17 +45,17 @@ START = {
     "paper_free_fall": (math.radians(90), math.radians(90), 1),
 }
 END = {"fall_90_120": 2, "swing": 2, "servo_friction": 2, "paper_free_fall": 50}
-# With servos and friction, which not every peer is given.
+# Scene with servos and friction, which some peers do not support.
 LOADED = "servo_friction"
-# Of the scenes with a reference, the tip at whole seconds.
+# Tip at whole seconds, for each scene with a reference.
 Tips = dict[str, dict[int, np.ndarray]]
-# Exceptions of a peer that gives up.
+# Exceptions of a peer that fails.
 FAILURES = (RuntimeError, ValueError, ArithmeticError)
 
 
 @dataclass
 class Row:
-    """A line of the table; a number that there is none of is empty."""
+    """A row of the table; missing numbers are empty."""
 
     scene: str
     peer: str
@@ -74,7 +74,9 @@ def main() -> int:
     parser.add_argument("--references", type=Path, required=True, help="the folder of reference trajectories")
     parser.add_argument("--about", required=True, help="machine, commit and command, for the head of the table")
     parser.add_argument("--out", type=Path, required=True, help="the table to write")
-    parser.add_argument("--only", nargs="*", choices=PEERS, help="names of peers to run beside ours; all of them")
+    parser.add_argument(
+        "--only", nargs="*", choices=PEERS, help="names of peers to run beside our methods [default: all]"
+    )
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -108,7 +110,7 @@ def main() -> int:
 
 
 def find(fmu: Path, only: Iterable[str] | None) -> tuple[list[machine.Peer], dict[str, str]]:
-    """Our methods, the peers that are installed, and why others are left out; `only` is about the latter two."""
+    """Our methods, the installed peers, and the reason for each peer left out; `only` selects peers."""
     found, left_out = own.peers(fmu), {}
     for name, (module, function) in PEERS.items():
         if only and name not in only:
@@ -128,7 +130,7 @@ def reference(file: Path) -> dict[int, np.ndarray]:
 
 
 def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips) -> Row:
-    """A setting over a scene. Building the model and compiling, in a run of 1 ms before, are not in the time."""
+    """Runs a scene at one setting. A run of 1 ms before the measurement takes model building and compilation out of the time."""
     row = Row(scene, peer.name, peer.version, setting.text)
     start, times = machine.closed(*START[scene]), []
     begin = setting.begin_loaded if scene == LOADED else setting.begin
@@ -145,7 +147,7 @@ def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips
 
 
 def once(row: Row, run: tuple, start: np.ndarray, tips: Tips) -> tuple[int, float, str]:
-    """One run, from its beginning and its clock: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
+    """One run: whole seconds completed, their time, and the reason if it ended early. Errors go to the row."""
     begin, clock = run
     before, spent, done = machine.energy(start), 0.0, 0
     row.energy_error_mgL = None
@@ -175,7 +177,7 @@ def words(error: Exception) -> str:
 
 
 def show(row: Row) -> None:
-    """A line for people, while it runs."""
+    """Prints the row while the program runs."""
     numbers = [row.error_1s_m, row.error_2s_m, row.ms_per_simulated_second, row.energy_error_mgL]
     e1, e2, cost, energy = ("-" if x is None else f"{x:.2g}" for x in numbers)
     print(

@@ -1,4 +1,4 @@
-"""SUNDIALS' CVODE and IDA in C; headers and libraries are those of Debian's package libsundials-dev."""
+"""SUNDIALS' CVODE and IDA in C, with headers and libraries of Debian's package libsundials-dev."""
 
 import functools
 import re
@@ -37,13 +37,12 @@ def _setting(program: Path, method: str, tolerance: float) -> Setting:
     bare = native.Program(program, method, tolerance, "bare")
     loaded = native.Program(program, method, tolerance, "loaded")
     text = f"{METHODS[method]}, rtol = atol = {tolerance:g}, C by gcc -O3"
-    # One of the two is at rest: the clock tells of the one that runs.
+    # Only one of the two runs at a time, so the sum is its clock.
     return Setting(text, bare.begin, lambda: bare.clock() + loaded.clock(), loaded.begin)
 
 
 @functools.cache
 def _program() -> Path:
-    """One for both."""
     return native.compiled("sundials.c", "gcc", FLAGS, [*(f"-lsundials_{library}" for library in LIBRARIES), "-lm"])
 
 

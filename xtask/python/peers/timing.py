@@ -1,9 +1,9 @@
-"""How often a run is repeated, and which of its times counts: for all programs alike."""
+"""Number of repeats of a run, and the time that counts; the same for all programs."""
 
 from statistics import median
 
-# Seconds. A run this long is not repeated; shorter ones at least so many times in all, and more often while they have taken less than a
-# fifth of a second together.
+# A run longer than LONG s is not repeated. Shorter runs are made at least LEAST times, and up to MOST times while their sum is below
+# TOGETHER s.
 LONG, LEAST, MOST, TOGETHER = 0.5, 5, 20, 0.2
 
 
@@ -15,5 +15,5 @@ def enough(times: list[float]) -> bool:
 
 
 def counted(times: list[float]) -> float:
-    """The time that counts: the median, which neither one lucky nor one disturbed run moves."""
+    """The median, which is robust against single lucky or disturbed runs."""
     return median(times)

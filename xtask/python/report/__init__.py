@@ -1,1 +1,1 @@
-"""The accuracy report: tables of measurements in, one page with pictures and the table of docs/accuracy.md out."""
+"""The accuracy report: reads tables of measurements, writes one page with pictures and the table of docs/accuracy.md."""

@@ -1,4 +1,4 @@
-"""Tables and pictures that a command writes into the docs, tables between comments; of the report the main table in docs/accuracy.md and that of
+"""Writes tables and pictures into the docs, tables between comments. The report writes the main table in docs/accuracy.md and the table of
 ratios in docs/notes/automatic.md."""
 
 import io
@@ -11,7 +11,7 @@ from report.page import compact
 
 
 def marks(name: str, command: str) -> tuple[str, str]:
-    """The comments around a written text."""
+    """Comments around a generated text."""
     return (
         f"<!-- {name}: what follows is written by `{command} --update-docs`, not by hand -->",
         f"<!-- {name}: end -->",
@@ -25,13 +25,13 @@ RATIOS = marks("ratios", "cargo xtask report")
 """Marks of the table of ratios."""
 
 FILE, PICTURE = "docs/accuracy.md", "images/accuracy.svg"
-"""The page of the main table, and where it sees the picture."""
+"""Page of the main table, and path of the picture relative to it."""
 
 CAPTION = "Error of the tip against time on one core, by method, for one scene of each kind"
 
 
 def block(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
-    """The text between the comments of `text`."""
+    """The part of `text` between the comments."""
     begin, end = marks
     if text.count(begin) != 1 or text.count(end) != 1:
         raise ValueError(f"{name} must have the lines `{begin}` and `{end}` once each")
@@ -39,18 +39,18 @@ def block(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
 
 
 def table_of(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> list[str]:
-    """The lines of the table between the comments."""
+    """Lines of the table between the comments."""
     return [line for line in block(text, name, marks).splitlines() if line.startswith("|")]
 
 
 def update(root: Path, table: list[str], ratios: list[str], about: str) -> None:
-    """Writes the table and the link to the picture into their page, and the ratios into theirs."""
+    """Writes table and picture link into their page, and the ratios into theirs."""
     write(root, FILE, (BEGIN, END), [f"![{CAPTION}]({PICTURE})", "", *table, "", f"Measured on: {about}"])
     write(root, "docs/notes/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
 
 
 def markdown(head: list[str], lines: list[list[str]], left: int) -> list[str]:
-    """Lines of Markdown of a table whose columns are set flush right, but for the first `left`."""
+    """Lines of a Markdown table; columns after the first `left` are aligned right."""
     rule = ["---"] * left + ["---:"] * (len(head) - left)
     return [f"| {' | '.join(line)} |" for line in (head, rule, *lines)]
 
@@ -73,7 +73,7 @@ def write(root: Path, name: str, marks: tuple[str, str], lines: list[str]) -> No
     """Writes lines between the comments of a file."""
     file = root / name
     text = file.read_text(encoding="utf-8")
-    block(text, name, marks)  # refuses a file without the marks
+    block(text, name, marks)  # fails if the file lacks the marks
     begin, end = marks
     new = "\n".join(["", *lines, ""])
     file.write_text(text.split(begin)[0] + begin + new + end + text.split(end)[1], encoding="utf-8", newline="\n")

@@ -39,7 +39,7 @@ USELESS = 1.0
 """An error, m, above the size of the machine."""
 
 SLOPE_RANGE = (1e-10, 3e-3)
-"""Errors, m, between which the order of a method shows: above round-off, below the size of the machine."""
+"""Range of errors, m, in which the order of a method is visible: above round-off, below the size of the machine."""
 
 
 def work_precision(markers: list[Marker], references: list[Reference]) -> Figure:
@@ -70,7 +70,7 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
     for row in panels:
         row[0].set_ylabel("largest error of the tip  (m)")
     _legend(figure, panels[0][0])
-    # Positions of panels and markers on the page are known when all else has its place.
+    # Positions of panels and markers are known after the layout of everything else.
     figure.draw_without_rendering()
     for axes, reference in zip(panels.flat, references):
         own = [m for m in markers if m.scene == reference.scene and m.complete and m.error < USELESS]
@@ -82,7 +82,7 @@ MARKER_SIZE = 4.2
 """Width of a marker, points."""
 
 NOTE_SIZE = 7
-"""Size of the settings beside markers, points."""
+"""Font size of the settings beside markers, points."""
 
 SIDES = tuple(
     ((distance * x, distance * y), ha, va)
@@ -90,24 +90,24 @@ SIDES = tuple(
     for (x, ha) in ((1, "left"), (-1, "right"))
     for (y, va) in ((1, "bottom"), (-1, "top"), (0, "center"))
 )
-"""Places for a note: offset from its marker, points, and alignment of the text."""
+"""Places for a label: offset from its marker, points, and alignment of the text."""
 
 
 ROOM = 1.0
-"""Least distance of a note from lines, markers and other notes, points."""
+"""Smallest distance of a label from lines, markers and other labels, points."""
 
 
 def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
-    """The setting beside the ends of each line and every third marker, where it covers no line, no marker and no other note; where it would
-    on every side, it is left out, as is one that stands beside the marker of another method already."""
-    pixels = axes.figure.dpi / 72  # of a point
+    """Labels the ends of each line and every third marker with its setting, placed so that it covers no line, marker or other label. A label is
+    left out if every side is taken, or if the same text is already beside another method's marker."""
+    pixels = axes.figure.dpi / 72  # per point
     lines = [
         line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1
     ]
     points = axes.transData.transform([(m.cost, m.error) for m in markers])
     taken = [*taken, *(Bbox([point, point]).padded(pixels * MARKER_SIZE / 2) for point in points)]
     noted: list[tuple[str, np.ndarray]] = []
-    # The ends of all lines come first, for they show most.
+    # Line ends come first because they are the most informative.
     of_method = [[m for m in markers if m.method == method] for method in COLOURS]
     for m in [
         *(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])),
@@ -127,7 +127,7 @@ def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
                 ha=ha,
                 va=va,
             )
-            # Notes lie inside the panels: making room for each of them takes seconds.
+            # Labels lie inside the panels; including each in the layout would take seconds.
             note.set_in_layout(False)
             box = note.get_window_extent().padded(pixels * ROOM)
             inside = (
@@ -145,7 +145,7 @@ def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:
-    """Work-precision diagram for one scene of each kind: the picture of docs/accuracy.md."""
+    """Work-precision diagram for one scene of each kind; the picture of docs/accuracy.md."""
     return work_precision(markers, one_of_each_kind(references))
 
 
@@ -187,7 +187,7 @@ def order(markers: list[Marker], references: list[Reference]) -> Figure:
 
 
 def fitted_slope(line: list[Marker], own_error: float) -> float:
-    """Order: slope of log error over log step, where it shows; NaN for fewer than three markers."""
+    """Order: slope of log error over log step, within the range where it is visible; NaN for fewer than three markers."""
     low = max(SLOPE_RANGE[0], 10 * own_error)
     seen = [m for m in line if low < m.error < SLOPE_RANGE[1]]
     if len(seen) < 3:
@@ -213,7 +213,7 @@ def energy(rows: list[Row]) -> Figure:
 
 
 def horizon(rows: list[Row]) -> Figure:
-    """How long each setting stays within 1 mm of the best run."""
+    """Time for which each setting stays within 1 mm of the best run."""
     limit = next((float(row["within 1 mm until [s]"]) for row in rows if row["method"] == "double precision"), None)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
     for axes, knob, label in ((left, "tolerance", "tolerance  (rad)"), (right, "step", "step  (s)")):
@@ -240,7 +240,7 @@ def horizon(rows: list[Row]) -> Figure:
 
 
 def logarithmic(axes: Axes, **properties: object) -> None:
-    """Logarithmic scales over many decades, where minor ticks are only noise."""
+    """Logarithmic scales over many decades, without distracting minor ticks."""
     axes.set(xscale="log", yscale="log", **properties)
     axes.minorticks_off()
 
@@ -253,7 +253,7 @@ def _line(axes: Axes, x: list[float], y: list[float], method: str) -> None:
 
 
 def _own_error(axes: Axes, reference: Reference, x: float) -> None:
-    """Below this the reference tells nothing; the note stands at `x`, 0 to 1, where the most accurate settings are not drawn."""
+    """Marks the reference's own error, below which it cannot judge; the note is at `x`, 0 to 1, away from the most accurate settings."""
     axes.axhspan(1e-16, reference.own_error, color="#f1f3f5", zorder=0)
     axes.axhline(reference.own_error, color=FAINT, linewidth=0.9, linestyle="--")
     note = axes.annotate(
@@ -264,7 +264,7 @@ def _own_error(axes: Axes, reference: Reference, x: float) -> None:
 
 
 def _legend(figure: Figure, *panels: Axes) -> None:
-    """One legend below all panels, in two lines where there is room for one panel only."""
+    """One legend below all panels, in two lines if there is only one panel's width."""
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
     figure.legend(
         found.values(),
@@ -276,5 +276,5 @@ def _legend(figure: Figure, *panels: Axes) -> None:
 
 
 def _inverse(cost: np.ndarray) -> np.ndarray:
-    """Microseconds per simulated millisecond to times real time, and back."""
+    """Converts microseconds per simulated millisecond to a multiple of real time, and back."""
     return 1e3 / np.maximum(cost, 1e-12)

@@ -1,4 +1,4 @@
-"""The figures of the cost of single steps, of the price of effects, of the paper, and of peers."""
+"""Figures of the cost of single steps, the cost of effects, the paper, and peers."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,11 +22,11 @@ SETTING_COLOURS = {
 
 
 BINS = 10 ** (np.arange(81) / 10) / 1e3
-"""Bins of step-times.csv: ten a decade from 1 ns on, µs."""
+"""Bins of step-times.csv: ten per decade from 1 ns, in µs."""
 
 
 def step_times(rows: list[Row]) -> Figure:
-    """Share of the calls that take longer than a time."""
+    """Share of calls that take longer than a given time."""
     figure, panels = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
     columns = (
         ("best [us]", "the method: best of the repeats"),
@@ -52,7 +52,7 @@ def step_times(rows: list[Row]) -> Figure:
 
 
 def histogram(rows: list[Row]) -> Figure:
-    """How many strictly fixed steps take how long, each timed alone."""
+    """Histogram of times of fixed steps, each timed alone."""
     figure, axes = plt.subplots(figsize=(8.4, 4.2))
     settings = list(dict.fromkeys((row["step [s]"], row["solver.maxWork"]) for row in rows))
     for (step, work), colour in zip(settings, RUN_COLOURS):
@@ -94,7 +94,7 @@ def near_singularities(rows: list[Row]) -> Figure:
 
 
 def prices(rows: list[Row]) -> Figure:
-    """Cost of each effect in a step: instructions, with ns as text."""
+    """Cost of each effect per step: instructions, with ns as text."""
     base = next(row for row in rows if row["case"] == "gravity only")
     others = [row for row in rows if row is not base]
     figure, axes = plt.subplots(figsize=(9.4, 0.9 + 0.36 * len(others)))
@@ -115,7 +115,7 @@ def prices(rows: list[Row]) -> Figure:
 
 
 def paper(curves: dict[str, np.ndarray], figures: tuple[str, str]) -> Figure:
-    """Position of the tip over time; `curves` holds time, x, y by label, the scene's own run first."""
+    """Position of the tip over time; `curves` contains time, x, y by label, the scene's own run first."""
     figure, panels = plt.subplots(2, 1, sharex=True, figsize=(10.6, 5.4))
     for row, (axes, name) in enumerate(zip(panels, figures), start=1):
         for i, (label, curve) in reversed(list(enumerate(curves.items()))):
@@ -128,7 +128,7 @@ def paper(curves: dict[str, np.ndarray], figures: tuple[str, str]) -> Figure:
 
 
 def peers(rows: list[Row]) -> Figure:
-    """Error after 1 s against time, a panel per scene; our own methods, measured in the same run, stand out."""
+    """Error after 1 s against time, a panel per scene; our own methods, measured in the same run, are highlighted."""
     figure, panels = plt.subplots(1, len(ahead.SCENES), figsize=(11.2, 5.6), sharey=True)
     rows = [row for row in rows if row["error_1s_m"]]
     names = list(dict.fromkeys(row["peer"] for row in rows))
@@ -139,7 +139,7 @@ def peers(rows: list[Row]) -> Figure:
         for name in names:
             own = [row for row in rows if row["peer"] == name and row["scene"] == scene]
             points = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in own]
-            # A tip that is off by more than a link is long says nothing.
+            # A tip error larger than a link is meaningless.
             points = sorted(point for point in points if 0 < point[1] < 0.21)
             method = name.removeprefix(ahead.OURS)
             colour, marker = (colours[name], "x") if name in colours else (COLOURS[method], SHAPES[method])
@@ -153,7 +153,7 @@ def peers(rows: list[Row]) -> Figure:
 
 
 def number(cell: str) -> float:
-    """A cell that may be empty or a word."""
+    """A number from a cell that may be empty or a word."""
     try:
         return float(cell)
     except ValueError:

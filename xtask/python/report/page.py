@@ -13,34 +13,34 @@ TEMPLATE = Path(__file__).with_name("page.html")
 
 
 def compact(drawing: str) -> str:
-    """An SVG with two decimals where matplotlib writes six: nobody sees a hundredth of a point. Numbers below 1 are
+    """An SVG with two decimals instead of matplotlib's six: a hundredth of a point is invisible. Numbers below 1 are
     scales and stay."""
     return re.sub(r"(?<![\d.])([1-9]\d*\.\d\d)\d+", r"\1", drawing)
 
 
 def svg(figure: Figure, name: str, alt: str) -> str:
-    """The figure as an inline SVG element; its ids are its own, for many share a page."""
+    """The figure as an inline SVG element; its ids get a prefix, because many figures share a page."""
     text = io.StringIO()
     with plt.rc_context({"svg.hashsalt": f"fivebar-{name}"}):
         figure.savefig(text, format="svg", metadata={"Date": None})
     plt.close(figure)
     drawing = compact(text.getvalue())
     drawing = drawing[drawing.index("<svg") :]
-    # Equal images would have equal ids, and nothing refers to them.
+    # Equal images would have equal ids; nothing refers to them.
     drawing = re.sub(r' id="image[0-9a-f]+"', "", drawing)
-    # Fonts give the same ids in every figure, and clips may.
+    # Fonts have the same ids in every figure, and clip paths may too.
     drawing = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{name}-", drawing)
     label = html.escape(alt, quote=True)
-    # Width and height follow the page, up to the drawn size; the viewBox keeps the proportions.
+    # Width and height follow the page, up to the drawn size; the viewBox keeps the aspect ratio.
     return re.sub(r'<svg ([^>]*?)width="([^"]*)"', rf'<svg role="img" aria-label="{label}" style="max-width: \2" \1', re.sub(r'(<svg [^>]*?)height="[^"]*" ', r"\1", drawing, count=1), count=1)  # fmt: skip
 
 
-# Characters: longer texts are not kept on one line of a table.
+# Characters. Longer texts may wrap in a table.
 SENTENCE = 48
 
 
 def table(head: list[str], rows: list[list[str]], numbers: tuple[int, ...] = ()) -> str:
-    """A table of cells that are HTML already; the columns `numbers` are set flush right, a sentence may take several lines."""
+    """A table of HTML cells; the columns `numbers` are aligned right, and a sentence may take several lines."""
 
     def line(tag: str, cells: list[str]) -> str:
         kinds = (
@@ -64,7 +64,7 @@ class Section:
     parts: list[str] = field(default_factory=list)
 
     def text(self, paragraph: str) -> None:
-        """A paragraph, HTML already."""
+        """A paragraph of HTML."""
         self.parts.append(f"<p>{paragraph}</p>")
 
     def figure(self, figure: Figure, name: str, caption: str, data: list[str]) -> None:
@@ -72,7 +72,7 @@ class Section:
         self.parts.append(figure_element(figure, name, caption, data))
 
     def missing(self, what: str, command: str) -> None:
-        """Says that something is left out, and how to get it."""
+        """States that something is left out, and the command that adds it."""
         self.parts.append(f'<p class="missing">Left out: {what}. <code>{html.escape(command)}</code> measures it.</p>')
 
     def bullets(self, lines: list[str]) -> None:
@@ -80,7 +80,7 @@ class Section:
         self.parts.append("<ul>" + "\n".join(f"<li>{line}</li>" for line in lines) + "</ul>")
 
     def folded(self, summary: str, content: str) -> None:
-        """A folded part, which most readers skip."""
+        """A collapsed part, which most readers skip."""
         self.parts.append(f"<details><summary>{summary}</summary>{content}</details>")
 
 
@@ -104,6 +104,6 @@ def write(path: Path, sentences: list[tuple[str, str]], main: str, sections: lis
         "sections": body,
     }
     page = TEMPLATE.read_text(encoding="utf-8")
-    # One pass: filled-in text is not searched again.
+    # One pass, so that inserted text is not searched again.
     page = re.sub(r"\{\{(\w+)\}\}", lambda match: fill[match[1]], page)
     path.write_text(page, encoding="utf-8")

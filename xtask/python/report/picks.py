@@ -1,4 +1,4 @@
-"""Choice of method: for each wanted accuracy the cheapest setting that was measured to reach it."""
+"""Choice of method: the cheapest measured setting for each wanted accuracy."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ SHORT = (1e-3, 1e-6, 1e-9, 1e-11)
 """Wanted errors of the short table, m."""
 
 RESOLVED = 3.0
-"""A reference tells errors apart that are at least so many times its own."""
+"""A reference can judge errors that are at least this multiple of its own."""
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,17 @@ class Pick:
 
     wanted: float
     best: Marker | None
-    """The cheapest; None if nothing measured is good enough."""
+    """The cheapest setting; None if no measured one is accurate enough."""
     second: Marker | None
-    """The cheapest of the other methods."""
+    """The cheapest setting of another method."""
     resolved: bool
-    """Whether the reference is good enough to tell."""
+    """Whether the reference is accurate enough to judge."""
 
 
 def pick(markers: list[Marker], reference: Reference, wanted: float) -> Pick:
-    """The cheapest setting for the scene of `reference` whose error is at most `wanted`, as are those of all finer settings of its
-    method: an error that is small by luck, where two errors cancel, is no recommendation."""
-    here = [m for m in markers if m.scene == reference.scene]  # the error of one that ended early is infinite
+    """The cheapest setting on the scene of `reference` with an error of at most `wanted`, which all finer settings of the method also
+    meet: an error that is small by luck, because two errors cancel, is no recommendation."""
+    here = [m for m in markers if m.scene == reference.scene]  # a run that ended early has infinite error
     good = [m for m in here if all(f.error <= wanted for f in here if f.method == m.method and f.value <= m.value)]
     good.sort(key=lambda m: m.cost)
     best = good[0] if good else None
@@ -43,19 +43,19 @@ AUTOMATIC = "automatic"
 """The method that chooses the kind of its steps."""
 
 FAIR = 1.3
-"""Largest time that `automatic` is to take, in times of the best fixed method."""
+"""Largest allowed ratio of the time of `automatic` to the best fixed method."""
 
 
 def by_itself(markers: list[Marker], reference: Reference, wanted: float) -> float | None:
-    """Time of `automatic` for a scene and a wanted error, over the time of the best other method; None where one of them does
-    not get there, or the reference cannot tell."""
+    """Ratio of the time of `automatic` to the best other method, for a scene and a wanted error; None if one of them does not reach
+    it or the reference is not accurate enough."""
     own = pick([m for m in markers if m.method == AUTOMATIC], reference, wanted)
     fixed = pick([m for m in markers if m.method != AUTOMATIC], reference, wanted)
     return own.best.cost / fixed.best.cost if own.resolved and own.best and fixed.best else None
 
 
 def ratio_table(markers: list[Marker], references: list[Reference]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: scenes by wanted errors, ratios above `FAIR` in bold (of Markdown)."""
+    """Head and rows: scenes by wanted errors; ratios above `FAIR` in Markdown bold."""
     judged = [r for r in references if any(m.scene == r.scene and m.method == AUTOMATIC for m in markers)]
     rows = []
     for reference in judged:
@@ -82,19 +82,19 @@ def answer(choice: Pick) -> str:
 
 
 def cost(value: float) -> str:
-    """Two digits, more say nothing about a time."""
+    """Two digits; more would not be meaningful for a time."""
     return f"{value:.2g}" if value < 99.5 else f"{float(f'{value:.2g}'):.0f}"
 
 
 def factor(microseconds_per_ms: float) -> str:
-    """Simulated over wall time, two digits."""
+    """Ratio of simulated to wall time, two digits."""
     value = 1e3 / microseconds_per_ms
     digits = f"{float(f'{value:.2g}'):g}" if value < 10 else f"{int(float(f'{value:.2g}')):,}"
     return digits.replace(",", " ")
 
 
 def power(value: float) -> str:
-    """`1e-6`."""
+    """Formats a power of ten as `1e-6`."""
     return f"{value:.0e}".replace("e-0", "e-")
 
 
@@ -104,7 +104,7 @@ def one_of_each_kind(references: list[Reference]) -> list[Reference]:
 
 
 def short_table(markers: list[Marker], references: list[Reference]) -> list[str]:
-    """Lines of Markdown: wanted accuracy by one scene of each kind."""
+    """Lines of Markdown: wanted accuracy for one scene of each kind."""
     shown = one_of_each_kind(references)
     head = ["tip error below", *(f"{r.kind}: {r.scene}" for r in shown)]
     lines = [
@@ -114,7 +114,7 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
 
 
 def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
-    """For people with five minutes: per kind of motion, the methods from coarse to fine, and their cost."""
+    """Summary for quick readers: for each kind of motion, the methods from coarse to fine, and their cost."""
     result = []
     for kind, scenes in by_kind(references).items():
         found = [p for r in scenes for p in picks(markers, r) if p.resolved and p.best]
@@ -132,7 +132,7 @@ def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[
 
 
 def _stretch(winners: str, found: list[Pick]) -> str:
-    """The accuracies for which the same methods are the cheapest, and the span of their cost."""
+    """Accuracies at which the same methods are the cheapest, and the range of their cost."""
     wanted, costs = [p.wanted for p in found], [p.best.cost for p in found]
     coarse, fine = power(max(wanted)), power(min(wanted))
     errors = f"of {fine} m" if coarse == fine else f"of {coarse} to {fine} m"

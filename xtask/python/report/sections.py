@@ -125,7 +125,7 @@ def precision(markers: list[Marker], references: list[Reference]) -> Section:
 
 
 def name_of(kind: str) -> str:
-    """A kind as part of an id."""
+    """A kind in the form of an id."""
     return kind.replace(" ", "-")
 
 
@@ -217,7 +217,7 @@ def steps(m: Measurements) -> Section:
 
 
 def calls_of(row: dict[str, str]) -> list[str]:
-    """A row of the table by scene, in units that people read."""
+    """A row of the table by scene, in readable units."""
     times = [picks.cost(1e-3 * float(row[f"{which}_ns"])) for which in ("mean", "p50", "p99", "largest")]
     step = f"{1e3 * float(row['communication_step_s']):g}"
     return [
@@ -259,7 +259,7 @@ def matrix(m: Measurements) -> Section:
 
 
 PAPER = {"paper_torque": ("Fig. 2", "Fig. 3"), "paper_free_fall": ("Fig. 4", "Fig. 5")}
-"""The scenes of the paper, and its figures of x and of y."""
+"""Scenes of the paper, with its figures of x and of y."""
 
 
 def paper(curves: dict[str, dict[str, np.ndarray]]) -> Section:
@@ -321,17 +321,17 @@ def peers(m: Measurements) -> Section:
 
 
 def shortened(cell: str) -> str:
-    """Three digits where the table has seventeen."""
+    """Three digits instead of seventeen."""
     value = more_figures.number(cell)
     return f"{value:.3g}" if np.isfinite(value) else cell
 
 
 def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str], list[str]]:
-    """The settings that failed, by scene, method and reason."""
+    """Failed settings, by scene, method and reason."""
     found: dict[tuple[str, str, str], list[str]] = {}
 
     def add(scene: str, method: str, chosen: str, ending: str, off: str) -> None:
-        # An ending has time, reason, and numbers of one run.
+        # An ending contains time, reason, and numbers of one run.
         why = re.sub(r" at [\d.]+ s", "", re.split(r"[:;,] (?:after|\d)", ending)[0]) if ending != "complete" else off
         found.setdefault((scene, method, html.escape(why)), []).append(chosen)
 

@@ -8,12 +8,12 @@ from pathlib import Path
 Row = dict[str, str]
 
 LEFT_OUT = "left out: "
-"""How the ending of a run begins that was not measured on purpose."""
+"""Prefix of the ending of a run that was deliberately not measured."""
 
 
 @dataclass
 class Table:
-    """A table and the text of its head line."""
+    """A table and its head line."""
 
     file: Path
     about: str = ""
@@ -24,7 +24,7 @@ class Table:
 
 
 def read(file: Path) -> Table:
-    """The table; empty if there is no such file: the page then names the omission."""
+    """The table; empty if there is no such file. The page then states the omission."""
     if not file.is_file():
         return Table(file)
     lines = file.read_text(encoding="utf-8").splitlines()
@@ -33,7 +33,7 @@ def read(file: Path) -> Table:
 
 
 def read_bench(folder: Path, name: str) -> Table:
-    """A table of the benchmarks, whose machine and compiler are in bench.json."""
+    """A table of the benchmarks; bench.json states machine and compiler."""
     table, made_on = read(folder / f"{name}.csv"), folder / "bench.json"
     if table and made_on.is_file():
         facts = json.loads(made_on.read_text(encoding="utf-8"))
@@ -47,7 +47,7 @@ def read_bench(folder: Path, name: str) -> Table:
 
 @dataclass(frozen=True)
 class Marker:
-    """A method with its step or tolerance on a scene: a marker of a work-precision diagram."""
+    """A method with its step or tolerance on a scene; one marker of a work-precision diagram."""
 
     scene: str
     kind: str
@@ -58,9 +58,9 @@ class Marker:
     error: float
     """Largest distance of the tip from the reference, m."""
     cost: float
-    """Median, in microseconds per simulated millisecond."""
+    """Median of the repeats, microseconds per simulated millisecond."""
     spread: float
-    """Worst over best of the repeats."""
+    """Ratio of worst to best of the repeats."""
     substeps: int
     stiff: bool
     """Whether stability limited the steps of an explicit method."""
@@ -68,7 +68,7 @@ class Marker:
 
     @property
     def complete(self) -> bool:
-        """Whether the run got to its end."""
+        """Whether the run reached its end."""
         return self.ending == "complete"
 
     @property
@@ -78,7 +78,7 @@ class Marker:
 
     @property
     def setting(self) -> str:
-        """Step or tolerance, as people read it."""
+        """Step or tolerance as readable text."""
         return setting(self.knob, self.value)
 
 
@@ -119,7 +119,7 @@ class Reference:
 
 
 def by_kind(references: list[Reference]) -> dict[str, list[Reference]]:
-    """Kinds of motion in their order, with their scenes."""
+    """Kinds of motion in order, with their scenes."""
     kinds = dict.fromkeys(r.kind for r in references)
     return {kind: [r for r in references if r.kind == kind] for kind in kinds}
 
@@ -131,7 +131,7 @@ def references(table: Table) -> list[Reference]:
 
 @dataclass
 class Measurements:
-    """Everything that the page is made from."""
+    """All inputs of the page."""
 
     precision: Table
     references: Table

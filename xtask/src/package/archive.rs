@@ -1,4 +1,4 @@
-//! The .fmu: a zip archive whose bytes depend on nothing but its content.
+//! The .fmu: a zip archive with bytes that depend only on its content.
 
 use super::Files;
 use crate::paths;
@@ -9,14 +9,14 @@ use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, System, ZipWriter};
 
-/// Packs the files into an archive at `file`.
+/// Packs files into the archive `file`.
 pub(super) fn write(file: &Path, files: &Files) -> Result<()> {
     let bytes = pack(files).with_context(|| format!("{} cannot be packed", paths::short(file)))?;
     fs::write(file, bytes).with_context(|| format!("{} cannot be written", paths::short(file)))
 }
 
 fn pack(files: &Files) -> Result<Vec<u8>> {
-    // All that zip would otherwise take from the clock, the umask and the operating system is fixed here.
+    // Fixed values for all fields that zip would take from the clock, the umask and the operating system.
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Deflated)
         .compression_level(Some(9))
@@ -45,7 +45,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (one, two) = (folder.path().join("1.fmu"), folder.path().join("2.fmu"));
         write(&one, &files()).unwrap();
-        // The times in a zip archive have a resolution of 2 s.
+        // Times in a zip archive have a resolution of 2 s.
         std::thread::sleep(std::time::Duration::from_millis(2100));
         write(&two, &files()).unwrap();
         assert_eq!(fs::read(one).unwrap(), fs::read(two).unwrap());

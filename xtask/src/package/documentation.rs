@@ -1,5 +1,5 @@
-//! `documentation/index.html`: the page of `modelDescription/documentation/`, with the picture, the tables of variables and
-//! scenes and the change log put in.
+//! `documentation/index.html`: inserts the picture, the tables of variables and scenes, and the change log into the page of
+//! `modelDescription/documentation/`.
 
 use crate::paths;
 use anyhow::{Context, Result, ensure};
@@ -13,14 +13,14 @@ const SOURCE: &str = "modelDescription/documentation/index.html";
 
 const CHANGES: &str = "CHANGELOG.md";
 
-/// Marks in the page that are replaced by generated text.
+/// Marks in the page, replaced by generated text.
 const PLACES: [&str; 6] =
     ["<!-- name -->", "<!-- picture -->", "<!-- scenes -->", "<!-- variables -->", "<!-- enumerations -->", "<!-- changes -->"];
 
-/// Mark that stays: where the section on a unit of one's own stands in the page that `python/src/fivebar/own_unit.py` writes.
+/// Mark that stays in the page: `python/src/fivebar/own_unit.py` inserts its section on a unit of one's own there.
 const OWN: &str = "<!-- own -->";
 
-/// The finished page; it refers to nothing outside itself.
+/// The finished page; it loads nothing from elsewhere.
 pub(super) fn page(description: &ModelDescription, scenes: &[Scene], picture: &str) -> Result<String> {
     let mut page = fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))?;
     let changes = fs::read_to_string(paths::in_root(CHANGES)).with_context(|| format!("{CHANGES} cannot be read"))?;
@@ -40,7 +40,7 @@ pub(super) fn page(description: &ModelDescription, scenes: &[Scene], picture: &s
     Ok(page)
 }
 
-/// The SVG without the XML declaration and comments before it, which HTML does not have.
+/// The SVG without its XML declaration and leading comments, which HTML does not allow.
 fn inline(svg: &str) -> &str {
     &svg[svg.find("<svg").unwrap_or(0)..]
 }
@@ -59,7 +59,7 @@ fn variables(description: &ModelDescription) -> String {
     rows
 }
 
-/// Use of a variable by the master.
+/// How the master uses a variable.
 fn role(variable: &Variable) -> &'static str {
     match variable.causality {
         Causality::Parameter if variable.variability == Variability::Tunable => "tunable parameter",
@@ -70,7 +70,7 @@ fn role(variable: &Variable) -> &'static str {
     }
 }
 
-/// Start, smallest and largest value as text; empty where there is none.
+/// Start, minimum and maximum as text; empty if absent.
 fn values(description: &ModelDescription, variable: &Variable) -> (String, String, String) {
     fn text<T: Display>(value: &Option<T>) -> String {
         value.as_ref().map(T::to_string).unwrap_or_default()
@@ -90,12 +90,12 @@ fn values(description: &ModelDescription, variable: &Variable) -> (String, Strin
     }
 }
 
-/// A real number as people write it: `6.23e-5`, not `0.0000623`.
+/// A real number in readable form: `6.23e-5`, not `0.0000623`.
 fn real(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) { format!("{value:e}") } else { value.to_string() }
 }
 
-/// Name of the item that a number of the variable's enumeration stands for.
+/// Name of an enumeration item from its number.
 fn item(description: &ModelDescription, variable: &Variable, value: i32) -> Option<String> {
     let type_ = description.types.iter().find(|type_| Some(&type_.name) == variable.declared_type.as_ref())?;
     match &type_.kind {
@@ -148,7 +148,7 @@ fn scene_rows(description: &ModelDescription, scenes: &[Scene]) -> String {
     rows
 }
 
-/// The change log as HTML, its headings one level down and without the first, which the page has.
+/// The change log as HTML, with headings one level lower and without its title, which the page already has.
 fn change_log(markdown: &str) -> String {
     let below = markdown.split_once("\n## ").map_or("", |(_, rest)| rest);
     let text = format!("## {below}");

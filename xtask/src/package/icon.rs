@@ -1,4 +1,4 @@
-//! The picture of the mechanism: drawn once, in `modelDescription/model.svg`.
+//! The picture of the mechanism, from `modelDescription/model.svg`.
 
 use crate::paths;
 use anyhow::{Context, Result};
@@ -12,7 +12,7 @@ pub(super) fn picture() -> Result<String> {
     fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))
 }
 
-/// The picture as PNG, at the size that the SVG states.
+/// The picture as PNG, at the size stated in the SVG.
 pub(super) fn render(svg: &str) -> Result<Vec<u8>> {
     let tree = usvg::Tree::from_str(svg, &usvg::Options::default()).with_context(|| format!("{SOURCE} cannot be drawn"))?;
     let size = tree.size().to_int_size();

@@ -1,4 +1,4 @@
-//! The release library, built so that no path of the building machine is inside it.
+//! The release library, built without paths of the building machine inside it.
 
 use super::linked::{LIBRARY_CRATE, Linked};
 use super::platform::Platform;
@@ -9,18 +9,17 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The built library.
 pub(super) struct Library {
-    /// The file's content.
+    /// Content of the file.
     pub(super) bytes: Vec<u8>,
-    /// Every crate that cargo built on the way, build scripts' and macros' included.
+    /// Every crate that cargo built, including build scripts and macros.
     pub(super) built: HashSet<PackageId>,
 }
 
 /// Builds the library for a machine.
 pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     let mut cargo = platform.cargo_rustc()?;
-    // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
+    // Only as cdylib: cargo skips link-time optimisation if it also builds an rlib.
     cargo
         .args(["--locked", "--package", LIBRARY_CRATE])
         .args(["--lib", "--crate-type", "cdylib"])
@@ -37,7 +36,7 @@ pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     Ok(Library { bytes, built })
 }
 
-/// The caller's flags, followed by those that the platform needs and those that keep this machine's paths out of the library.
+/// The caller's flags, then the platform's, then those that remove this machine's paths from the library.
 fn flags(platform: &Platform, linked: &Linked) -> Result<Vec<String>> {
     let mut flags = match std::env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) if flags.is_empty() => Vec::new(),
@@ -45,7 +44,7 @@ fn flags(platform: &Platform, linked: &Linked) -> Result<Vec<String>> {
         Err(_) => std::env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),
     };
     flags.extend(platform.flags.iter().map(|&flag| flag.to_owned()));
-    // The order matters where several prefixes fit: rustc takes the last one, the particular after the general.
+    // Order matters if several prefixes match: rustc takes the last, so the most specific comes last.
     let mut remap = |from: &Path, to: &str| {
         flags.push(format!("--remap-path-prefix={}={to}", from.display()));
     };
@@ -53,7 +52,7 @@ fn flags(platform: &Platform, linked: &Linked) -> Result<Vec<String>> {
     remap(paths::root(), "/fivebar");
     remap(&linked.target, "/fivebar/target");
     for crate_ in &linked.crates {
-        // The registry's folder above it is named after the registry's address, which may be a mirror's.
+        // The parent folder is named after the registry's address, which may be a mirror.
         remap(&crate_.folder, &format!("/crates/{}", crate_.title));
     }
     Ok(flags)
@@ -66,7 +65,7 @@ fn cargo_home() -> Result<PathBuf> {
         .context("neither CARGO_HOME nor a home folder is known")
 }
 
-/// The file of the library and all crates built, out of cargo's messages.
+/// The library file and all crates built, from cargo's messages.
 fn artifacts(messages: &str, extension: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
     let mut library = None;
     let mut built = HashSet::new();
@@ -83,7 +82,7 @@ fn artifacts(messages: &str, extension: &str) -> Result<(PathBuf, HashSet<Packag
     Ok((library.into(), built))
 }
 
-/// Whether `bytes` has `part` somewhere.
+/// Whether `bytes` contains `part`.
 pub(super) fn contains(bytes: &[u8], part: &[u8]) -> bool {
     bytes.windows(part.len()).any(|window| window == part)
 }

@@ -1,4 +1,4 @@
-//! `documentation/licenses/` (FMI 2.0.4, section 2.3): the project's licences and those of everything linked in.
+//! `documentation/licenses/` (FMI 2.0.4, section 2.3): licences of the project and of everything linked in.
 
 use super::Files;
 use super::linked::{Linked, LinkedCrate};
@@ -13,8 +13,8 @@ const FOLDER: &str = "documentation/licenses";
 /// The project's own licence files, in the workspace root.
 const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 
-/// All licence files, those of `runtime` (name in the folder of licences, file) among them, and `license.txt`, which lists the parts
-/// under each licence.
+/// All licence files, including `runtime` (name in the folder of licences, file), and `license.txt`, which lists the parts under each
+/// licence.
 pub(super) fn collect(linked: &Linked, runtime: &[(&str, PathBuf)]) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {
@@ -31,7 +31,7 @@ pub(super) fn collect(linked: &Linked, runtime: &[(&str, PathBuf)]) -> Result<Fi
     Ok(files)
 }
 
-/// The licence files in the sources of a crate; one that brings none is refused, since its text could not be passed on.
+/// The licence files in the sources of a crate. A crate without one is refused, because its licence text could not be passed on.
 fn of_crate(crate_: &LinkedCrate) -> Result<Files> {
     let mut files = Files::new();
     for entry in fs::read_dir(&crate_.folder).with_context(|| format!("the sources of crate {} cannot be read", crate_.title))? {

@@ -1,4 +1,4 @@
-//! The crates that are linked into the library, and the toolchain that builds it.
+//! The crates linked into the library, and the toolchain that builds it.
 
 use super::platform::Platform;
 use crate::{paths, process};
@@ -11,31 +11,30 @@ use std::process::Command;
 /// The crate that becomes the library.
 pub(super) const LIBRARY_CRATE: &str = "fivebar";
 
-/// Parts of the library.
 pub(super) struct Linked {
-    /// The crates that may be linked into the library, but not the library's own: sorted by name and version. Optional ones that no
-    /// enabled feature asks for are among them; the build of cargo tells those apart.
+    /// The crates that may be linked into the library, without the library's own, sorted by name and version. They include optional
+    /// crates that no enabled feature needs; only the build by cargo shows which ones are linked.
     pub(super) crates: Vec<LinkedCrate>,
     /// Cargo's target folder.
     pub(super) target: PathBuf,
-    /// First line of `rustc --version`: whose standard library is linked.
+    /// First line of `rustc --version`; this compiler's standard library is linked.
     pub(super) rustc: String,
 }
 
 /// A crate that may be linked into the library.
 pub(super) struct LinkedCrate {
-    /// Cargo's name for it.
+    /// Name used by cargo.
     pub(super) id: PackageId,
     /// Name and version, e.g. `libm-0.2.16`.
     pub(super) title: String,
     /// SPDX expression of its licence.
     pub(super) license: String,
-    /// The folder with its sources.
+    /// Folder of its sources.
     pub(super) folder: PathBuf,
 }
 
 impl Linked {
-    /// Asks cargo, and the compiler that a function starts.
+    /// Asks cargo, and the compiler that `rustc` returns.
     pub(super) fn read(rustc: impl Fn() -> Result<Command>, platforms: &[Platform]) -> Result<Self> {
         let version = process::output(rustc()?.arg("--version"))?;
         let mut options = vec!["--locked".to_owned()];
@@ -59,7 +58,7 @@ impl Linked {
     }
 }
 
-/// Follows the normal dependencies of the library's crate; procedural macros run in the compiler and are not linked.
+/// Follows the normal dependencies of the library's crate. Procedural macros run in the compiler and are not linked.
 fn linked_crates(metadata: &Metadata) -> Result<Vec<LinkedCrate>> {
     let library = metadata
         .workspace_packages()

@@ -10,26 +10,26 @@ use object::{Architecture, Endianness, Object, ObjectSection};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
-/// Magic numbers of a signature and of the list of hashes in it, its place there, its mark of a signature without a signer, and its
-/// number of SHA-256: `cs_blobs.h` of Apple's xnu.
+/// Constants of a code signature: magic numbers of the signature and of its list of hashes, type of the list, flag for "ad hoc", type
+/// of SHA-256. Source: `cs_blobs.h` of Apple's xnu.
 const SIGNATURE: u32 = 0xfade_0cc0;
 const CODE_DIRECTORY: u32 = 0xfade_0c02;
 const CODE_DIRECTORY_SLOT: u32 = 0;
 const AD_HOC: u32 = 0x2;
 const SHA256: u8 = 2;
 
-/// Functions of macOS's system library whose last bits are other ones elsewhere; Linux has them in a library of their own.
+/// Functions of macOS's system library that round differently elsewhere; on Linux they are in a separate library (libm).
 #[rustfmt::skip]
 const ELEMENTARY: [&str; 22] = [
     "_acos", "_asin", "_atan", "_atan2", "_cbrt", "_cos", "_cosh", "_exp", "_exp2", "_expm1", "_hypot",
     "_log", "_log10", "_log1p", "_log2", "_pow", "_sin", "_sinh", "_tan", "_tanh", "___powidf2", "___sincos_stret",
 ];
 
-/// The function of macOS's system library by which Rust goes on in the handler of a panic. Linkers are known that lose Rust's own
-/// function that takes it, and the table of handlers.
+/// The function of macOS's system library with which Rust resumes in a panic handler. Some linkers drop Rust's own landing function and
+/// the table of handlers.
 const CATCH: &str = "__Unwind_SetIP";
 
-/// One file of two libraries for different processors.
+/// One file from two libraries for different processors.
 pub(super) fn universal(one: Vec<u8>, other: Vec<u8>) -> Result<Vec<u8>> {
     let mut writer = FatWriter::new();
     let mut bytes = Vec::new();
@@ -51,8 +51,7 @@ pub(super) fn parts(bytes: &[u8]) -> Result<[&[u8]; 2]> {
     Ok([part(Architecture::X86_64)?, part(Architecture::Aarch64)?])
 }
 
-/// Checks the name that a library gives itself, the oldest macOS that it is for, its signature, its tables for panics, and that its elementary
-/// functions are its own.
+/// Checks a library's install name, its oldest macOS, its signature and its panic tables, and that its elementary functions are its own.
 pub(super) fn check(file: &str, bytes: &[u8], scope: Scope) -> Result<()> {
     let library = MachOFile64::<Endianness>::parse(bytes)?;
     let endian = library.endian();
@@ -98,7 +97,7 @@ pub(super) fn check(file: &str, bytes: &[u8], scope: Scope) -> Result<()> {
     Ok(())
 }
 
-/// Checks that an ad-hoc signature has the hash of each page of the code before it, and no more.
+/// Checks that an ad-hoc signature has the hash of each page of the code before it, and no others.
 fn check_signature(code: &[u8], signature: &[u8]) -> Result<()> {
     ensure!(word(signature, 0)? == SIGNATURE, "its signature is none");
     let places = (0..word(signature, 8)? as usize).map(|i| (word(signature, 12 + 8 * i), word(signature, 16 + 8 * i)));
@@ -126,7 +125,7 @@ fn check_signature(code: &[u8], signature: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Number at a place of a signature, whose numbers are big-endian.
+/// Big-endian number at a place of a signature.
 fn word(bytes: &[u8], at: usize) -> Result<u32> {
     let word = bytes.get(at..at + 4).context("its signature ends early")?;
     Ok(u32::from_be_bytes(word.try_into()?))

@@ -1,7 +1,7 @@
-//! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes wherever it is built, verified after packing; with
-//! `--all-platforms` one with a library for every machine that is shipped. The scenes, which its documentation lists, are checked.
+//! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes on every build, verified after packing; with `--all-platforms` one
+//! with a library for every shipped platform. Also checks the scenes, because the documentation lists them.
 //!
-//! With `--scene FILE` a unit of one's own: the package `fivebar` writes it from the plain unit.
+//! With `--scene FILE` the package `fivebar` also writes a unit of one's own from the plain unit.
 
 mod archive;
 mod documentation;
@@ -24,10 +24,10 @@ use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::{self, Path, PathBuf};
 
-/// Content of the archive: name in the archive (`/` separators) to bytes, sorted by name.
+/// Content of the archive: names (with `/` separators) and bytes, sorted by name.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
-/// Builds, packs and verifies the unit; gives back the packed file.
+/// Builds, packs and verifies the unit; returns the packed file.
 pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
     let description = description()?;
     let name = &description.model_identifier;
@@ -57,7 +57,7 @@ pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
 
     let fmu = scope.file(name);
     fs::create_dir_all(fmu.parent().context("the .fmu lies in a folder")?)?;
-    // A unit that is not fit for use never gets the name under which one is looked for.
+    // The file gets its final name last, so that an invalid unit is never used.
     let unverified = fmu.with_extension("unverified");
     archive::write(&unverified, &files)?;
     let found = verify::verify(&unverified, scope).with_context(|| format!("{} is not fit for use", paths::short(&unverified)));
@@ -70,10 +70,10 @@ pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
     Ok(fmu)
 }
 
-/// Lets `fivebar unit` write a unit of one's own beside the packed plain unit, from a shipped scene or one in a file; called `name`, or
-/// after the scene.
+/// Runs `fivebar unit`, which writes a unit of one's own beside the packed plain unit from a shipped scene or a file. Its name is `name`,
+/// or the scene's.
 pub(crate) fn package_own(plain: &Path, scene: &Path, name: Option<&str>) -> Result<()> {
-    // The command runs in the workspace root, the path is that of whoever calls.
+    // The command runs in the workspace root, but the path is relative to the caller's folder.
     let scene = if scene.extension().is_some() { path::absolute(scene)? } else { scene.into() };
     process::run(
         venv::python(Packages::Usual)?
@@ -90,7 +90,7 @@ fn description() -> Result<ModelDescription> {
     ModelDescription::read().context("modelDescription/modelDescription.xml")
 }
 
-/// The unit's library for a browser, and the licence files of everything in it by their names.
+/// The unit's library for a browser, and all licence files by name.
 pub(crate) fn web() -> Result<(Vec<u8>, Files)> {
     let platform = platform::Platform::web();
     let mut linked = linked::Linked::read(platform::web_rustc, std::slice::from_ref(&platform))?;

@@ -1,4 +1,4 @@
-//! The machines that a library is built for, and the cargo that builds for each.
+//! The platforms for which a library is built, and the cargo that builds for each.
 
 use crate::venv::{self, Packages};
 use crate::{paths, process};
@@ -9,11 +9,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The newest glibc that a library for other machines may ask for: that of 2012, older than any Linux in support.
+/// The newest glibc that a library for other machines may need: from 2012, older than any supported Linux.
 const GLIBC_FLOOR: [u32; 2] = [2, 17];
 
-/// Platforms of `--all-platforms`: folder under `binaries/`, Rust's target triple, ending, flags for rustc. Both libraries for macOS
-/// lie in one file.
+/// Platforms of `--all-platforms`: folder in `binaries/`, Rust's target triple, file ending, flags for rustc. The two libraries for macOS
+/// go into one file.
 const SHIPPED: [(&str, &str, &str, &[&str]); 5] = [
     ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
     ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME, WINDOWS_LIBRARIES]),
@@ -22,25 +22,24 @@ const SHIPPED: [(&str, &str, &str, &[&str]); 5] = [
     ("darwin64", "aarch64-apple-darwin", "dylib", MAC_FLAGS),
 ];
 
-/// Thread locals by the loader of Windows, which frees them with the library. Those that this target has otherwise take one of
-/// the process's 1,088 indexes each time that the library is unloaded, and never give it back: some 1,000 runs later the next
-/// one would abort the host.
+/// Uses the thread locals of the Windows loader, which frees them with the library. This target's default takes one of the process's
+/// 1,088 indexes each time the library is loaded and never returns it. After some 1,000 runs the host would abort.
 const WINDOWS_THREAD_LOCALS: &str = "-Zhas-thread-local=yes";
 
-/// Folder of Debian's cargo and rustc, of the packages cargo-web and rustc-web.
+/// Folder of Debian's cargo and rustc from the packages cargo-web and rustc-web.
 const DEBIAN: &str = "/usr/bin";
 
-/// A file that exists where the sources of the standard library are installed.
+/// A file that exists if the sources of the standard library are installed.
 const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
 
-/// The triple of WebAssembly without a system below.
+/// The triple of WebAssembly without an operating system.
 const WEB: &str = "wasm32-unknown-unknown";
 
 /// The linker for WebAssembly.
 const WEB_LINKER: &str = "wasm-ld-14";
 
-/// Two lanes as one instruction, which every browser has since 2023; a stack of four times the depth that was ever seen, because a
-/// page pays for all of it; a table of functions in which a page can put its logger.
+/// Instructions on two lanes, which every browser has since 2023. A stack four times as deep as ever needed, because a page pays for
+/// all of it. A table of functions to which a page can add its logger.
 const WEB_FLAGS: &[&str] = &[
     "-Ctarget-feature=+simd128",
     "-Clinker-flavor=wasm-ld",
@@ -49,12 +48,11 @@ const WEB_FLAGS: &[&str] = &[
     "-Clink-arg=--growable-table",
 ];
 
-/// The linker for macOS. The one in zig exports names beyond the list that Rust gives it; lld 14 loses the tables by which a panic is
-/// caught.
+/// The linker for macOS. The one in zig exports names beyond Rust's list; lld 14 loses the tables needed to catch a panic.
 const MAC_LINKER: &str = "ld64.lld-19";
 
-/// Name of the library for hosts that link it; a signature without a signer, which processors of Apple ask for; no library that
-/// nothing comes from; no symbols for debuggers, and no local ones.
+/// Install name of the library for hosts that link it; an ad-hoc signature, which Apple processors need; no unused libraries; no debug
+/// or local symbols.
 const MAC_FLAGS: &[&str] = &[
     "-Clinker-flavor=ld64.lld",
     "-Clink-arg=-install_name",
@@ -65,39 +63,38 @@ const MAC_FLAGS: &[&str] = &[
     "-Clink-arg=-x",
 ];
 
-/// Name of a library that is built on a Mac, whose linker would write its path there.
+/// Install name of a library built on a Mac; the linker's default would be its path.
 const MAC_NAME: &[&str] = &["-Clink-arg=-Wl,-install_name,@rpath/FiveBar.dylib"];
 
-/// The oldest macOS that a library is for: the first one for processors of Apple.
+/// The oldest supported macOS: the first one for Apple processors.
 pub(super) const MAC_FLOOR: &str = "11.0";
 
-/// Names under which Rust asks for parts of macOS's one system library. None of ours takes a function from the last two.
+/// Names under which Rust links parts of macOS's single system library. Our library needs no function from the last two.
 const MAC_SYSTEM: [&str; 5] = ["System", "c", "m", "iconv", "charset"];
 
 /// The linker for Windows.
 const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
 
-/// The linker for Windows writes the time into a library unless it is told not to: the same sources give the same bytes.
+/// By default the linker for Windows writes the time into a library. Without it the same sources give the same bytes.
 const NO_TIME: &str = "-Clink-arg=-Wl,--no-insert-timestamp";
 
-/// The linker for Windows orders what a library takes from others by the files' paths: those of the system lie in a folder with a
-/// path that is relative, and so before those of the standard library in every checkout.
+/// The linker for Windows orders imports by the paths of the files. The system's files are in a folder with a relative path, and so come
+/// before the files of the standard library in every checkout.
 const WINDOWS_LIBRARIES: &str = "-Clink-arg=-Ltarget/cross/windows";
 
-/// Names under which Rust asks for parts of Windows.
+/// Names under which Rust links parts of Windows.
 const WINDOWS_SYSTEM: [&str; 3] = ["kernel32", "msvcrt", "ntdll"];
 
-/// For which machines a unit is packed.
+/// Platforms to pack for.
 #[derive(Clone, Copy)]
 pub(crate) enum Scope {
-    /// The one that this runs on, with the Rust that is in use: quick.
+    /// This machine, with the Rust in use: quick.
     Here,
-    /// All that are shipped, each built anew with its standard library.
+    /// All shipped platforms, each built with its own standard library.
     All,
 }
 
 impl Scope {
-    /// The machines.
     pub(super) fn platforms(self) -> Vec<Platform> {
         match self {
             Self::Here => vec![Platform::here()],
@@ -105,7 +102,7 @@ impl Scope {
         }
     }
 
-    /// The compiler whose standard library is linked, and which is asked first: fails where what it needs is missing.
+    /// The compiler of the linked standard library, asked first: fails if anything it needs is missing.
     pub(super) fn rustc(self) -> Result<Command> {
         match self {
             Self::Here => Ok(process::program(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))),
@@ -117,7 +114,7 @@ impl Scope {
         }
     }
 
-    /// The newest glibc that a library may ask for; none: that of this machine.
+    /// The newest glibc that a library may need; `None`: this machine's.
     pub(super) fn glibc_floor(self) -> Option<&'static [u32]> {
         match self {
             Self::Here => None,
@@ -125,8 +122,7 @@ impl Scope {
         }
     }
 
-    /// Licences of parts linked beside the crates that the licence of the compiler's own project does not cover: a name in the
-    /// folder of licences and the file, for each.
+    /// Licences of linked parts that the licence of the compiler's own project does not cover: name in the folder of licences, and file.
     pub(super) fn runtime_licenses(self) -> Result<Vec<(&'static str, PathBuf)>> {
         match self {
             Self::Here => Ok(Vec::new()),
@@ -143,7 +139,7 @@ impl Scope {
         }
     }
 
-    /// The packed unit of that name.
+    /// The packed unit `name`.
     pub(super) fn file(self, name: &str) -> PathBuf {
         match self {
             Self::Here => paths::fmu(name),
@@ -152,29 +148,27 @@ impl Scope {
     }
 }
 
-/// A machine that a library is built for.
+/// A platform for which a library is built.
 pub(super) struct Platform {
-    /// Name of its folder under `binaries/`: FMI 2.0's own (section 2.3) where it has one, the tuples of FMI 3.0
-    /// (section 2.5.1.1) for the rest.
+    /// Folder in `binaries/`: FMI 2.0's name if it has one (section 2.3), otherwise the tuple of FMI 3.0 (section 2.5.1.1).
     pub(super) folder: String,
-    /// Ending of a library's file.
+    /// Ending of the library's file name.
     pub(super) extension: &'static str,
-    /// Rust's target triple where it is built with Debian's Rust and zig; none: with the cargo that runs this, for this
-    /// machine.
+    /// Rust's target triple if built with Debian's Rust and zig; `None`: built with the cargo that runs this, for this machine.
     pub(super) cross: Option<&'static str>,
     /// Further flags for rustc.
     pub(super) flags: &'static [&'static str],
 }
 
 impl Platform {
-    /// The machine that this runs on.
+    /// This machine.
     fn here() -> Self {
         let folder = match (OS, ARCH) {
             ("linux", "x86_64") => "linux64".into(),
             ("linux", "x86") => "linux32".into(),
             ("windows", "x86_64") => "win64".into(),
             ("windows", "x86") => "win32".into(),
-            // One file has the libraries for both processors.
+            // One file contains the libraries for both processors.
             ("macos", _) => "darwin64".into(),
             (os, arch) => format!("{arch}-{os}"),
         };
@@ -182,7 +176,7 @@ impl Platform {
         Self { folder, extension: DLL_EXTENSION, cross: None, flags }
     }
 
-    /// Every machine that `--all-platforms` packs a library for.
+    /// Every platform of `--all-platforms`.
     fn all() -> Vec<Self> {
         let platform = |(folder, triple, extension, flags): (&str, _, _, _)| Self {
             folder: folder.into(),
@@ -198,7 +192,7 @@ impl Platform {
         Self { folder: "wasm32".into(), extension: "wasm", cross: Some(WEB), flags: WEB_FLAGS }
     }
 
-    /// `cargo rustc --release` for this machine; the caller adds the target to be built.
+    /// `cargo rustc --release` for this platform; the caller adds the target to build.
     pub(super) fn cargo_rustc(&self) -> Result<Command> {
         match self.cross {
             None => {
@@ -212,27 +206,26 @@ impl Platform {
     }
 }
 
-/// The compiler for the browser; fails where what it needs is missing.
+/// The compiler for the browser; fails if anything it needs is missing.
 pub(super) fn web_rustc() -> Result<Command> {
     debian_rustc("cargo xtask page", ".ci/setup-page", &[(WEB_LINKER, "lld")])
 }
 
-/// Debian's compiler; fails where it, the sources of its standard library or a linker are missing, which `script` installs.
+/// Debian's compiler; fails if it, the sources of its standard library or a linker is missing. `script` installs them.
 fn debian_rustc(command: &str, script: &str, linkers: &[(&str, &str)]) -> Result<Command> {
     let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src")];
     process::need(command, script, &[&rust, linkers].concat())?;
     Ok(process::program(Path::new(DEBIAN).join("rustc")))
 }
 
-/// Licence of what Debian's standard library has from others: name in the folder of licences, and file.
+/// Licences of third-party code in Debian's standard library: name in the folder of licences, and file.
 pub(super) fn standard_library_license() -> (&'static str, PathBuf) {
     ("rust-standard-library/copyright.txt", "/usr/share/doc/rust-web-src/copyright".into())
 }
 
-/// A command of cargo, optimised, for `triple`. Debian's Rust brings the sources of its standard library, from which that
-/// of any machine is built; zig brings linker and C library of any Linux, with the glibc that is asked for, and the list of
-/// what macOS's system library has; the linker for Windows is Debian's, because Debian's Rust links a library there that zig does not
-/// have.
+/// An optimised cargo command for `triple`. Debian's Rust brings the sources of its standard library, which cargo builds for any machine.
+/// zig brings the linker and the C library of any Linux, for a chosen glibc, and the list of names in macOS's system library. The linker
+/// for Windows is Debian's, because Debian's Rust needs a library there that zig lacks.
 fn cross(command: &str, triple: &str) -> Result<Command> {
     let python = venv::python(Packages::Platforms)?;
     let programs = Path::new(python.get_program()).parent().context("Python lies in a folder")?;
@@ -250,14 +243,14 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
         .env("CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER", WINDOWS_LINKER)
         .env("CARGO_TARGET_X86_64_APPLE_DARWIN_LINKER", MAC_LINKER)
         .env("CARGO_TARGET_AARCH64_APPLE_DARWIN_LINKER", MAC_LINKER)
-        // Files that zig and its helper keep beside the output stay in this folder as well.
+        // Keeps the files that zig and its helper write beside the output in this folder.
         .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
         .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
     if triple.ends_with("windows-gnu") {
         windows_libraries(&folder)?;
     }
     if triple.ends_with("apple-darwin") {
-        // The linker leaves out what there is to strip, before it signs; Debian lacks the program that rustc strips with.
+        // The linker strips before it signs; Debian lacks the program that rustc would strip with.
         cargo
             .env("SDKROOT", mac_libraries(&folder)?)
             .env("MACOSX_DEPLOYMENT_TARGET", MAC_FLOOR)
@@ -266,7 +259,7 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
     Ok(cargo)
 }
 
-/// A folder as the linker for macOS expects it, with zig's list of the names that the system library has.
+/// A folder in the form that the linker for macOS expects, with zig's list of names in the system library.
 fn mac_libraries(folder: &Path) -> Result<PathBuf> {
     let names = venv::site_packages(Packages::Platforms)?.join("ziglang/lib/libc/darwin/libSystem.tbd");
     let root = folder.join("macos");
@@ -292,7 +285,7 @@ fn windows_libraries(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A command of cargo, optimised, for the browser, where a panic is a trap.
+/// An optimised cargo command for the browser; a panic is a trap there.
 fn web(command: &str) -> Result<Command> {
     let mut cargo = process::program(Path::new(DEBIAN).join("cargo"));
     cargo.args([command, "--release", "--target", WEB]);
@@ -303,11 +296,10 @@ fn web(command: &str) -> Result<Command> {
     Ok(cargo)
 }
 
-/// Lets a command of cargo build the standard library as well, and gives back its target folder.
+/// Makes a cargo command build the standard library as well; returns its target folder.
 ///
-/// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
-/// Backtraces are left out of the standard library: a stripped library has none to show. Formatting and sorting are optimised for
-/// size: no step does either.
+/// The sources must match the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable compiler build them. The standard
+/// library has no backtraces, because a stripped library cannot show any. Formatting and sorting are optimised for size; no step uses them.
 fn build_standard_library(cargo: &mut Command, panic: &str, features: &str) -> PathBuf {
     let folder = paths::in_root("target/cross");
     cargo

@@ -1,4 +1,4 @@
-//! Looks into the finished archive with other eyes than those that packed it.
+//! Checks the finished archive with other code than the packer's.
 
 use super::library::contains;
 use super::macos;
@@ -14,22 +14,21 @@ use std::io::Read;
 use std::path::Path;
 use zip::{CompressionMethod, ZipArchive};
 
-/// Largest libraries for all platforms, bytes, by their folders: five methods, two of them in forms for the bare mechanism and for any
-/// scene; friction that sticks, the corrector and model exchange have some 100 kB each, what is learned of a machine 180 kB
-/// (filter and flow a second time, of 24 errors instead of six), causes of an alarm 30 kB, the doubt about a start
-/// 25 kB, the reader of a unit's own start values 40 kB, the checks of each step 40 kB.
-/// The one for macOS is for two processors, and has the names of its functions.
+/// Size limits of libraries for all platforms, bytes, by folder. Contents: five methods, two of them in a form for the bare mechanism and
+/// one for any scene; stick-slip friction, the corrector and model exchange, some 100 kB each; learning 180 kB (filter and flow again,
+/// for 24 errors instead of six); causes of an alarm 30 kB; doubt about a start 25 kB; reader of own start values 40 kB; checks of each
+/// step 40 kB. The file for macOS is for two processors and contains the names of its functions.
 const LARGEST_SHIPPED: [(&str, usize); 4] =
     [("linux64", 1_590_000), ("win64", 1_660_000), ("aarch64-linux", 1_290_000), ("darwin64", 2_980_000)];
 
-/// Largest library of the Rust in use: its standard library is made for speed and prints backtraces, in some 240 kB.
+/// Size limit of a library by the Rust in use. Its standard library is optimised for speed and prints backtraces, some 240 kB.
 const LARGEST_HERE: usize = 1_860_000;
 
-/// Largest frame on the stack of a function, bytes, in a library for x86-64, as [`largest_frame`] finds it: that which reads a stored estimate of
-/// what is learned, and a page more because compilers differ. A host gives what `docs/fmi.md` says.
+/// Largest stack frame of a function, bytes, in a library for x86-64, as found by [`largest_frame`]: the reader of a stored estimate with
+/// learning, and a page more because compilers differ. `docs/fmi.md` states the stack that a host must provide.
 const LARGEST_FRAME: u32 = 0xe000;
 
-/// All that a library for both kinds exports: FMI 2.0.4, sections 2.1 (common functions), 3.2 (model exchange) and 4.2 (co-simulation).
+/// All exports of a library for both kinds: FMI 2.0.4, sections 2.1 (common functions), 3.2 (model exchange) and 4.2 (co-simulation).
 #[rustfmt::skip]
 const EXPORTS: [&str; 44] = [
     "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2SetDebugLogging",
@@ -47,7 +46,7 @@ const EXPORTS: [&str; 44] = [
     "fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus",
 ];
 
-/// The libraries of the system that one which is shipped may need: glibc's, those that every Windows since 8 brings, and macOS's one.
+/// System libraries that a shipped library may need: glibc's, those of every Windows since 8, and macOS's single one.
 #[rustfmt::skip]
 const SYSTEM: [&str; 9] = [
     "ld-linux-x86-64.so.2", "libc.so.6", "libdl.so.2", "libpthread.so.0",
@@ -55,10 +54,10 @@ const SYSTEM: [&str; 9] = [
     "/usr/lib/libsystem.b.dylib",
 ];
 
-/// Files that every .fmu of this project has.
+/// Files of every .fmu of this project.
 const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
 
-/// Findings, for people.
+/// Findings, as text.
 pub(super) struct Report {
     archive: u64,
     guid: String,
@@ -71,12 +70,12 @@ struct Library {
     needs: Needs,
 }
 
-/// Demands of a library on the system.
+/// Requirements of a library on the system.
 #[derive(Default)]
 struct Needs {
-    /// Names of the libraries that its symbols come from, in small letters.
+    /// Libraries from which it takes symbols, in lower case.
     libraries: BTreeSet<String>,
-    /// The newest version of glibc's symbols among them.
+    /// The newest version of their glibc symbols.
     glibc: Option<Vec<u32>>,
 }
 
@@ -94,7 +93,7 @@ impl fmt::Display for Report {
     }
 }
 
-/// Bytes that the library in a folder of `binaries/` may have.
+/// Size limit of the library in a folder of `binaries/`, bytes.
 fn limit(folder: &str, scope: Scope) -> usize {
     match scope {
         Scope::Here => LARGEST_HERE,
@@ -102,7 +101,7 @@ fn limit(folder: &str, scope: Scope) -> usize {
     }
 }
 
-/// Opens the archive and checks the properties that a host relies on; no library may ask for a glibc newer than the scope allows.
+/// Opens the archive and checks the properties that a host relies on. No library may need a glibc newer than the scope allows.
 pub(super) fn verify(fmu: &Path, scope: Scope) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
@@ -131,7 +130,7 @@ fn read(archive: &mut ZipArchive<File>, name: &str) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// GUID and modelIdentifier out of the finished modelDescription.xml.
+/// GUID and modelIdentifier from the finished modelDescription.xml.
 fn identity(xml: &str) -> Result<(String, String)> {
     let document = roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
     let root = document.root_element();
@@ -166,7 +165,7 @@ fn library(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Library
     Ok(Library { name: name.to_owned(), size: bytes.len(), needs })
 }
 
-/// Checks a library for one processor, and gives back what it needs.
+/// Checks a library for one processor; returns its requirements.
 fn check_part(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Needs> {
     ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
@@ -191,7 +190,7 @@ fn check_part(name: &str, bytes: &[u8], guid: &str, scope: Scope) -> Result<Need
     Ok(needs)
 }
 
-/// A library that the system does not bring is one that the .fmu would have to bring.
+/// Refuses libraries that the system lacks; the .fmu would have to ship them.
 fn check_needs(needs: &Needs, glibc_floor: &[u32]) -> Result<()> {
     for library in &needs.libraries {
         ensure!(SYSTEM.contains(&library.as_str()), "it needs {library}, which the system does not bring");
@@ -220,8 +219,8 @@ fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
     Ok(names)
 }
 
-/// Largest frame of a function that probes its frame page by page in a loop, as compiled code for x86-64 does from some pages on; 0 where there
-/// is none.
+/// Largest frame of a function that probes its frame page by page in a loop, as compiled code for x86-64 does for large frames; 0 if
+/// there is none.
 fn largest_frame(code: &[u8]) -> u32 {
     // mov %rsp,%r11; sub $frame,%r11; sub $0x1000,%rsp
     const BEGIN: [u8; 6] = [0x49, 0x89, 0xe3, 0x49, 0x81, 0xeb];
@@ -252,7 +251,7 @@ fn imports(bytes: &[u8]) -> Result<Needs> {
     Ok(needs)
 }
 
-/// Libraries and symbol versions that an ELF library needs.
+/// Libraries and symbol versions required by an ELF library.
 fn elf_needs(bytes: &[u8]) -> Result<Needs> {
     let header = FileHeader64::<Endianness>::parse(bytes)?;
     let endian = header.endian()?;
@@ -272,12 +271,12 @@ fn elf_needs(bytes: &[u8]) -> Result<Needs> {
     Ok(needs)
 }
 
-/// `[2, 17]` as `2.17`.
+/// Formats `[2, 17]` as `2.17`.
 fn dotted(version: &[u32]) -> String {
     version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")
 }
 
-/// `2.34` as numbers, so that 2.4 comes before 2.34; none for GLIBC_PRIVATE and its like.
+/// Parses `2.34` as numbers, so that 2.4 comes before 2.34; `None` for names such as GLIBC_PRIVATE.
 fn numbers(version: &str) -> Option<Vec<u32>> {
     version.split('.').map(|part| part.parse().ok()).collect()
 }

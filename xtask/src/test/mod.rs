@@ -1,4 +1,4 @@
-//! `cargo xtask test`: what is checked, step by step; the first failure ends it.
+//! `cargo xtask test`: the checks, step by step; stops at the first failure.
 
 mod python;
 mod rust;
@@ -14,22 +14,22 @@ use std::path::{Path, PathBuf};
 use std::thread::{self, ScopedJoinHandle};
 use steps::Steps;
 
-/// How much is checked. Each level holds the ones before it.
+/// Extent of the checks. Each level contains the ones before it.
 #[derive(Clone, Copy, PartialEq, PartialOrd)]
 pub(crate) enum Level {
-    /// What Rust and Python alone can check.
+    /// Checks that need only Rust and Python.
     Usual,
-    /// Also what needs Debian packages: CI.
+    /// Also checks that need Debian packages; CI runs this level.
     Full,
-    /// Also tests that are too long for every run, all platforms and the live page.
+    /// Also long tests, all platforms and the live page.
     Nightly,
 }
 
-/// Parts that `--full` adds, for the last line of the short form.
+/// Parts that only `--full` runs, for the last line of the short form.
 const LEFT_OUT: &str = "`--full`, as CI runs it: browsers, mosquitto, masters other than FMPy, a forced panic, a foreign locale, memory and threads \
      under valgrind, instructions per step; `--nightly`: tests that are too long for every run";
 
-/// Programs that `--full` needs, and the Debian package of each.
+/// Programs that `--full` needs, with their Debian packages.
 const FULL_NEEDS: [(&str, &str); 7] = [
     ("chromium", "chromium"),
     ("chromedriver", "chromium-driver"),
@@ -43,16 +43,16 @@ const FULL_NEEDS: [(&str, &str); 7] = [
 /// Version of the master fmi-sim, and the packages that its build needs.
 const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/libclang.so", "libclang-14-dev")]);
 
-/// Programs that `--platforms` needs on top of those that build.
+/// Programs that `--platforms` needs in addition to the build's.
 const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
 
-/// Programs that `--page` needs on top of those that build the page.
+/// Programs that `--page` needs in addition to the build's.
 const PAGE_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("node", "nodejs")];
 
-/// The scene of a unit of one's own, which the Python tests look at, and the unit's name.
+/// Scene and name of the unit of one's own that the Python tests use.
 const OWN: (&str, &str) = ("tests/data/own_machine.json", "OwnMachine");
 
-/// The Rust tests that go through the C functions and are run under valgrind: a short sample, and all.
+/// The Rust tests of the C functions that run under valgrind: a short sample, and all.
 const C_TESTS: (&str, &str) = ("fmi_lifecycle", "fmi_");
 
 /// Runs a level.
@@ -65,7 +65,7 @@ pub(crate) fn test(level: Level) -> Result<()> {
         process::need("cargo xtask test --nightly", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
         process::need("cargo xtask test --nightly", ".ci/setup-page", &PAGE_NEEDS)?;
     }
-    // Python packages are fetched meanwhile: the network has its own pace. A step that fails waits for them, so that none is left half installed.
+    // Python packages are fetched in parallel, because the network is slow. A failed step waits for them, so that none is half installed.
     thread::scope(|scope| {
         let packages = if full { Packages::Full } else { Packages::Usual };
         checked(level, scope.spawn(move || venv::python(packages).map(drop)))
@@ -84,7 +84,7 @@ pub(crate) fn test(level: Level) -> Result<()> {
 fn checked(level: Level, environment: ScopedJoinHandle<'_, Result<()>>) -> Result<()> {
     let (full, nightly) = (level >= Level::Full, level == Level::Nightly);
     let mut steps = Steps::begin();
-    // Optimised programs are linked by one core: the rest goes on beside them.
+    // Linking optimised programs uses one core, so other steps run beside it.
     let packed = process::start("package", process::program(std::env::current_exe()?).arg("package"))?;
     let instructions = if full { Some(process::start("instructions", &mut bench::instructions())?) } else { None };
     steps.run("format", || format::format(true))?;
@@ -122,12 +122,12 @@ fn checked(level: Level, environment: ScopedJoinHandle<'_, Result<()>>) -> Resul
     Ok(())
 }
 
-/// Writes the unit of one's own that the Python tests look at, beside the plain one.
+/// Writes the unit of one's own for the Python tests, beside the plain one.
 fn own(plain: &Path) -> Result<()> {
     package::package_own(plain, &paths::in_root(OWN.0), None)
 }
 
-/// Packs for all platforms, and runs each library against the one that [`test()`] judges.
+/// Packs for all platforms, and compares each library with the one tested by [`test()`].
 pub(crate) fn platforms() -> Result<()> {
     process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
     let mut steps = Steps::begin();
@@ -141,7 +141,7 @@ pub(crate) fn platforms() -> Result<()> {
     Ok(())
 }
 
-/// Makes the live page, compares its bits with those of the library that [`test()`] judges, and opens it in a browser.
+/// Makes the live page, compares its bits with the library tested by [`test()`], and opens it in a browser.
 pub(crate) fn page() -> Result<()> {
     process::need("cargo xtask test --page", ".ci/setup-page", &PAGE_NEEDS)?;
     let mut steps = Steps::begin();
@@ -153,7 +153,7 @@ pub(crate) fn page() -> Result<()> {
     Ok(())
 }
 
-/// Builds fmi-sim, a master in Rust that shares no code with this library, and lets it drive the packed unit.
+/// Builds fmi-sim, a master in Rust without shared code, and drives the packed unit with it.
 pub(crate) fn fmi_sim() -> Result<()> {
     let (version, needs) = FMI_SIM;
     process::need("cargo xtask test --fmi-sim", ".ci/setup-fmi-sim", &needs)?;
@@ -170,8 +170,8 @@ pub(crate) fn fmi_sim() -> Result<()> {
     Ok(())
 }
 
-/// Builds the library so that fmi2CancelStep panics, and gives back its file. The dependencies are those of the Rust tests; the library
-/// itself is not optimised, because a panic at the C border does not depend on that.
+/// Builds a library in which fmi2CancelStep panics; returns its file. Dependencies are shared with the Rust tests. The library itself is
+/// not optimised, because a panic at the C border does not depend on it.
 fn panicking() -> Result<PathBuf> {
     let build = ["rustc", "--quiet", "--locked", "--lib", "--crate-type", "cdylib", "--message-format=json-render-diagnostics"];
     let messages =

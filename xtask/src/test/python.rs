@@ -11,21 +11,22 @@ use std::time::Duration;
 
 /// Selection of the tests.
 pub(super) enum Tests {
-    /// Those that need Python packages only.
+    /// Tests that need Python packages only.
     Usual,
-    /// Also those that need a browser, valgrind or a locale, and a library whose fmi2CancelStep panics.
+    /// Also tests that need a browser, valgrind or a locale, and a library in which fmi2CancelStep panics.
     Full { panicking: PathBuf },
-    /// Also those that are too long for every run.
+    /// Also long tests.
     Nightly { panicking: PathBuf },
-    /// The usual ones, on a unit for all platforms, and those that compare its libraries.
+    /// The usual tests on a unit for all platforms, and tests that compare its libraries.
     Platforms,
-    /// The test of fmi-sim alone.
+    /// Only the test of fmi-sim.
     FmiSim,
-    /// The tests of the live page alone.
+    /// Only the tests of the live page.
     Page,
 }
 
-/// Runs the tests on the packed units, the plain one and one of one's own. pytest.ini leaves out those that need more than Python packages.
+/// Runs the tests on the packed units: the plain one and one of one's own. By default pytest.ini excludes tests that need more than
+/// Python packages.
 pub(super) fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<Vec<Timed>> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
@@ -38,7 +39,7 @@ pub(super) fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<Vec<Timed>
     let report = paths::in_root("target/pytest/report.xml");
     let mut command = venv::python(packages)?;
     command
-        // More processes than two would make browsers late. A process that runs out of tests takes some of the other's.
+        // More than two processes would make browsers late. A process without tests left takes some from the other.
         .args(["-m", "pytest", "tests/python", "--quiet", "--numprocesses", "2", "--dist", "worksteal"])
         .arg(format!("--junit-xml={}", report.display()))
         .arg("--override-ini")
@@ -69,7 +70,7 @@ pub(super) fn lints(full: bool) -> Result<()> {
     Ok(())
 }
 
-/// Names and times of the tests in a report of JUnit's form.
+/// Names and times of the tests in a JUnit report.
 fn times(report: &str) -> Result<Vec<Timed>> {
     let document = roxmltree::Document::parse(report)?;
     let tests = document.descendants().filter(|node| node.has_tag_name("testcase"));

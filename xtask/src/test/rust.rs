@@ -8,16 +8,16 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// A program of tests.
+/// A test program.
 pub(super) struct Program {
-    /// Name of the target: `integration`, or that of the crate.
+    /// Name of the target: `integration`, or the crate's name.
     name: String,
     file: PathBuf,
-    /// The folder of its package, in which cargo would run it.
+    /// The folder of its package, used as working directory as cargo does.
     folder: PathBuf,
 }
 
-/// Builds all programs of tests. Examples are built by the lints alone.
+/// Builds all test programs. Only the lints build examples.
 pub(super) fn build() -> Result<Vec<Program>> {
     let messages = process::run_for_output(
         process::cargo()
@@ -38,14 +38,14 @@ pub(super) fn build() -> Result<Vec<Program>> {
     Ok(programs)
 }
 
-/// Runs all tests, with `nightly` in their long form. Output of a program is shown if a test of it fails.
+/// Runs all tests, with `nightly` in their long form. If a test fails, shows its program's output.
 pub(super) fn run(programs: &[Program], nightly: bool) -> Result<Vec<Timed>> {
     let mut all = Vec::new();
     for program in programs {
         let begin = Instant::now();
         let mut command = process::program(&program.file);
         command.current_dir(&program.folder);
-        // The test harness of a stable toolchain tells no times unless it is asked as a nightly one.
+        // A stable test harness reports times only with unstable options.
         command.env("RUSTC_BOOTSTRAP", "1").args(["-Z", "unstable-options", "--report-time"]);
         if nightly {
             command.env("FIVEBAR_NIGHTLY", "1").env("PROPTEST_CASES", "1024");
@@ -64,7 +64,7 @@ pub(super) fn run(programs: &[Program], nightly: bool) -> Result<Vec<Timed>> {
     Ok(all)
 }
 
-/// The tests of `integration` with one of the names in their path, under valgrind's memory checker.
+/// The tests of `integration` that match one of the filters, under valgrind's memory checker.
 pub(super) fn memory(programs: &[Program], filters: &[&str]) -> Result<Command> {
     let integration = programs.iter().find(|program| program.name == "integration").context("there are no integration tests")?;
     let names = process::output(process::program(&integration.file).args(filters).arg("--list"))?;
@@ -80,7 +80,7 @@ pub(super) fn memory(programs: &[Program], filters: &[&str]) -> Result<Command> 
     Ok(command)
 }
 
-/// Tests that have passed, from lines such as `test kinks::a_stop ... ok <0.123s>`.
+/// Passed tests, from lines such as `test kinks::a_stop ... ok <0.123s>`.
 fn times(output: &str) -> Vec<Timed> {
     let line = |line: &str| {
         let (name, rest) = line.strip_prefix("test ")?.split_once(" ... ok <")?;

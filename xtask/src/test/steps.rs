@@ -1,18 +1,18 @@
-//! The steps of a test run with their times, and the slowest tests.
+//! Steps of a test run with their times, and the slowest tests.
 
 use anyhow::Result;
 use std::time::{Duration, Instant};
 
-/// How many of the slowest tests are shown.
+/// Number of slowest tests shown.
 const SLOWEST: usize = 20;
 
-/// A test and the time that it took.
+/// A test and its time.
 pub(super) struct Timed {
     pub(super) name: String,
     pub(super) time: Duration,
 }
 
-/// The steps done so far.
+/// Completed steps.
 pub(super) struct Steps {
     begin: Instant,
     done: Vec<Timed>,
@@ -24,7 +24,7 @@ impl Steps {
         Self { begin: Instant::now(), done: Vec::new(), tests: Vec::new() }
     }
 
-    /// Carries out one step. If it fails, the table of those before is shown.
+    /// Runs one step. If it fails, shows the table of steps before it.
     pub(super) fn run<T>(&mut self, name: &str, step: impl FnOnce() -> Result<T>) -> Result<T> {
         println!("\n== {name} ==");
         let start = Instant::now();
@@ -43,12 +43,10 @@ impl Steps {
         }
     }
 
-    /// Adds the times of tests.
     pub(super) fn add(&mut self, tests: Vec<Timed>) {
         self.tests.extend(tests);
     }
 
-    /// Shows the table.
     pub(super) fn show(&mut self) {
         println!("\n== times ==");
         for Timed { name, time } in &self.done {

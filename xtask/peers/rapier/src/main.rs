@@ -1,8 +1,7 @@
 //! rapier2d as a peer of `cargo xtask peers`: four links without shapes, five revolute joints.
 //!
-//! `peer-rapier JOINTS STEP SWEEPS ANGLE ANGLE ANGLE ANGLE`, JOINTS `impulse` or `multibody` (there the loop is closed by
-//! an impulse joint, for a multibody is a tree). Reads times, one a line; answers each with the processor's seconds so far, four
-//! angles and four rates.
+//! `peer-rapier JOINTS STEP SWEEPS ANGLE ANGLE ANGLE ANGLE`, JOINTS `impulse` or `multibody`. A multibody is a tree, so an impulse joint
+//! closes its loop. Reads times, one per line; answers each with the processor time so far, s, four angles and four rates.
 
 use cpu_time::ProcessTime;
 use rapier2d_f64::prelude::*;
@@ -15,7 +14,7 @@ const INERTIA: f64 = 6.23e-5;
 const BASE: f64 = 0.42;
 const GRAVITY: f64 = 9.81;
 
-/// Left leg, right leg: the proximal link's place among the angles, the distal one's, the motor's place along x.
+/// Left leg, right leg: index of the proximal link's angle, of the distal link's angle, and x of the motor.
 const LEGS: [(usize, usize, f64); 2] = [(0, 1, 0.0), (3, 2, BASE)];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -48,13 +47,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The links in the order of their angles.
+/// The links in order of their angles.
 fn build(world: &mut PhysicsWorld, angles: &[f64], multibody: bool) -> [RigidBodyHandle; 4] {
     let arm =
         |from: f64, to: f64| RevoluteJointBuilder::new().local_anchor1(Vector::new(from, 0.0)).local_anchor2(Vector::new(to, 0.0));
     let (mut links, mut joints) = ([RigidBodyHandle::invalid(); 4], Vec::new());
     for (near, far, motor) in LEGS {
-        // A ground for each leg: with one for both they are a single multibody, which is a tenth slower.
+        // A ground for each leg: with a common ground they form a single multibody, which is a tenth slower.
         let ground = world.insert_body(RigidBodyBuilder::fixed());
         let mut place = Vector::new(motor, 0.0);
         let (mut carrier, mut at, mut turned) = (ground, motor, 0.0);
@@ -62,7 +61,7 @@ fn build(world: &mut PhysicsWorld, angles: &[f64], multibody: bool) -> [RigidBod
             let properties = MassProperties::new(Vector::new(COM, 0.0), MASS, INERTIA);
             let body = RigidBodyBuilder::dynamic().translation(place).rotation(angles[i]).can_sleep(false);
             links[i] = world.insert_body(body.additional_mass_properties(properties));
-            // A multibody joint begins at its zero: the frame on the carrier is turned so that this is where the link stands.
+            // A multibody joint starts at its zero, so the frame on the carrier is turned to the link's start angle.
             let mut joint = arm(at, 0.0).build();
             joint.data.set_local_frame1(Pose::new(Vector::new(at, 0.0), angles[i] - turned));
             if multibody {
@@ -76,7 +75,7 @@ fn build(world: &mut PhysicsWorld, angles: &[f64], multibody: bool) -> [RigidBod
         }
     }
     for joint in joints {
-        // Rotations of multibodies are damped unless told otherwise.
+        // By default rapier damps rotations of multibodies.
         world.multibody_joints.get_mut(joint).expect("it was just made").0.damping_mut().fill(0.0);
     }
     world.insert_impulse_joint(links[1], links[2], arm(LENGTH, LENGTH));
