@@ -1,4 +1,4 @@
-"""Calibration by `fivebar calibrate` of a machine that MuJoCo simulates (machine.py), beside the true values."""
+"""Calibration by `fivebar calibrate` of a machine simulated in MuJoCo (machine.py), compared with the true values."""
 
 import json
 import subprocess
@@ -10,11 +10,11 @@ import numpy as np
 import machine
 
 SECONDS = 10.0
-"""Of the record that are used: a part of the motion without a push."""
+"""Length of the used part of the record, s, without pushes."""
 
 
 def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth: machine.Truth) -> dict[str, object]:
-    """Values, half-widths of their 95 % bars and what is true, by variable; residuals; the command's warning, if it has one."""
+    """Values, half-widths of their 95 % intervals and true values, by variable; residuals; a warning of the command, if any."""
     begin = _quiet(rows, kinds)
     command = [
         sys.executable,
@@ -59,7 +59,7 @@ def calibrate(folder: Path, fmu: Path, rows: np.ndarray, kinds: list[str], truth
 
 
 def _quiet(rows: np.ndarray, kinds: list[str]) -> float:
-    """Begin, s, of the part in which the machine moves most and is not pushed."""
+    """Start, s, of the part with the most motion and no push."""
     count = round(SECONDS / machine.SAMPLE)
     pushed, moving = np.hypot(rows[:, 7], rows[:, 8]) > 0, np.isin(kinds, ["pick", "sines"])
     starts = range(0, len(rows) - count, round(1 / machine.SAMPLE))
@@ -68,7 +68,7 @@ def _quiet(rows: np.ndarray, kinds: list[str]) -> float:
 
 
 def true_values(truth: machine.Truth) -> dict[str, float]:
-    """True values, by the unit's names."""
+    """True values, by the names of the unit's variables."""
     named = {f"link[{i}].length": float(value) for i, value in enumerate(truth.length, 1)}
     named |= {f"link[{i}].mass": float(value) for i, value in enumerate(truth.mass, 1)}
     named |= {f"viscous.b[{i}]": float(value) for i, value in enumerate(truth.viscous, 1)}
@@ -78,7 +78,7 @@ def true_values(truth: machine.Truth) -> dict[str, float]:
 
 
 def show(found: dict[str, object]) -> str:
-    """Found and true values as lines of a table."""
+    """Estimated and true values as lines of a table."""
     if "values" not in found:
         return f"calibration from {found['from, s']:g} s on: exit code {found['exit code']}"
     lines = ["| variable | believed | true | found | 95 % bar | inside |", "| --- | ---: | ---: | ---: | ---: | --- |"]

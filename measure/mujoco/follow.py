@@ -1,4 +1,4 @@
-"""The unit follows a machine that MuJoCo simulates (machine.py): errors, bands, forecasts, alarms and a calibration, by what a user would set and nothing more.
+"""The unit follows a machine simulated in MuJoCo (machine.py): errors, bands, forecasts, alarms and a calibration, with only a user's settings.
 
 python follow.py --fmu target/fmu/FiveBar.fmu --minutes 20 --seed 1 --out target/mujoco
 """
@@ -23,28 +23,28 @@ from fivebar.drawing import STYLE
 from fivebar.slave import Log, get_values, instantiate, set_values
 
 STEP = 1e-3
-"""Of the unit and between its communication points, s."""
+"""Step of the unit and communication interval, s."""
 
 TICKS = round(machine.SAMPLE / STEP)
-"""Communication points between two samples."""
+"""Communication points per sample."""
 
 HORIZONS = (0.1, 0.3, 0.5)
-"""Of forecasts, s."""
+"""Horizons of forecasts, s."""
 
 EVERY = 0.5
-"""Between forecasts, s."""
+"""Interval of forecasts, s."""
 
 INSIDE = 5.991
 """95 % quantile of the chi-squared distribution with two degrees of freedom."""
 
 LOST = 0.01
-"""Error of the tip from which on a machine counts as lost, m, if it is also three half-widths off."""
+"""Error of the tip, m, above which the machine counts as lost, if it also exceeds three half-widths."""
 
 ALARM = 0.5
-"""An alarm counts as that of a push up to this time after it, s."""
+"""An alarm is attributed to a push up to this time after it, s."""
 
 ESTIMATE = ("tip.x", "tip.y", "estimated.tip.cov[1]", "estimated.tip.cov[2]", "estimated.tip.cov[3]", "estimated.alarm")
-"""Variables that are read at each sample; the first five also from forecasts."""
+"""Variables read at each sample; the first five also from forecasts."""
 
 STATUS = "estimated.status"
 
@@ -55,16 +55,16 @@ LEARNED |= {f"link[{i}].length": f"estimated.length[{i}]" for i in range(1, 5)} 
     "base.distance": "estimated.length[5]"
 }
 LEARNED |= {f"encoder.offset[{i}]": f"estimated.offset[{i}]" for i in (1, 2)}
-"""Parameters that a unit learns if it is told to, and the variables that say what it has learned."""
+"""Parameters that a unit can learn, with the variables of the learned values."""
 
 QUANTILE = 1.96
 """95 % of a normal variable are within this many standard deviations."""
 
 
 class Unit:
-    """The unit as a user sets it for this machine; with `learn` it learns masses, viscous friction, lengths and mounting angles.
+    """The unit with a user's settings for this machine; with `learn` it learns masses, viscous friction, lengths and mounting angles.
 
-    A unit learns from samples without delay. One that learns runs behind the machine by the delay of the bus, and takes a sample as of its own time.
+    Learning requires samples without delay. A unit that learns therefore lags behind the machine by the delay of the bus and treats each sample as current.
     """
 
     def __init__(self, fmu: Path, learn: bool = False):
@@ -84,9 +84,9 @@ class Unit:
         values |= {f"estimator.quantum[{i}]": machine.QUANTUM for i in (1, 2)}
         values |= {
             "estimator.enabled": True,
-            # The user knows the delay of the bus, and that stamps are not exact.
+            # The user knows the delay of the bus, and that time stamps are inexact.
             "estimator.maxDelay": 0 if learn else machine.SAMPLE,
-            # A workshop gives 0.2 mm and 2 mrad.
+            # Tolerances of a workshop: 0.2 mm and 2 mrad.
             "estimator.sigma0.length": 2e-4,
             "estimator.sigma0.offset": 2e-3,
             "estimator.sigma0.theta": 0.01,
@@ -108,20 +108,20 @@ class Unit:
         return next(v for v in self.model.modelVariables if v.name == name)
 
     def set(self, names: tuple[str, ...], values) -> None:
-        """Inputs."""
+        """Sets inputs."""
         self.slave.setReal([self.reference[name] for name in names], [float(value) for value in values])
 
     def step(self, ticks: int = 1) -> None:
-        """To the next communication point, `ticks` steps away."""
+        """Steps to the communication point `ticks` steps ahead."""
         self.slave.doStep(self.time, ticks * STEP)
         self.time += ticks * STEP
 
     def read(self, names: tuple[str, ...]) -> list[float]:
-        """Reals."""
+        """Reads Reals."""
         return self.slave.getReal([self.reference[name] for name in names])
 
     def learned(self, truth: machine.Truth) -> dict[str, dict[str, float]]:
-        """Learned values and half-widths of their 95 % bands, beside true values."""
+        """Learned values and half-widths of their 95 % bands, with the true values."""
         true = calibrate.true_values(truth)
         told = {}
         for name, variable in LEARNED.items():
@@ -146,9 +146,9 @@ MEASURED = ("measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measu
 
 
 def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int], dict[float, np.ndarray]]:
-    """Outputs of the unit at each sample: `ESTIMATE`, its status; for each horizon the forecasts, with the index of the sample of their end.
+    """Outputs of the unit at each sample (`ESTIMATE`), its status, and for each horizon the forecasts with the index of the sample at their end.
 
-    A sample arrives `machine.DELAY` after it has been taken.
+    A sample arrives `machine.DELAY` after it was taken.
     """
     wait = 0 if unit.learns else round(machine.DELAY / STEP)
     said, statuses = [], []
@@ -180,7 +180,7 @@ def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int
 
 
 def judge(said: np.ndarray, tips: np.ndarray) -> dict[str, np.ndarray]:
-    """Errors of tips, m, half-widths of the 95 % ellipses along their major axis, m, and whether the truth is inside."""
+    """Errors of the tip, m, half-widths of the 95 % ellipses along their major axis, m, and whether the truth is inside."""
     (dx, dy), (xx, xy, yy) = (tips - said[:, :2]).T, said[:, 2:5].T
     middle, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     inside = dx**2 * yy - 2 * dx * dy * xy + dy**2 * xx <= INSIDE * (xx * yy - xy**2)
@@ -238,13 +238,13 @@ def _row(found: dict[str, np.ndarray], which) -> dict[str, float]:
         "error, mm, 95 %": round(1e3 * float(np.quantile(part["error"], 0.95)), 4),
         "half-width, mm, median": round(1e3 * float(np.median(part["half"])), 4),
         "inside, %": round(100 * float(part["inside"].mean()), 1),
-        # A half-width this many times as large would cover 95 %.
+        # Half-widths multiplied by this would cover 95 %.
         "band too narrow by": round(float(np.quantile(part["error"] / part["half"], 0.95)), 1),
     }
 
 
 def draw(path: Path, rows, true, said, ahead) -> None:
-    """Half a minute of the run: errors of the tip beside their bands, forecasts, the unit's alarm and the pushes that it was not told of."""
+    """Half a minute of the run: errors of the tip with their bands, forecasts, the unit's alarm and the pushes, which are unknown to the unit."""
     found = judge(said, true[:, 3:5])
     time = true[:, 0]
     begin = next((t for t, push in zip(time, np.hypot(rows[:, 7], rows[:, 8]), strict=True) if push > 0), 15.0) - 10.0
@@ -276,7 +276,7 @@ def draw(path: Path, rows, true, said, ahead) -> None:
 
 
 def write(folder: Path, truth: machine.Truth, rows, true) -> None:
-    """The record as a table for `fivebar calibrate`, the scene that is believed, and what is true."""
+    """Writes the record as a table for `fivebar calibrate`, the assumed scene, and the true values."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "believed.json").write_text(json.dumps(machine.believed(), indent=1) + "\n")
     (folder / "truth.json").write_text(
@@ -313,7 +313,7 @@ def show(figures: dict[str, object]) -> str:
 
 
 def main() -> None:
-    """Makes the record, follows it, prints and writes what was found."""
+    """Makes the record, follows it, prints and writes the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fmu", type=Path, required=True)
     parser.add_argument("--minutes", type=float, default=20)

@@ -1,7 +1,7 @@
-"""A five-bar in MuJoCo that nobody modelled for FiveBar: play at the tip, soft links, friction, ripple of the motors' torque, eccentric encoders, late and
-irregular samples, lengths, masses and offsets that differ from what is believed. A seed determines all of it.
+"""A five-bar in MuJoCo, independent of FiveBar's model: play at the tip, soft links, friction, torque ripple, eccentric encoders, late and irregular samples, and
+lengths, masses and offsets that differ from the assumed ones. A seed determines all of it.
 
-`cargo xtask mujoco` calls `record`, writes what the machine shows as a table and what is true beside it, and lets the unit follow (follow.py).
+`cargo xtask mujoco` calls `record`, writes the machine's samples and the true values as tables, and lets the unit follow (follow.py).
 """
 
 from collections.abc import Iterator
@@ -12,49 +12,49 @@ import mujoco
 import numpy as np
 
 STEP, DRIVE = 2.5e-4, 5e-4
-"""Of MuJoCo; of the drives, whose torque is held in between, s."""
+"""Step of MuJoCo; interval of the drives' torque updates, s."""
 
 SAMPLE = 5e-3
-"""Between samples and between orders to the drives, s: 200 Hz."""
+"""Interval of samples and of setpoints for the drives, s: 200 Hz."""
 
 GRAVITY = 9.81
 """m/s², along −y: the machine stands upright."""
 
-# Believed parameters of the machine: the scene that the unit is given.
+# Assumed parameters of the machine, as in the unit's scene.
 BASE, LENGTH, MASS, COM, INERTIA = 0.1, 0.21, 0.017, 0.105, 6.23e-5
 KP, KD, LIMIT, ROTOR = 6.0, 0.09, 0.6, 5e-5
-"""Of the drives: N·m/rad, N·m·s/rad, N·m, kg·m²."""
+"""Gains, torque limit and rotor inertia of the drives: N·m/rad, N·m·s/rad, N·m, kg·m²."""
 
 HOME = (2.0, 1.14)
-"""Angles of the motors at the start, rad."""
+"""Motor angles at the start, rad."""
 
 APART = (0.07, 0.385)
-"""Distance of the elbows on planned motions, m. Distal links in line, or one on the other, are at 0.42 and 0."""
+"""Range of the distance between the elbows on planned motions, m. The direct singularities are at 0.42 (distal links in line) and 0 (folded)."""
 
-# Differences of the true machine, each drawn uniformly within plus or minus this, or as said.
+# Errors of the true machine, each uniform within plus or minus the value, unless stated otherwise.
 OFF_LENGTH, OFF_MASS = 1e-3, 0.05
-"""Relative, of each link."""
+"""Relative errors of each link."""
 OFF_BASE = 1e-4
-"""Of the distance of the motors, m."""
+"""Error of the distance between the motors, m."""
 OFF_OFFSET = 1e-3
-"""Of the encoders' zero, rad."""
+"""Error of the encoders' zero, rad."""
 ECCENTRICITY = (1e-4, 5e-4)
-"""Amplitude of the encoders' error once a turn, rad."""
+"""Range of the amplitude of the encoders' error once per turn, rad."""
 VISCOUS, COULOMB = (0.0, 2e-5), (0.0, 4e-4)
-"""Of each joint, N·m·s; of the motors, N·m."""
+"""Ranges of viscous friction of each joint, N·m·s, and of Coulomb friction of the motors, N·m."""
 RIPPLE, COGGING, SLOTS = (0.0, 0.03), (0.0, 5e-4), 21
-"""Relative ripple and cogging torque of the motors, N·m, with periods a turn."""
+"""Ranges of relative torque ripple and of cogging torque of the motors, N·m, and periods per turn."""
 PLAY, FLEXURE = 2e-5, 60.0
 """Play of the pin at the tip to each side, m; stiffness of each link at its middle, N·m/rad."""
 DELAY, JITTER = 2e-3, 2e-4
-"""Of samples, s: constant; standard deviation of what stamps do not know."""
+"""Delay of samples, s: constant part, and standard deviation that is not in the time stamps."""
 QUANTUM = tau / 65536
-"""Step of the encoders, rad."""
+"""Resolution of the encoders, rad."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A machine as drawn: lengths, m, and masses, kg, of links 1 to 4; distance of the motors, m; the rest of the motors or joints."""
+    """A random machine: lengths, m, and masses, kg, of links 1 to 4; distance of the motors, m; other fields per motor or joint."""
 
     length: np.ndarray
     mass: np.ndarray
@@ -69,7 +69,7 @@ class Truth:
 
 
 def draw(random: np.random.Generator) -> Truth:
-    """A machine at random."""
+    """Draws a random machine."""
     return Truth(
         length=LENGTH * (1 + random.uniform(-OFF_LENGTH, OFF_LENGTH, 4)),
         mass=MASS * (1 + random.uniform(-OFF_MASS, OFF_MASS, 4)),
@@ -85,7 +85,7 @@ def draw(random: np.random.Generator) -> Truth:
 
 
 def believed() -> dict[str, object]:
-    """The scene that a user would write for this machine, from its drawing and its encoders' data sheet."""
+    """The scene that a user would write for this machine, from its drawing and the encoders' data sheet."""
     scene: dict[str, object] = {
         "description": "A machine simulated by MuJoCo, as its user believes it to be.",
         "experiment": {"stopTime": 1200, "stepSize": SAMPLE},
@@ -113,15 +113,15 @@ def believed() -> dict[str, object]:
 
 
 def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray, str]]:
-    """Angles, rad, and rates, rad/s, that the drives are told at each sample, with the kind of motion: picks, sines, steps and rest in turn, of random
-    places, sizes and durations. The elbows stay between `APART`, so that the links are away from their singular configurations."""
+    """Setpoints of the drives at each sample: angles, rad, and rates, rad/s, with the kind of motion. Picks, sines, steps and rest alternate, with random places,
+    sizes and durations. The distance between the elbows stays in `APART`, so that the links avoid their singular configurations."""
     angles, rates = np.array(HOME), np.zeros(2)
     left = round(seconds / SAMPLE)
     while left > 0:
         kind = random.choice(["pick", "sines", "steps", "rest"], p=[0.45, 0.3, 0.15, 0.1])
         count = min(left, round(random.uniform(2, 8) / SAMPLE))
         if kind == "sines":
-            # A sum of two sines that begins and ends gently, on the way to the start's place.
+            # A sum of two sines with smooth beginning and end, starting from the current position.
             size, speed, phase = (
                 random.uniform(0.03, 0.2, (2, 2)),
                 random.uniform(0.8, 6.0, (2, 2)),
@@ -149,7 +149,7 @@ def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarr
                 return here, np.zeros(2)
 
         else:
-            # From place to place: by minimum jerk, or at once, as an operator jogs a machine.
+            # From place to place: by minimum jerk, or at once, like an operator who jogs a machine.
             duration = random.uniform(0.35, 1.2) if kind == "pick" else 0.12
             reach = 0.6 if kind == "pick" else 0.12
             places = [angles.copy()]
@@ -173,7 +173,7 @@ def plan(seconds: float, random: np.random.Generator) -> Iterator[tuple[np.ndarr
 
 
 def _apart(angles: np.ndarray) -> bool:
-    """Whether the elbows are as far from each other as `APART` allows."""
+    """Whether the distance between the elbows is within `APART`."""
     (p, q), (least, most) = angles, APART
     return least < np.hypot(BASE + LENGTH * (np.cos(q) - np.cos(p)), LENGTH * (np.sin(q) - np.sin(p))) < most
 
@@ -200,14 +200,14 @@ COLUMNS = (
     "tip.fx",
     "tip.fy",
 )
-"""Of a record: the stamp of a sample, s, what the encoders show, what the drives were told from then on; the push that nobody tells the unit, N."""
+"""Columns of a record: time stamp of a sample, s; encoder readings; setpoints from then on; the push, N, which is unknown to the unit."""
 
 TRUE = ("time", "theta[1]", "theta[2]", "tip.x", "tip.y")
-"""Of what is true: time, s, at which the sample was taken; angles of the motors, rad; the middle of the pin, m."""
+"""Columns of the truth: time of the sample, s; motor angles, rad; middle of the pin, m."""
 
 
 def record(seconds: float, seed: int, progress=lambda done: None) -> tuple[Truth, np.ndarray, np.ndarray, list[str]]:
-    """A machine, a table with `COLUMNS`, what is true with `TRUE`, and the kind of motion for each sample."""
+    """A machine, its record (`COLUMNS`), the truth (`TRUE`), and the kind of motion for each sample."""
     random = np.random.default_rng(seed)
     truth = draw(random)
     model = mujoco.MjModel.from_xml_string(_xml(truth))
@@ -240,7 +240,7 @@ def record(seconds: float, seed: int, progress=lambda done: None) -> tuple[Truth
 
 
 def _pushes(seconds: float, random: np.random.Generator) -> list[tuple[float, float, np.ndarray]]:
-    """Pushes of 0.2 to 0.8 N at the tip for 0.1 to 0.6 s, one every half a minute or so: begin, end, s, force, N."""
+    """Pushes of 0.2 to 0.8 N at the tip for 0.1 to 0.6 s, about one every half minute: begin, end, s, force, N."""
     found, time = [], 20.0
     while time < seconds:
         direction, size, length = random.uniform(0, tau), random.uniform(0.2, 0.8), random.uniform(0.1, 0.6)
@@ -250,7 +250,7 @@ def _pushes(seconds: float, random: np.random.Generator) -> list[tuple[float, fl
 
 
 def _drive(model, data, truth: Truth, motors: list[int], told: tuple[np.ndarray, np.ndarray]) -> None:
-    """Torques of the drives by their own encoders, N·m: the law that the unit has as its servo, with ripple and cogging."""
+    """Torques of the drives from their own encoders, N·m: the unit's servo law, with ripple and cogging."""
     theta, omega = data.qpos[motors], data.qvel[motors]
     shown = theta + truth.offset + truth.eccentricity * np.sin(theta + truth.phase)
     torque = LIMIT * np.tanh((KP * (told[0] - shown) + KD * (told[1] - omega)) / LIMIT)
@@ -260,7 +260,7 @@ def _drive(model, data, truth: Truth, motors: list[int], told: tuple[np.ndarray,
 
 
 def _assemble(model, data, truth: Truth) -> None:
-    """The loop closed at the start, by Newton's method over the distal links; motors at the angles that the drives are told."""
+    """Closes the loop at the start by Newton's method over the distal links; the motors are at their setpoints."""
     (p, q), (a, b, c, d) = HOME, truth.length
     elbows = np.array([[a * np.cos(p), a * np.sin(p)], [truth.base + d * np.cos(q), d * np.sin(q)]])
     arrow = elbows[1] - elbows[0]
@@ -275,12 +275,12 @@ def _assemble(model, data, truth: Truth) -> None:
 
 
 def _xml(truth: Truth) -> str:
-    """Links of two halves with a stiff hinge between them; the pin slides within its play at the end of the left leg, and the right leg holds it."""
+    """Each link consists of two halves with a stiff hinge between them. The pin slides within its play at the end of the left leg; the right leg carries it."""
 
     def link(i: int, joint: str, damping: float, motor: str, inner: str, at: str) -> str:
         length, mass = truth.length[i], truth.mass[i]
         half, part = length / 2, mass / 2
-        # Two uniform rods of half the length, and discs at their middles for the rest of the inertia.
+        # Two uniform rods of half the length, with discs at their middles for the remaining inertia.
         about = max((INERTIA * mass / MASS - 2 * part * (half / 2) ** 2) / 2, part * half**2 / 12)
         body = f'<inertial pos="{half / 2} 0 0" mass="{part}" diaginertia="{about} {about} {about}"/>'
         return (

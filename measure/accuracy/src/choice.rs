@@ -1,4 +1,4 @@
-//! Methods with their settings: the markers on the lines of the diagrams.
+//! Methods with their settings; each is a marker in the diagrams.
 
 use hard_cases::Setting;
 
@@ -7,11 +7,11 @@ use crate::Extent;
 /// A method with its step or tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
-    /// Name of the line.
+    /// Name of its line in the diagrams.
     pub method: &'static str,
-    /// `step` or `tolerance`.
+    /// Name of the varied setting: `step` or `tolerance`.
     pub knob: &'static str,
-    /// s or rad.
+    /// Unit of `value`: s or rad.
     pub unit: &'static str,
     /// Step or tolerance, in `unit`.
     pub value: f64,
@@ -19,7 +19,7 @@ pub struct Choice {
     pub setting: Setting,
 }
 
-/// A line of a diagram: method, name of the varied setting, its unit, its values, and the setting for each.
+/// A line of a diagram: method, name of the varied setting, its unit, its values, and the setting of each value.
 struct Line {
     method: &'static str,
     knob: &'static str,
@@ -28,7 +28,7 @@ struct Line {
     setting: fn(f64) -> Setting,
 }
 
-/// Steps that divide 1 ms, or are multiples of it.
+/// Divisors and multiples of 1 ms.
 const STEPS: &[f64] = &[4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5, 1e-5];
 
 const LINES: [Line; 7] = [
@@ -60,7 +60,7 @@ const LINES: [Line; 7] = [
 ];
 
 impl Choice {
-    /// All of them; `Quick`: every third value.
+    /// All choices; `Quick`: every third value.
     pub fn all(extent: Extent) -> Vec<Self> {
         let stride = if extent == Extent::Full { 1 } else { 3 };
         let of = |line: &Line| {
@@ -70,7 +70,7 @@ impl Choice {
         LINES.iter().flat_map::<Vec<Self>, _>(of).collect()
     }
 
-    /// The cells by which it is known in every table.
+    /// The cells that identify the choice in every table.
     pub fn cells(&self) -> [String; 4] {
         [self.method.into(), self.knob.into(), format!("{:e}", self.value), self.unit.into()]
     }

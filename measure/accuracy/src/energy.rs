@@ -1,4 +1,4 @@
-//! Energy over 50 s of free fall, which stays meaningful beyond the predictability horizon.
+//! Energy over 50 s of free fall; it stays meaningful beyond the predictability horizon.
 
 use std::time::Instant;
 
@@ -8,13 +8,13 @@ use hard_cases::mgl;
 use crate::choice::HEAD;
 use crate::{COMMUNICATION, Choice, Extent, Folder, Run, scene};
 
-/// The scene that is followed for long.
+/// The scene of the long run.
 const SCENE: &str = "fall_90_120";
-/// Runs of each choice; of every stretch between two looks the median of their times counts.
+/// Runs of each choice. For each stretch between two reads the median of its times counts.
 const ROUNDS: usize = 3;
-/// Time between two looks at the energy, s.
+/// Time between two reads of the energy, s.
 const STRIDE: f64 = 0.01;
-/// Shorter steps and tighter tolerances than these take minutes over 50 s and show nothing new.
+/// Shorter steps and tighter tolerances would take minutes over 50 s and show nothing new.
 const SHORTEST: f64 = 2.5e-5;
 const TIGHTEST: f64 = 1e-12;
 

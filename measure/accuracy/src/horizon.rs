@@ -1,4 +1,4 @@
-//! The predictability horizon: how long a run stays near the exact motion, by tolerance or step.
+//! The predictability horizon: time for which a run stays near the exact motion, by tolerance or step.
 
 use anyhow::{Context, Result};
 use hard_cases::Setting;
@@ -6,18 +6,18 @@ use hard_cases::Setting;
 use crate::choice::HEAD;
 use crate::{Choice, Extent, Folder, Run, scene};
 
-/// The scene: the whips of a free fall.
+/// The scene: fast whips of a free fall.
 const SCENE: &str = "fall_90_120";
-/// Tips that are further apart than this, m, have parted.
+/// Distance between tips, m, above which runs count as diverged.
 const APART: f64 = 1e-3;
-/// The best that there is, rad.
+/// The most accurate setting, rad.
 const BEST: Setting = Setting::Dop853(1e-14);
-/// A run with other rounding and error control, rad: it parts from [`BEST`] where double precision ends.
+/// A run with different rounding and error control, rad; it diverges from [`BEST`] at the limit of double precision.
 const SECOND: Setting = Setting::Dop853(2e-14);
-/// All communication steps divide this, s.
+/// A multiple of all communication steps, s.
 const STRIDE: f64 = 4e-3;
 
-/// Writes `horizon.csv`, when each choice parts from the best run, and `growth.csv`, how two runs that are all but equal part.
+/// Writes `horizon.csv`, the time when each choice diverges from the best run, and `growth.csv`, the distance of two nearly equal runs.
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let end = if extent == Extent::Full { 12.0 } else { 3.0 };
     let (parameters, inputs) = scene::load(SCENE, end)?;

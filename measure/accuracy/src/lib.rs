@@ -1,8 +1,8 @@
 //! Accuracy against wall time: every scene with a reference solution, by every method at many steps or tolerances.
 //!
-//! A [`Scene`] is a file of `scenes/` with a [`Reference`]; a [`Choice`] is a method with its step or tolerance. Results go to one
-//! CSV file each: [`precision`] (error against wall time), [`energy`] (50 s), [`horizon`] (how long a run can be trusted) and
-//! [`steps`] (wall time of single milliseconds). `cargo xtask report` draws them.
+//! A [`Scene`] is a file of `scenes/` with a [`Reference`]; a [`Choice`] is a method with its step or tolerance. Each result goes to a CSV
+//! file: [`precision`] (error against wall time), [`energy`] (50 s), [`horizon`] (time until a run diverges) and [`steps`] (wall time of
+//! single milliseconds). `cargo xtask report` draws them.
 
 pub mod choice;
 pub mod energy;
@@ -20,11 +20,11 @@ pub use run::{COMMUNICATION, Run};
 pub use scene::{Kind, Scene};
 pub use table::Folder;
 
-/// How much is measured.
+/// Extent of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
     /// Everything.
     Full,
-    /// A sample of everything, within seconds: for tests.
+    /// A sample of everything within seconds, for tests.
     Quick,
 }

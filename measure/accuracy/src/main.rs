@@ -1,4 +1,4 @@
-//! Measures accuracy against wall time and writes the tables; `cargo xtask report` builds it, calls it and draws them.
+//! Measures accuracy against wall time and writes the tables; `cargo xtask report` builds and runs it and draws the tables.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

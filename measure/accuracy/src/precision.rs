@@ -8,7 +8,7 @@ use fivebar::simulation::Counters;
 use crate::choice::HEAD;
 use crate::{COMMUNICATION, Choice, Extent, Folder, Run, Scene};
 
-/// Rounds over all choices.
+/// Number of timed rounds over all choices.
 fn rounds(extent: Extent) -> usize {
     match extent {
         Extent::Full => 9,
@@ -16,8 +16,8 @@ fn rounds(extent: Extent) -> usize {
     }
 }
 
-/// A run is timed lap by lap, s: short enough that most laps are not interrupted on a machine that has other things to do, long enough
-/// that the clock costs little; a multiple of every step, a divisor of every time of a reference.
+/// Length of the laps by which a run is timed, s. Short, so that on a loaded machine most laps run without interruption; long enough
+/// that reading the clock costs little; a multiple of every step and a divisor of all reference times.
 const LAP: f64 = 0.02;
 
 /// A choice on a scene.
@@ -26,12 +26,12 @@ struct Measured<'a> {
     choice: Choice,
     /// Largest distance of the tip from the reference, m; infinite if the run ended early.
     error: f64,
-    /// `complete`, why and when it ended early, or why it was left out.
+    /// `complete`, the reason and time of an early end, or the reason for leaving it out.
     ending: String,
     counters: Counters,
     /// Whether stability limited the steps of an explicit method.
     stiff: bool,
-    /// Wall times, s, lap by lap: one entry per round.
+    /// Wall times, s, by lap: one entry per round.
     laps: Vec<Vec<f64>>,
 }
 
@@ -49,7 +49,7 @@ pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
     let rounds = rounds(extent);
     for round in 1..rounds {
         eprintln!("precision: round {} of {rounds}, {} runs", round + 1, measured.len());
-        // Methods take turns, so that other load on the machine meets all of them.
+        // Methods alternate, so that other load on the machine affects all of them.
         for row in measured.iter_mut().filter(|row| row.error.is_finite()) {
             row.again()?;
         }
@@ -96,7 +96,7 @@ impl<'a> Measured<'a> {
         let whole = |round: usize| self.laps.iter().map(|lap| lap[round]).sum::<f64>();
         let worst = (0..rounds).map(whole).fold(0.0, f64::max);
         self.laps.iter_mut().for_each(|lap| lap.sort_by(f64::total_cmp));
-        // A run that ended early, or was left out, has no total time.
+        // A run that ended early or was left out has no total time.
         let sum = |of: fn(&[f64]) -> f64| if rounds == 0 { f64::NAN } else { self.laps.iter().map(|lap| of(lap)).sum() };
         let (median, best) = (sum(|lap| lap[lap.len() / 2]), sum(|lap| lap[0]));
         let Counters { substeps, rejected, iterations, .. } = self.counters;
@@ -111,7 +111,7 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The run to the end of the scene, its laps added to `laps`: the tip at the times of the reference, and how it ended.
+/// Runs to the end of the scene and adds wall times to `laps`; returns the tip at the reference times, and the ending.
 fn time(scene: &Scene, run: &mut Run, laps: &mut [Vec<f64>]) -> (Vec<[f64; 2]>, String) {
     let mut points = scene.reference.points.iter().peekable();
     let mut tips = Vec::with_capacity(scene.reference.points.len());

@@ -4,18 +4,18 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 
-/// Positions of the tip at some times, and how well they are known.
+/// Positions of the tip at given times, and their error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
     /// Time, s, and position, m.
     pub points: Vec<(f64, [f64; 2])>,
-    /// Source of the reference, in words.
+    /// Description of the source.
     pub source: String,
-    /// How far it may be off, m.
+    /// Error bound of the reference itself, m.
     pub own_error: f64,
 }
 
-/// The files agree with each other to 15 digits or more (see tests/data/reference/README.md), of positions below 1 m.
+/// The files agree to 15 digits or more (see tests/data/reference/README.md); positions are below 1 m.
 const QUADRUPLE: f64 = 1e-15;
 
 impl Reference {

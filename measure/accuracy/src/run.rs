@@ -1,4 +1,4 @@
-//! A scene under way, in communication steps as a master makes them.
+//! A run of a scene, in communication steps like a master's.
 
 use std::rc::Rc;
 
@@ -7,26 +7,26 @@ use fivebar::observers;
 use fivebar::simulation::{Inputs, Parameters, Simulation, StepFailure};
 use hard_cases::Setting;
 
-/// Communication step, s: longer internal steps make it longer.
+/// Communication step, s; longer if the internal step is longer.
 pub const COMMUNICATION: f64 = 1e-3;
 
-/// A scene by a method.
+/// A scene and a method.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// The simulation.
     pub simulation: Simulation,
-    /// Inputs held over each communication step; the last entry holds for all that follow.
+    /// Inputs, constant over each communication step; the last entry applies to all later steps.
     inputs: Rc<[Inputs]>,
     /// Macro step, s.
     step: f64,
     /// Macro steps per communication step.
     steps: u64,
-    /// Communication steps done.
+    /// Communication steps completed.
     done: u64,
 }
 
 impl Run {
-    /// At the start. More than one entry of `inputs` is refused for steps beyond 1 ms, over which a master cannot change them.
+    /// Starts a run. Refuses several entries of `inputs` with steps beyond 1 ms, because a master cannot change inputs during a step.
     pub fn new(parameters: &Parameters, inputs: &Rc<[Inputs]>, setting: Setting) -> Result<Self> {
         let mut parameters = parameters.clone();
         setting.apply(&mut parameters);
@@ -42,12 +42,12 @@ impl Run {
         self.step * self.steps as f64
     }
 
-    /// Time reached, s.
+    /// Current time, s.
     pub fn time(&self) -> f64 {
         self.communication() * self.done as f64
     }
 
-    /// One communication step.
+    /// Makes one communication step.
     #[inline]
     pub fn advance(&mut self) -> Result<(), StepFailure> {
         let inputs = &self.inputs[self.inputs.len().min(self.done as usize + 1) - 1];
@@ -56,7 +56,7 @@ impl Run {
         Ok(())
     }
 
-    /// On to the communication point nearest to `time` s.
+    /// Runs to the communication point nearest to `time` s.
     pub fn to(&mut self, time: f64) -> Result<(), StepFailure> {
         let target = (time / self.communication()).round() as u64;
         while self.done < target {

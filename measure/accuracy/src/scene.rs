@@ -1,4 +1,4 @@
-//! Scenes: the files of `scenes/`, and those that are judged against a reference.
+//! Scenes: files of `scenes/`, and the scenes judged against a reference.
 
 use std::rc::Rc;
 
@@ -15,20 +15,20 @@ use crate::{COMMUNICATION, Choice, Extent, Reference};
 pub enum Kind {
     /// No singularity near, no fast motion.
     Smooth,
-    /// Links whip round near singularities.
+    /// Links move fast near singularities.
     Whipping,
     /// Motion with effects: springs, payload, rotors, friction.
     Effects,
-    /// Stops and contacts, hit and left.
+    /// Stops and contacts that close and open.
     Impacts,
-    /// Loads far faster than the motion.
+    /// Loads much faster than the motion.
     Stiff,
     /// Inputs that change every millisecond.
     Driven,
 }
 
 impl Kind {
-    /// As it stands in the tables.
+    /// Name in the tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Smooth => "smooth",
@@ -41,34 +41,34 @@ impl Kind {
     }
 }
 
-/// A scene with the reference it is judged against.
+/// A scene with its reference.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Name of the file of `scenes/`, without its ending.
     pub name: &'static str,
     /// Kind of difficulty.
     pub kind: Kind,
-    /// How long it is followed, s.
+    /// Duration, s.
     pub end: f64,
     /// The machine, its start and its effects.
     pub parameters: Parameters,
-    /// Inputs held over each communication step; the last entry holds for all that follow.
+    /// Inputs, constant over each communication step; the last entry applies to all later steps.
     pub inputs: Rc<[Inputs]>,
-    /// Reference solution that the scene is judged against.
+    /// Reference solution.
     pub reference: Reference,
 }
 
 /// Name, kind, length (s), file of the reference.
 type Judged = (&'static str, Kind, f64, &'static str);
 
-/// The first of each kind is the one that docs/accuracy.md shows.
+/// docs/accuracy.md shows the first of each kind.
 const JUDGED: [Judged; 22] = [
     ("swing", Kind::Smooth, 2.0, "swing"),
     ("fall_90_120", Kind::Whipping, 1.0, "fall_90_120"),
     ("fall_90_120", Kind::Whipping, 2.0, "fall_90_120"),
     ("paper_torque", Kind::Whipping, 0.5, "torque"),
     ("paper_torque_gravity", Kind::Whipping, 1.0, "paper_torque_gravity"),
-    // The symmetry of this scene is not stable: by 2 s round-off has grown to 1e-8 m, and which setting stays below 1e-9 m is luck.
+    // The symmetric motion of this scene is unstable: by 2 s round-off has grown to 1e-8 m, and staying below 1e-9 m is luck.
     ("paper_free_fall", Kind::Whipping, 1.0, "paper_free_fall"),
     ("flat_table", Kind::Whipping, 3.0, "flat_table"),
     ("singular_crossing", Kind::Whipping, 0.4, "singular_crossing"),
@@ -88,11 +88,11 @@ const JUDGED: [Judged; 22] = [
     ("stick_slip", Kind::Driven, 4.0, "stick_slip"),
 ];
 
-/// Scenes of a quick run: one of each kind, but the smooth one, which is the longest.
+/// Scenes of a quick run: one of each kind, except the smooth one, which is the longest.
 const QUICK: [&str; 5] = ["fall_90_120", "spring_payload", "bounce", "stiff_servo", "pick_and_place"];
 
 impl Scene {
-    /// The scenes that have a reference; `Quick` leaves out those whose like is there.
+    /// The scenes that have a reference; `Quick`: only [`QUICK`].
     pub fn judged(extent: Extent) -> Result<Vec<Self>> {
         let wanted = |(name, _, end, _): &&Judged| extent == Extent::Full || (QUICK.contains(name) && *end < 2.0);
         JUDGED.iter().filter(wanted).map(Self::with_reference).collect()
@@ -103,8 +103,8 @@ impl Scene {
         Ok(Self { name, kind, end, parameters, inputs, reference: Reference::read(reference, end)? })
     }
 
-    /// Why a choice is not measured, if it is not: over a longer step inputs would be held for longer, which is another motion; and not
-    /// every method takes friction that sticks.
+    /// Reason for not measuring a choice, if any: a longer step would keep inputs constant for longer, a different motion; and not every
+    /// method supports friction that sticks.
     pub fn leaves_out(&self, choice: &Choice) -> Option<String> {
         let mut parameters = self.parameters.clone();
         choice.setting.apply(&mut parameters);
@@ -118,14 +118,14 @@ impl Scene {
         })
     }
 
-    /// Name and length, which identify the scene.
+    /// Name and duration, which identify the scene.
     pub fn title(&self) -> String {
         format!("{}, {} s", self.name, self.end)
     }
 }
 
-/// Parameters of a file of `scenes/`, and the inputs of each millisecond up to `end` s as references hold them. Without signals there
-/// is one entry, for all.
+/// Parameters of a file of `scenes/`, and the inputs of each millisecond up to `end` s, as the references use them. Without signals there
+/// is a single entry.
 pub(crate) fn load(name: &str, end: f64) -> Result<(Parameters, Rc<[Inputs]>)> {
     let file = File::read(name)?;
     let mut now = (default_parameters(), default_inputs());
@@ -157,7 +157,7 @@ mod tests {
     use super::*;
     use fivebar::simulation::{Method, Simulation};
 
-    /// Every scene by every method that checks its steps, at tolerances from loose to tight; the conserving one at two steps.
+    /// Every scene by every method with checked steps, at loose to tight tolerances; the conserving one at two steps.
     #[test]
     fn no_check_stops_a_shipped_scene() {
         let nightly = std::env::var_os("FIVEBAR_NIGHTLY").is_some();
@@ -177,7 +177,7 @@ mod tests {
                 let (mut parameters, inputs) = load(&name, 1e-3 * f64::from(milliseconds)).expect("a shipped scene");
                 let settings = &mut parameters.settings;
                 (settings.method, settings.error_tolerance, settings.step_size) = (method, tolerance, step);
-                // A fixed step cannot end where friction sticks.
+                // A fixed step cannot end at the instant when friction sticks.
                 let Ok(mut simulation) = Simulation::new(&parameters, &inputs[0]) else {
                     assert_eq!(method, Method::I3alpConserving, "{name}");
                     continue;
@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(parameters.geometry, default_parameters().geometry);
     }
 
-    /// 0.2 and 0.7 as doubles are round-off away from the decimal numbers, and so is the middle of the first path.
+    /// As doubles 0.2 and 0.7 differ from the decimal numbers by round-off; so does the middle of the first path.
     #[test]
     fn signals_are_held() {
         let (_, inputs) = load("pick_and_place", 0.5).expect("a shipped scene");

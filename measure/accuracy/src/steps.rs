@@ -1,4 +1,4 @@
-//! Cost of single milliseconds: wall time, sub-steps and iterations of every call, beside the distance from singularities.
+//! Cost of single milliseconds: wall time, sub-steps and iterations of every call, and the distance from singularities.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -11,7 +11,7 @@ use crate::{COMMUNICATION, Extent, Folder, Run, scene};
 
 /// The scene: a fall with many whips.
 const SCENE: &str = "fall_90_120";
-/// The settings, with the names that the legends show.
+/// The settings, with their names in the legends.
 const SETTINGS: [(&str, Setting); 5] = [
     ("i3alp, default tolerance", Setting::Default),
     ("i3alp, fixed 1 ms", Setting::Fixed(1e-3)),
@@ -20,8 +20,8 @@ const SETTINGS: [(&str, Setting); 5] = [
     ("rk4, 1 ms", Setting::Rk4(1e-3)),
 ];
 
-/// Writes `steps.csv`: one row per call of 1 ms, after which the tip is read. The run is repeated: the least time of a call is the
-/// cost of the method, the first one is the time that a master would have seen on this machine.
+/// Writes `steps.csv`: one row per call of 1 ms, followed by reading the tip. The run is repeated. The smallest time of a call is the cost
+/// of the method; the first is the time that a master would have seen on this machine.
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let (calls, repeats) = if extent == Extent::Full { (5_000, 9) } else { (500, 2) };
     let (parameters, inputs) = scene::load(SCENE, calls as f64 * COMMUNICATION)?;
@@ -34,7 +34,7 @@ pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
             let mut run = start.clone();
             for time in &mut times {
                 let begin = Instant::now();
-                // With a look at where the tip is: `dop853` works that out only then.
+                // Includes reading the tip, because `dop853` interpolates only then.
                 let done = run.advance().map(|()| black_box(run.tip()));
                 let us = 1e6 * begin.elapsed().as_secs_f64();
                 if done.is_err() {
@@ -43,7 +43,7 @@ pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
                 *time = [us.min(time[0]), if repeat == 0 { us } else { time[1] }];
             }
         }
-        // Once more with all the rest read, which must not disturb the times.
+        // A second run reads everything else, so that it does not disturb the times.
         let mut run = start;
         for [best, first] in times {
             let before = run.simulation.state().core.counters;

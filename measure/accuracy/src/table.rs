@@ -1,4 +1,4 @@
-//! Tables as CSV files that say where they come from.
+//! CSV tables that state their origin.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -15,13 +15,13 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Makes the folder.
+    /// Creates the folder.
     pub fn new(path: PathBuf, about: String) -> Result<Self> {
         fs::create_dir_all(&path).with_context(|| format!("{} cannot be made", path.display()))?;
         Ok(Self { path, about: about.replace('\n', " ") })
     }
 
-    /// A file that begins with the comment line, which starts with `#`.
+    /// Creates a file with the comment line, which starts with `#`.
     pub fn file(&self, name: &str) -> Result<File> {
         let path = self.path.join(format!("{name}.csv"));
         let mut file = File::create(&path).with_context(|| format!("{} cannot be written", path.display()))?;

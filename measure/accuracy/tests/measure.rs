@@ -1,4 +1,4 @@
-//! The measurements have complete tables and plausible errors.
+//! The measurements write complete tables with plausible errors.
 
 use std::collections::HashMap;
 use std::fs;
@@ -12,10 +12,10 @@ fn judged(title: &str) -> Scene {
     scenes.into_iter().find(|scene| scene.title() == title).expect(title)
 }
 
-/// A row by the names of its columns.
+/// A row, by column names.
 type Row = HashMap<String, String>;
 
-/// The rows of precision.csv of a small sample, and the text above them.
+/// The head and the rows of precision.csv for a small sample.
 fn measured(scene: Scene) -> (String, Vec<Row>) {
     let folder = tempfile::tempdir().expect("a folder");
     let tables = Folder::new(folder.path().into(), "a\ntest".into()).expect("the folder");
@@ -34,7 +34,7 @@ fn number(row: &Row, name: &str) -> f64 {
 #[test]
 fn every_scene_is_judged() {
     let judged = Scene::judged(Extent::Full).expect("scenes with references");
-    // Scenes with tuned parameters have references, which tests meet; the report is about steps.
+    // References of scenes with tuned parameters are for tests; the report is about steps.
     let is_tuned = |scene: &File| scene.signals.iter().any(|signal| signal.variable.causality != Causality::Input);
     for scene in File::all().expect("shipped scenes").into_iter().filter(|scene| !is_tuned(scene)) {
         assert!(judged.iter().any(|judged| judged.name == scene.name), "{} is not in the table", scene.name);
@@ -50,7 +50,7 @@ fn every_value_of_a_line_is_another_run() {
     assert!(choices.iter().any(|choice| choice.setting == Setting::Tolerance(3e-9)), "the default tolerance is on its line");
 }
 
-/// One row per choice, with the origin on top; i3alp at fixed step is of second order.
+/// One row per choice, with the origin at the top; fixed steps of i3alp are of second order.
 #[test]
 fn tables_are_complete() {
     let (about, rows) = measured(judged("fall_90_120, 1 s"));
@@ -68,7 +68,7 @@ fn tables_are_complete() {
     assert!((order - 2.0).abs() < 0.1, "order {order}");
 }
 
-/// Inputs that change are those of the reference: else no tolerance would help. Steps longer than the hold of the inputs are named.
+/// Varying inputs equal the reference's; otherwise no tolerance would help. Steps longer than an input's duration are reported.
 #[test]
 fn a_driven_scene_follows_its_reference() {
     let scene = judged("pick_and_place, 1.6 s");
@@ -83,6 +83,6 @@ fn a_driven_scene_follows_its_reference() {
     }
     assert_eq!(longer.len(), 4, "4 ms by four methods");
     let [.., finest] = *others.iter().filter(|row| row["method"] == "dop853").collect::<Vec<_>>() else { panic!("dop853") };
-    // Three times the error seen, at 1e-12 rad.
+    // Three times the observed error at 1e-12 rad.
     assert!(number(finest, "error [m]") < 2e-13, "{finest:?}");
 }

@@ -1,17 +1,16 @@
-//! A case: something to do a number of times, counted and timed by the same code.
+//! A case: work of many equal operations, counted and timed by the same code.
 
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-/// Work to be measured: prepared again for every repeat, so that each starts from one state.
+/// Work to measure; prepared again for every repeat, so that each starts from the same state.
 pub(crate) type Work = Box<dyn FnMut()>;
 
-/// Something to measure.
 pub(crate) struct Case {
-    /// The table it belongs to.
+    /// The table of the case.
     pub(crate) table: &'static str,
-    /// Its name, unique within the table.
+    /// Name, unique within the table.
     pub(crate) name: String,
     /// Number of counted operations in the work, such as steps.
     pub(crate) times: u64,
@@ -19,7 +18,7 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// A case; `prepare` makes the work ready and is not measured.
+    /// A case; the time of `prepare` is not measured.
     pub(crate) fn new(
         table: &'static str,
         name: impl Into<String>,
@@ -29,7 +28,7 @@ impl Case {
         Self { table, name: name.into(), times, prepare: Box::new(prepare) }
     }
 
-    /// Does the work once.
+    /// Does the work once; returns its time.
     pub(crate) fn once(&self) -> Result<Duration> {
         let mut work = (self.prepare)()?;
         let start = Instant::now();
@@ -38,13 +37,13 @@ impl Case {
     }
 }
 
-/// The region that callgrind counts, found by its name.
+/// The region counted by callgrind, which finds it by name.
 #[inline(never)]
 fn measured(work: &mut dyn FnMut()) {
     work();
 }
 
-/// Median times of the cases, ns, over `repeats` runs side by side: disturbances of the machine meet all cases alike.
+/// Median times of the cases, ns, over `repeats` rounds. Cases alternate, so that other load on the machine affects all alike.
 pub(crate) fn times(cases: &[Case], repeats: usize) -> Result<Vec<f64>> {
     let mut samples = vec![Vec::with_capacity(repeats); cases.len()];
     for _ in 0..repeats {
@@ -55,7 +54,7 @@ pub(crate) fn times(cases: &[Case], repeats: usize) -> Result<Vec<f64>> {
     Ok(samples.into_iter().map(|samples| quantile(samples, 0.5)).collect())
 }
 
-/// The value below which this part of the samples lies.
+/// Quantile of the samples at `part`.
 pub(crate) fn quantile(mut samples: Vec<f64>, part: f64) -> f64 {
     samples.sort_by(f64::total_cmp);
     samples[(part * (samples.len() - 1) as f64).round() as usize]

@@ -1,4 +1,4 @@
-//! Checks of CI: instructions against their ceilings, and effects that are off cost nothing. No times.
+//! Checks of CI: instructions stay below their ceilings, and disabled effects cost nothing. No times.
 
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
@@ -7,7 +7,7 @@ use crate::cases::{self, FOLLOWING, OFF, OFF_CALLS};
 use crate::count;
 use crate::scene::{ESTIMATOR, Scene, effects};
 
-/// The ceilings, with a reason each.
+/// The ceilings, each with its reason.
 const CEILINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/ceilings.csv");
 
 #[derive(Deserialize)]
@@ -18,7 +18,7 @@ struct Ceiling {
     reason: String,
 }
 
-/// Fails naming every case that is over its ceiling, and every effect that costs something while it is off.
+/// Fails with the names of all cases above their ceiling, and of all effects that cost something while disabled.
 pub(crate) fn check() -> Result<()> {
     let (cases, seen) = (cases::all()?, count::counts()?);
     let counts: Vec<f64> = seen.iter().map(|count| count.instructions).collect();
@@ -46,7 +46,7 @@ pub(crate) fn check() -> Result<()> {
             }
         }
     }
-    // The table in which a machine is followed shows that the estimator would be noticed.
+    // Cases that follow a machine must show the estimator; otherwise this check would not see it.
     for (case, seen) in cases.iter().zip(&seen) {
         if seen.estimates != (case.table == FOLLOWING) {
             faults.push(format!(

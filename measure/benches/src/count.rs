@@ -1,4 +1,4 @@
-//! Instructions of every case, by callgrind: this program runs once more under it, and the counter is dumped after each case.
+//! Instructions of every case: this program runs again under callgrind and dumps the counter after each case.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -8,15 +8,15 @@ use anyhow::{Context, Result, ensure};
 use crate::case::Case;
 use crate::cases;
 
-/// The function that callgrind counts in, as it names it.
+/// The counted function, by callgrind's name.
 const REGION: &str = "benches::case::measured";
 
-/// Runs every case once, in order, under callgrind.
+/// Runs every case once, in order; for callgrind.
 pub(crate) fn each_once() -> Result<()> {
     cases::all()?.iter().try_for_each(|case| case.once().map(drop))
 }
 
-/// Counts of callgrind for a case.
+/// Counts of a case.
 #[derive(Clone, Debug)]
 pub(crate) struct Count {
     /// Instructions per counted operation.
@@ -25,12 +25,12 @@ pub(crate) struct Count {
     pub(crate) estimates: bool,
 }
 
-/// All cases, counted.
+/// Instructions of all cases.
 pub(crate) fn instructions() -> Result<Vec<f64>> {
     Ok(counts()?.into_iter().map(|count| count.instructions).collect())
 }
 
-/// Counts of all cases with the line of the program that ran.
+/// Counts of all cases, with the line of this program.
 pub(crate) fn counts() -> Result<Vec<Count>> {
     let cases = cases::all()?;
     let folder = tempfile::tempdir().context("a folder for callgrind's dumps")?;
@@ -60,13 +60,13 @@ pub(crate) fn counts() -> Result<Vec<Count>> {
     cases.iter().enumerate().map(count).collect()
 }
 
-/// Whether a function of the estimator is among those that a dump names.
+/// Whether a dump names a function of the estimator.
 fn estimates(dump: &str) -> bool {
     const OWN: [&str; 2] = ["fivebar::estimator::", "fivebar::simulation::following::"];
     dump.lines().filter(|line| line.starts_with("fn=")).any(|line| OWN.iter().any(|own| line.contains(own)))
 }
 
-/// The sum that a dump ends with.
+/// The sum at the end of a dump.
 fn total(dump: &str) -> Result<f64> {
     let count = dump.lines().find_map(|line| line.strip_prefix("totals: ")).context("a dump without totals")?;
     let count: f64 = count.trim().parse().context("totals is no number")?;

@@ -1,5 +1,4 @@
-//! A master: calls the exported functions through pointers that the optimiser knows nothing about, as across the border of a shared
-//! library.
+//! A master: calls the exported functions through pointers that are opaque to the optimiser, like calls into a shared library.
 
 #![allow(unsafe_code, reason = "it calls the C functions of the library with pointers of its own")]
 
@@ -11,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use fivebar::ffi::*;
 use fivebar::variables::{GUID, Value, Variable};
 
-/// Calls a C function of a host's component through a pointer that the optimiser knows nothing about, and demands fmi2OK.
+/// Calls a C function of a host's component through an opaque pointer; panics unless it returns fmi2OK.
 macro_rules! done {
     ($host:ident, $function:ident($($argument:expr),*)) => {{
         let call = black_box::<unsafe extern "C" fn(fmi2Component $(, its_type!($argument))*) -> fmi2Status>($function);
@@ -19,29 +18,29 @@ macro_rules! done {
     }};
 }
 
-/// The type of an argument, which the function knows.
+/// The type of an argument, inferred from the function.
 macro_rules! its_type {
     ($argument:expr) => {
         _
     };
 }
 
-/// A stored state, or none yet: of the library, until [`Host::free`].
+/// A stored state of the library, or null; valid until [`Host::free`].
 pub(crate) struct Stored(fmi2FMUstate);
 
 impl Stored {
-    /// None yet.
+    /// No state.
     pub(crate) const NONE: Self = Self(null_mut());
 }
 
-/// An instance that is ready to step from 0 s; freed when dropped.
+/// An instance ready to step from 0 s; freed when dropped.
 pub(crate) struct Host {
     component: fmi2Component,
     point: f64,
 }
 
 impl Host {
-    /// From fmi2Instantiate to fmi2ExitInitializationMode, with variables set by reference.
+    /// An instance after fmi2ExitInitializationMode, with variables set by reference.
     pub(crate) fn ready(values: &[(u32, Value)]) -> Result<Self> {
         let (name, guid) = (c"bench", CString::new(GUID)?);
         let callbacks = fmi2CallbackFunctions {
@@ -72,7 +71,7 @@ impl Host {
         Ok(host)
     }
 
-    /// Into initialization mode.
+    /// Enters initialization mode.
     fn begin(&self) {
         // SAFETY: the component is live.
         unsafe {
@@ -81,13 +80,13 @@ impl Host {
         }
     }
 
-    /// Out of it.
+    /// Leaves initialization mode.
     fn end(&self) {
         // SAFETY: the component is live.
         unsafe { done!(self, fmi2ExitInitializationMode()) }
     }
 
-    /// Starts anew at 0 s with these Reals.
+    /// Restarts at 0 s with these Reals.
     pub(crate) fn again(&mut self, references: &[u32], values: &[f64]) {
         // SAFETY: the component is live.
         unsafe { done!(self, fmi2Reset()) }
@@ -97,13 +96,13 @@ impl Host {
         self.point = 0.0;
     }
 
-    /// Stores the state, over the one that is there or as a new one.
+    /// Stores the state, replacing the given one or as a new one.
     pub(crate) fn store(&self, stored: &mut Stored) {
         // SAFETY: the component is live, the state is null or comes from this library.
         unsafe { done!(self, fmi2GetFMUstate(&mut stored.0)) }
     }
 
-    /// Back into a stored state.
+    /// Restores a stored state.
     pub(crate) fn restore(&self, stored: &Stored) {
         // SAFETY: both are live.
         unsafe { done!(self, fmi2SetFMUstate(stored.0)) }
@@ -115,7 +114,7 @@ impl Host {
         unsafe { done!(self, fmi2FreeFMUstate(&mut stored.0)) }
     }
 
-    /// The size of a stored state as bytes.
+    /// Size of a stored state in bytes.
     pub(crate) fn size(&self, stored: &Stored) -> usize {
         let mut size = 0;
         // SAFETY: both are live, the place is ours.
@@ -123,21 +122,21 @@ impl Host {
         size
     }
 
-    /// A stored state as bytes, as many as there are.
+    /// Writes a stored state into bytes of its size.
     pub(crate) fn serialise(&self, stored: &Stored, bytes: &mut [u8]) {
         let place = bytes.as_mut_ptr().cast::<fmi2Byte>();
         // SAFETY: both are live, the place has the length given.
         unsafe { done!(self, fmi2SerializeFMUstate(stored.0, place, bytes.len())) }
     }
 
-    /// A stored state from bytes.
+    /// Reads a stored state from bytes.
     pub(crate) fn deserialise(&self, bytes: &[u8], stored: &mut Stored) {
         let place = bytes.as_ptr().cast::<fmi2Byte>();
         // SAFETY: both are live, the place has the length given.
         unsafe { done!(self, fmi2DeSerializeFMUstate(place, bytes.len(), &mut stored.0)) }
     }
 
-    /// How outputs change with inputs or states that change.
+    /// Directional derivative of the unknowns for given changes of inputs or states.
     pub(crate) fn directional_derivative(&self, unknowns: &[u32], knowns: &[u32], changes: &[f64], values: &mut [f64]) {
         assert_eq!((unknowns.len(), knowns.len()), (values.len(), changes.len()));
         // SAFETY: the component is live, the arrays have the lengths given.
@@ -156,14 +155,14 @@ impl Host {
         }
     }
 
-    /// First derivatives of inputs.
+    /// Sets first derivatives of inputs.
     pub(crate) fn input_rates(&self, references: &[u32], orders: &[i32], rates: &[f64]) {
         assert_eq!((references.len(), references.len()), (orders.len(), rates.len()));
         // SAFETY: the component is live, the arrays have the same length.
         unsafe { done!(self, fmi2SetRealInputDerivatives(references.as_ptr(), references.len(), orders.as_ptr(), rates.as_ptr())) }
     }
 
-    /// Derivatives of outputs.
+    /// Reads derivatives of outputs.
     pub(crate) fn output_rates(&self, references: &[u32], orders: &[i32], rates: &mut [f64]) {
         assert_eq!((references.len(), references.len()), (orders.len(), rates.len()));
         // SAFETY: the component is live, the arrays have the same length.
@@ -172,7 +171,7 @@ impl Host {
         }
     }
 
-    /// A communication step of `size` seconds.
+    /// Makes a communication step of `size` seconds.
     pub(crate) fn step(&mut self, size: f64) {
         // SAFETY: the component is live.
         unsafe { done!(self, fmi2DoStep(self.point, size, fmi2True)) }

@@ -1,16 +1,16 @@
-//! The benchmarks: started by `cargo xtask bench`, which builds this program as the library is built for the .fmu (fat link-time
+//! The benchmarks. `cargo xtask bench` builds and starts this program, with the options of the library in the .fmu (fat link-time
 //! optimisation, one codegen unit).
 //!
-//! | file | holds |
+//! | file | content |
 //! | --- | --- |
-//! | `case.rs` | a case: something to do a number of times, counted and timed by the same code |
+//! | `case.rs` | a case: work of many equal operations, counted and timed by the same code |
 //! | `cases/` | the cases, one file per table |
 //! | `scene.rs` | parameters and inputs by the names of variables |
-//! | `host.rs` | a master: the C functions through pointers |
+//! | `host.rs` | a master that calls the C functions through pointers |
 //! | `count.rs` | instructions, by callgrind |
 //! | `scenes.rs` | the time of each call along the scenes |
-//! | `check.rs` | ceilings, and effects that are off cost nothing |
-//! | `report.rs` | tables and the machine they were made on |
+//! | `check.rs` | ceilings, and that disabled effects cost nothing |
+//! | `report.rs` | tables and the machine of the measurement |
 
 mod case;
 mod cases;
@@ -34,7 +34,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Times and instructions of everything, as tables
+    /// Measure times and instructions of everything, as tables
     Run {
         /// Folder of the tables
         #[arg(long)]
@@ -43,9 +43,9 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Instructions against their ceilings, and effects that are off cost nothing; no times
+    /// Check instructions against their ceilings, and that disabled effects cost nothing; no times
     Check,
-    /// Every case once, for `run` and `check` under callgrind
+    /// Run every case once; `run` and `check` call it under callgrind
     Count,
 }
 

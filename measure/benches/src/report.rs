@@ -1,4 +1,4 @@
-//! Tables as CSV and on the screen, with the machine they were made on.
+//! Tables as CSV and on the screen, with the machine of the measurement.
 
 use std::fs;
 use std::path::Path;
@@ -55,7 +55,7 @@ pub(crate) fn run(out: &Path, quick: bool) -> Result<()> {
     fs::write(out.join("bench.json"), format!("{made_on:#}\n")).context("bench.json cannot be written")
 }
 
-/// The counts, divided as the cases are by tables.
+/// Splits the counts like the cases by table.
 fn chunks<'a>(cases: &[Case], counts: &'a [f64]) -> Vec<&'a [f64]> {
     let mut rest = counts;
     let lengths = cases.chunk_by(|a, b| a.table == b.table).map(<[Case]>::len);
@@ -69,14 +69,14 @@ fn write(out: &Path, table: &str, rows: &[impl Serialize]) -> Result<()> {
     Ok(writer.flush()?)
 }
 
-/// The processor's name, where the system tells it.
+/// The processor's name, if the system reports it.
 fn cpu() -> String {
     let text = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     name.map_or_else(|| "unknown".into(), |(_, name)| name.trim().to_owned())
 }
 
-/// Standard output of a program, or nothing.
+/// Standard output of a program, empty if it fails.
 fn said(program: &str, arguments: &[&str]) -> String {
     let output = Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
     output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default()

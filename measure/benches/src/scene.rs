@@ -5,7 +5,7 @@ use fivebar::simulation::bindings::{default_inputs, default_parameters, write};
 use fivebar::simulation::{Inputs, Parameters, Simulation};
 use fivebar::variables::{VARIABLES, Value, Variable, VariableId};
 
-/// A scene before it is made ready.
+/// A scene before initialisation.
 #[derive(Clone)]
 pub(crate) struct Scene {
     pub(crate) parameters: Parameters,
@@ -13,7 +13,7 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// The fall with reference values, 90° / 120° at rest under gravity, at strictly fixed steps.
+    /// The fall with reference values: 90° / 120° at rest under gravity, with fixed steps.
     pub(crate) fn fall() -> Self {
         let mut parameters = default_parameters();
         parameters.start.theta[1] = 120f64.to_radians();
@@ -28,11 +28,11 @@ impl Scene {
         Ok(self)
     }
 
-    /// The scene with an effect on or off; an effect that is on gets values at which it acts on the fall.
+    /// The scene with an effect on or off; a newly enabled effect gets values at which it acts on the fall.
     pub(crate) fn effect(self, name: &str, on: bool) -> Result<Self> {
         let mut scene = self.with(&format!("{name}.enabled"), Value::Boolean(on))?;
         let reached: &[(&str, f64)] = match name {
-            // The left arm leans on its stop, the tip falls on the plane, the servos hold the start.
+            // The left arm rests on its stop, the tip falls on the plane, the servos hold the start angles.
             "stop" => &[("stop.upper[1]", 1.5), ("stop.lower[1]", 1.3)],
             "contact" => &[("contact.offset", 0.3)],
             "servo" => &[("servo.theta[1]", 1.6), ("servo.theta[2]", 2.1)],
@@ -46,21 +46,21 @@ impl Scene {
         Ok(scene)
     }
 
-    /// StoredSimulation ready.
+    /// The initialised simulation.
     pub(crate) fn simulation(&self) -> Result<Simulation> {
         Ok(Simulation::new(&self.parameters, &self.inputs)?)
     }
 }
 
-/// Name of the estimator, which has a variable `….enabled` and is no effect.
+/// The estimator has a variable `….enabled` but is no effect.
 pub(crate) const ESTIMATOR: &str = "estimator";
 
-/// The effects: whatever has a variable `….enabled`, but for the estimator, which acts on nothing.
+/// Names with a variable `….enabled`, except the estimator.
 pub(crate) fn effects() -> impl Iterator<Item = &'static str> {
     VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled")).filter(|name| *name != ESTIMATOR)
 }
 
-/// The Real parameters of an effect with other values than they have.
+/// Changed values for the Real parameters of an effect.
 pub(crate) fn other_values(effect: &str) -> impl Iterator<Item = (&'static str, Value)> {
     VARIABLES.iter().filter_map(move |variable| {
         let own = variable.name.strip_prefix(effect).is_some_and(|rest| rest.starts_with('.'));

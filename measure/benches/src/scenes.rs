@@ -1,4 +1,4 @@
-//! Times for real-time users: duration of each call along the scenes, and the largest number of sub-steps of a call.
+//! Times for real-time users: duration of each call along the scenes, and the largest number of sub-steps per call.
 
 use std::time::Instant;
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::case::quantile;
 use crate::host::{Host, reference};
 
-/// A scene's calls of fmi2DoStep.
+/// Calls of fmi2DoStep along a scene.
 #[derive(Serialize)]
 pub(crate) struct Row {
     scene: String,
@@ -39,7 +39,7 @@ fn row(scene: &Scene, longest: f64) -> Result<Row> {
     let references: Vec<u32> = scene.signals.iter().map(|signal| signal.variable.reference).collect();
     let (mut times, mut most, mut before) = (Vec::with_capacity(calls), 0, host.integer(substeps));
     for call in 0..calls {
-        // As `cargo xtask run` does: set at the communication point, held over the step that follows.
+        // As in `cargo xtask run`: set at the communication point, constant over the next step.
         let inputs: Vec<f64> = scene.signals.iter().map(|signal| signal.at(call as f64 * step)).collect();
         host.write(&references, &inputs);
         let start = Instant::now();

@@ -1,5 +1,5 @@
-//! Energy balance in the random scenes with discontinuous loads, at tolerances from loose to tight: largest residual, and whether
-//! dissipated energy ever falls.
+//! Energy balance in the random scenes with discontinuous loads, at loose to tight tolerances: largest residual, and whether dissipated
+//! energy ever decreases.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -12,10 +12,10 @@ use crate::setting::Setting;
 use crate::trial::{Ending, Outcome, Span, Trial};
 use crate::watch::Watch;
 
-/// So often other torques are held, at the left and the right motor in turn.
+/// Number of torque changes per run, alternating between the left and the right motor.
 const PUSHES: u64 = 7;
 
-/// A kind of scene by one method at one tolerance.
+/// A kind of scene with one method and one tolerance.
 #[derive(Clone, Debug)]
 pub struct Books {
     case: &'static str,
@@ -23,17 +23,17 @@ pub struct Books {
     /// Error tolerance, rad.
     tolerance: f64,
     runs: usize,
-    /// Runs that ended before their time, and why the first did.
+    /// Runs that ended early, and the reason of the first.
     ended_early: usize,
     status: String,
     /// Worst |energy.error|, J, and the scene.
     error: (f64, String),
-    /// Most that has been taken back, in parts of the energies, and the scene.
+    /// Largest decrease of dissipated energy, relative to the energies, and the scene.
     taken_back: (f64, String),
     substeps: u64,
 }
 
-/// The methods that control their error, at some tolerance, rad.
+/// The error-controlled methods at a tolerance, rad.
 fn settings(tolerance: f64) -> [Setting; 3] {
     [Setting::Tolerance(tolerance), Setting::Dop853(tolerance), Setting::Automatic(tolerance)]
 }
@@ -41,21 +41,21 @@ fn settings(tolerance: f64) -> [Setting; 3] {
 /// Sample of scenes, methods and tolerances.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// Scenes of each kind, by their numbers.
+    /// Numbers of the scenes of each kind.
     pub scenes: Vec<u64>,
     /// Only kinds whose names contain this.
     pub only: String,
-    /// Only this method, named as `solver.method` names it.
+    /// Only this method, by its name in `solver.method`.
     pub by: Option<String>,
-    /// At these tolerances, rad.
+    /// Tolerances, rad.
     pub tolerances: Vec<f64>,
-    /// Communication points to one of the battery.
+    /// Number of communication points for each one of the battery.
     pub points: u64,
-    /// Amplitude of the changes of the held torques, N·m.
+    /// Amplitude of the torque changes, N·m.
     pub push: f64,
 }
 
-/// The books of a sample; `done` is shown each row.
+/// Energy balance of a sample; passes each row to `done`.
 pub fn measure(sample: &Sample, mut done: impl FnMut(&Books)) -> Vec<Books> {
     let mut rows = Vec::new();
     for (case, trials) in kinks::trials(&sample.scenes).into_iter().filter(|(name, _)| name.contains(&sample.only)) {
@@ -88,7 +88,7 @@ pub fn measure(sample: &Sample, mut done: impl FnMut(&Books)) -> Vec<Books> {
     rows
 }
 
-/// The scene with more communication points and torques that change now and then; only energy is watched.
+/// The scene with more communication points and occasional torque changes; only its energy is judged.
 fn looked_at_often(mut trial: Trial, points: u64, by: f64) -> Trial {
     trial.watch = Watch::Nothing;
     let [span] = trial.schedule[..] else { return trial };
@@ -103,7 +103,7 @@ fn looked_at_often(mut trial: Trial, points: u64, by: f64) -> Trial {
     trial
 }
 
-/// Largest |energy.error| allowed, J, for error tolerances up to each bound, rad.
+/// Largest allowed |energy.error|, J, for error tolerances up to each bound, rad.
 const ALLOWED: [(f64, f64); 2] = [(1e-12, 1e-9), (3e-9, 1e-6)];
 
 const HEADER: [&str; 11] = [
@@ -121,7 +121,7 @@ const HEADER: [&str; 11] = [
 ];
 
 impl Books {
-    /// Whether it is as it is to be: every run comes to its end, nothing is taken back, and energies add up.
+    /// Whether every run completes, dissipated energy never decreases, and the energy balance holds.
     pub fn is_met(&self) -> bool {
         let allowed =
             ALLOWED.into_iter().find(|(tolerance, _)| self.tolerance <= *tolerance).map_or(f64::INFINITY, |(_, most)| most);

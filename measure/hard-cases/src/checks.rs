@@ -1,4 +1,4 @@
-//! Random scenes of every kind, by every method that checks its steps, at any tolerance: no right step is stopped.
+//! Random scenes of every kind, by every method with checked steps, at any tolerance: the checks must not stop a correct step.
 
 use std::f64::consts::PI;
 use std::io::{self, Write};
@@ -23,15 +23,15 @@ const METHODS: [(Method, &str); 4] = [
     (Method::I3alpConserving, "i3alpConserving"),
 ];
 
-/// Work in one macro step after which a scene has shown enough.
+/// Work in one macro step at which a run counts as complete.
 const MOST_WORK: u32 = 100_000;
 
-/// A scene with all that is drawn for it.
+/// A random scene.
 struct Scene {
     number: u64,
     method: usize,
     parameters: Parameters,
-    /// Inputs that are held for so many communication steps each.
+    /// Inputs, and the number of communication steps with each.
     held: Vec<(Inputs, u32)>,
     /// Communication step, s.
     step: f64,
@@ -42,9 +42,9 @@ enum End {
     Complete,
     /// The start was refused.
     Refused,
-    /// A check has stopped it: the sentence, and the energy error of the same run without checks at the same time, J.
+    /// A check stopped it: the message, and the energy error of the same run without checks at this time, J.
     Stopped(String, f64),
-    /// Another status ended it.
+    /// It ended with another status.
     GivenUp(String),
 }
 
@@ -59,18 +59,18 @@ pub struct Row {
 }
 
 impl Row {
-    /// Number of runs that came to their end.
+    /// Number of completed runs.
     pub fn complete(&self) -> usize {
         self.runs - self.refused - self.given_up.len() - self.stopped.len()
     }
 
-    /// Whether no check has stopped a run.
+    /// Whether no check stopped a run.
     pub fn is_met(&self) -> bool {
         self.stopped.is_empty()
     }
 }
 
-/// Runs `count` scenes from the number `from` on.
+/// Runs `count` scenes, starting at the number `from`.
 pub fn measure(from: u64, count: u64) -> Vec<Row> {
     let ends: Vec<(usize, u64, End)> = (from..from + count)
         .into_par_iter()
@@ -93,7 +93,7 @@ pub fn measure(from: u64, count: u64) -> Vec<Row> {
     rows.into()
 }
 
-/// The rows in Markdown, and below them each scene that did not come to its end.
+/// The rows in Markdown, followed by each scene that did not complete.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     let cells = rows.iter().map(|row| {
         let [refused, given_up, stopped] = [row.refused, row.given_up.len(), row.stopped.len()].map(|count| count.to_string());
@@ -147,7 +147,7 @@ impl Scene {
         }
     }
 
-    /// Takes at most so many communication steps; returns the simulation, or the number of steps taken and why the next one failed.
+    /// Takes up to `most` communication steps; returns the simulation, or the number of completed steps and the reason for the failure.
     fn follow(&self, mut simulation: Simulation, most: u32) -> Result<Simulation, (u32, fivebar::simulation::StepFailure)> {
         let macro_steps = (self.step / self.parameters.settings.step_size).round() as u64;
         let mut steps = 0;
@@ -163,7 +163,7 @@ impl Scene {
         Ok(simulation)
     }
 
-    /// Energy error after so many communication steps without checks, J.
+    /// Energy error after `steps` communication steps without checks, J.
     fn energy_error_without_checks(&self, steps: u32) -> f64 {
         let mut parameters = self.parameters.clone();
         parameters.settings.checks = false;
@@ -173,7 +173,7 @@ impl Scene {
     }
 }
 
-/// A machine of any proportions that moves anyhow.
+/// A machine of any proportions with any motion.
 fn any_machine(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = default_parameters();
     let mut link = || {
@@ -205,7 +205,7 @@ fn any_machine(random: &mut Random) -> (Parameters, Inputs, f64) {
     (parameters, NO_LOAD, random.uniform(0.1, 0.5))
 }
 
-/// Coaxial motors and lengths equal in pairs, near postures in which all links are in line.
+/// Coaxial motors and pairs of equal lengths, near postures with all links in line.
 fn equal_in_pairs(random: &mut Random) -> (Parameters, Inputs, f64) {
     const PATTERNS: [[usize; 4]; 4] = [[0, 1, 1, 0], [0, 1, 0, 1], [0, 0, 1, 1], [0, 0, 0, 0]];
     let mut parameters = default_parameters();

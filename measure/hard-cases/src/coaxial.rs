@@ -1,8 +1,8 @@
-//! Random machines with coaxial motors on every branch of their closure, under every effect and by every method: whether a motion that ends
-//! with OK ends where it should, and keeps its energy.
+//! Random machines with coaxial motors on every branch of their closure, with every effect and every method: if a motion completes with
+//! OK, is its end correct and its energy balanced?
 //!
-//! The judge is the program of `independent.rs` and `sticking.rs`, which moves on one branch by that branch's own equations. How far an end may
-//! be off follows from a second run of it, from a start beside the first.
+//! The judge is the program of `independent.rs` and `sticking.rs`, which uses the equations of a single branch. A second run of it from a
+//! slightly changed start determines the allowed error of an end.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -23,7 +23,7 @@ use crate::random::Random;
 use crate::report::{csv_table, markdown_table};
 use crate::setting::Setting;
 
-/// Links by their lengths: in the order 1-2-3-4, equal letters are equal lengths.
+/// Pattern of link lengths in the order 1-2-3-4; equal letters are equal lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Lengths {
     Pairs([[usize; 2]; 2]),
@@ -32,7 +32,7 @@ enum Lengths {
     Different,
 }
 
-/// Pairs of links, from 0, that may have equal lengths.
+/// Pairs of links, numbered from 0, that may have equal lengths.
 const PAIRINGS: [[[usize; 2]; 2]; 3] = [[[0, 3], [1, 2]], [[0, 2], [1, 3]], [[0, 1], [3, 2]]];
 
 const NEARLY_EQUAL: &str = "nearly equal lengths";
@@ -63,22 +63,23 @@ const EFFECTS: [&str; 14] = [
     "all effects, friction sticks",
 ];
 
-/// The macro step and the communication step, s.
+/// Macro step and communication step, s.
 const STEP: f64 = 1e-3;
-/// Start beside another: so far, rad and rad/s.
+/// Change of the start, rad and rad/s.
 const NUDGE: f64 = 1e-9;
-/// The judge cannot tell where a motion ends that may end so far off, rad.
+/// Sensitivity of an end, rad, above which the judge cannot decide.
 const UNKNOWN: f64 = 0.1;
 
-/// A method with its demands.
+/// A method with its requirements.
 struct Judged {
     setting: Setting,
-    /// Its end may be as far off as that of a start which is so far off, rad and rad/s: what the local errors of some hundred
-    /// steps sum up to, with a reserve of ten.
+    /// Allowed error of the end, expressed as the change of the start with the same effect, rad and rad/s: the sum of local errors of some
+    /// hundred steps, with a reserve of ten.
     end: f64,
     /// Largest |energy.error|, J.
     energy: f64,
-    /// Whether it follows its error: the demands then also hold for loads with kinks and stiff loads, which fixed steps do not resolve.
+    /// Whether it controls its error. Its requirements then also apply to stiff loads and loads with kinks, which fixed steps do not
+    /// resolve.
     by_error: bool,
 }
 
@@ -86,9 +87,9 @@ const fn by_error(setting: Setting, end: f64, energy: f64) -> Judged {
     Judged { setting, end, energy, by_error: true }
 }
 
-/// Energies are up to 1 J. At 1e-11 rad the error of the second program, 2e-13 rad and 2e-12 rad/s a step, counts as well. `i3alp` takes some
-/// thousand steps, and its rates are of lower order than its angles, and with them its ends and its energy. Motions on a wrong branch are off
-/// by 1e-2 rad and more.
+/// Energies are up to 1 J. At 1e-11 rad the judge's own error, 2e-13 rad and 2e-12 rad/s per step, also matters. `i3alp` takes some
+/// thousand steps. Its rates are of lower order than its angles, and so are its ends and its energy. Motions on a wrong branch are off by
+/// 1e-2 rad and more.
 const JUDGED: [Judged; 7] = [
     by_error(Setting::Dop853(1e-11), 3e-7, 1e-8),
     by_error(Setting::Automatic(1e-11), 3e-7, 1e-8),
@@ -100,7 +101,7 @@ const JUDGED: [Judged; 7] = [
     Judged { setting: Setting::Conserving(2.5e-4), end: 1e-3, energy: 1e-6, by_error: false },
 ];
 
-/// A scene by its number.
+/// A scene with its number.
 #[derive(Clone, Debug)]
 struct Scene {
     number: u64,
@@ -109,12 +110,12 @@ struct Scene {
     parameters: Parameters,
     closure: Closure,
     start: Motion,
-    /// Inputs with the number of macro steps for which they are held.
+    /// Inputs, and the number of macro steps with each.
     spans: Vec<(Inputs, u64)>,
 }
 
 impl Scene {
-    /// Successive numbers take every effect in turn, and every effect with other lengths each time.
+    /// Successive numbers go through all effects, and combine each effect with other lengths every time.
     fn new(number: u64) -> Self {
         let random = &mut Random::new(number);
         let (round, turn) = (number as usize / EFFECTS.len(), number as usize % EFFECTS.len());
@@ -132,7 +133,7 @@ impl Scene {
         scene
     }
 
-    /// Switches its effects on.
+    /// Enables its effects.
     fn switch_on(&mut self, random: &mut Random) {
         let is = |names: &[&str]| names.contains(&self.effect) || self.effect.starts_with("all effects");
         let sticks = self.effect.ends_with("sticks");
@@ -190,7 +191,7 @@ impl Scene {
         }
     }
 
-    /// A plane that the motion without it reaches some way beyond.
+    /// A plane that the motion without it would pass by some distance.
     fn plane(&mut self, random: &mut Random, law: Law) {
         let angle = random.uniform(0.0, TAU);
         let (nx, ny) = (angle.cos(), angle.sin());
@@ -204,7 +205,7 @@ impl Scene {
         self.follow(self.start, STEP * 10.0, &mut look);
         let contact = &mut self.parameters.effects.contact;
         (contact.enabled, contact.law, contact.nx, contact.ny) = (true, law, nx, ny);
-        // Folded legs keep the tip on the motor axes: no plane may press it there.
+        // Folded legs keep the tip on the motor axes, so no plane may press it there.
         let folded = self.closure == Closure::Opposite(PAIRINGS[2]);
         contact.offset = if folded { -0.01 } else { reach + random.log_uniform(1e-5, 1e-2) };
         contact.k = random.log_uniform(1e3, 1e5);
@@ -214,7 +215,7 @@ impl Scene {
         contact.slip_velocity = 0.02;
     }
 
-    /// The end by the second program, which is shown to `look` each `part` seconds; `None` if it gives up.
+    /// End by the judge; calls `look` every `part` seconds. `None` if the judge fails.
     fn follow(&self, start: Motion, part: f64, look: &mut impl FnMut(&Motion)) -> Option<Motion> {
         let mut state = start;
         let merged = Independent::on(self.closure, &self.parameters, &NO_LOAD).merged(&self.start);
@@ -230,7 +231,7 @@ impl Scene {
         Some(state)
     }
 
-    /// The link angles at the end by the second program, and how far a start beside it ends from there, rad.
+    /// Link angles at the end by the judge, and the difference from a run with a changed start, rad.
     fn expected(&self) -> Option<([f64; 4], f64)> {
         let program = Independent::on(self.closure, &self.parameters, &NO_LOAD);
         let end = |start| Some(angles(&self.follow(start, f64::INFINITY, &mut |_| ())?));
@@ -238,20 +239,20 @@ impl Scene {
         Some((at, apart(&at, &end(program.closed(self.start.map(|x| x + NUDGE)))?).max(NUDGE)))
     }
 
-    /// Whether friction sticks, which fixed steps refuse.
+    /// Whether friction sticks; fixed steps refuse it.
     fn sticks(&self) -> bool {
         let effects = &self.parameters.effects;
         (effects.friction.enabled && effects.friction.law == Law::Stick)
             || (effects.contact.enabled && effects.contact.law == Law::Stick)
     }
 
-    /// Whether loads are smooth and soft.
+    /// Whether loads are smooth and not stiff.
     fn is_gentle(&self) -> bool {
         let effects = &self.parameters.effects;
         ![effects.friction.enabled, effects.stop.enabled, effects.contact.enabled, effects.servo.enabled].contains(&true)
     }
 
-    /// Runs it by a method from a start.
+    /// Runs a method from a start.
     fn run(&self, setting: Setting, start: &Motion) -> Run {
         let mut parameters = self.parameters.clone();
         setting.apply(&mut parameters);
@@ -275,7 +276,7 @@ impl Scene {
         run
     }
 
-    /// Runs it by every method, and judges the ends.
+    /// Runs every method and judges the ends.
     fn find(self) -> Finding {
         let expected = self.expected();
         let alone = expected.is_none();
@@ -290,7 +291,7 @@ impl Scene {
             if run.energy > judged.energy {
                 run.wrong = Some(format!("energy.error is {:.1e} J, allowed {:e} J", run.energy, judged.energy));
             }
-            // Fixed steps past a posture that is nearly singular may take the other way on.
+            // Fixed steps may leave a nearly singular posture on the other branch.
             if let Some((expected, growth)) = expected.filter(|_| judged.by_error || self.lengths != NEARLY_EQUAL) {
                 let (off, allowed) = (apart(end, &expected), growth / NUDGE * judged.end);
                 if allowed < UNKNOWN {
@@ -306,7 +307,7 @@ impl Scene {
     }
 }
 
-/// Lengths, masses and closure of a machine: one branch of those that its lengths allow.
+/// Lengths and masses of a machine, and one of the closure branches that its lengths allow.
 fn links(random: &mut Random, parameters: &mut Parameters, kind: Lengths) -> Closure {
     let any = PAIRINGS[random.uniform(0.0, 3.0) as usize];
     let pairs = if let Lengths::Pairs(pairs) = kind { pairs } else { any };
@@ -340,7 +341,7 @@ fn links(random: &mut Random, parameters: &mut Parameters, kind: Lengths) -> Clo
     }
 }
 
-/// A motion on the branch: in one of five scenes at rest, in one of five beside a posture with all links in line.
+/// A motion on the branch: in one of five scenes at rest, in one of five near a posture with all links in line.
 fn start(random: &mut Random, parameters: &Parameters, closure: Closure) -> Motion {
     let lengths = parameters.geometry.lengths();
     let near = (random.uniform(0.0, 1.0) < 0.2).then(|| random.sign() * random.log_uniform(1e-5, 1e-1));
@@ -383,12 +384,12 @@ fn angles(state: &Motion) -> [f64; 4] {
     std::array::from_fn(|link| state[link])
 }
 
-/// How a run ended before its time, with the sentence.
+/// Early end of a run, with the message.
 #[derive(Clone, Debug)]
 enum Ending {
     /// fmi2Discard.
     GivenUp(String),
-    /// By the self-checks of the unit.
+    /// By the unit's own checks.
     Stopped(String),
 }
 
@@ -403,31 +404,31 @@ impl Ending {
     }
 }
 
-/// A scene by a method.
+/// Result of a scene with one method.
 #[derive(Clone, Debug)]
 struct Run {
     setting: Setting,
     /// Worst |energy.error|, J.
     energy: f64,
-    /// Angles of the links, rad.
+    /// Link angles at the end, rad.
     end: Result<[f64; 4], Ending>,
-    /// Distance of the end from the expected one, in parts of the allowed distance and in rad, where the end can be told.
+    /// Distance of the end from the expected one, relative to the allowed distance and in rad, if the judge can decide.
     off: Option<[f64; 2]>,
-    /// Objection to a run that ended with OK.
+    /// Objection to a run that completed with OK.
     wrong: Option<String>,
 }
 
-/// A scene by all methods.
+/// A scene with all methods.
 #[derive(Clone, Debug)]
 struct Finding {
     scene: Scene,
     runs: Vec<Run>,
-    /// Whether the second program gave up, so that the methods are judged by `dop853` at 1e-11 rad.
+    /// Whether the judge failed; then `dop853` at 1e-11 rad replaces it.
     alone: bool,
 }
 
 impl Finding {
-    /// Every early or wrong end in a line.
+    /// A line for every early or wrong end.
     fn complaints(&self) -> impl Iterator<Item = String> {
         let Scene { number, lengths, effect, closure, .. } = &self.scene;
         self.runs.iter().filter_map(move |run| {
@@ -450,20 +451,20 @@ pub struct Coaxial {
     kind: &'static str,
     scenes: usize,
     runs: usize,
-    /// Scenes that the second program gave up.
+    /// Scenes on which the judge failed.
     alone: usize,
-    /// Runs whose end cannot be told.
+    /// Runs that cannot be judged.
     unknown: usize,
-    /// Worst distance from the expected end, in parts of the allowed one and in rad, and its run.
+    /// Largest distance from the expected end, relative to the allowed distance and in rad, and its run.
     off: ([f64; 2], String),
-    /// Worst |energy.error| of a judged run, J, and its run.
+    /// Largest |energy.error| of a judged run, J, and its run.
     energy: (f64, String),
     given_up: Seen,
     stopped: Seen,
     wrong: Seen,
 }
 
-/// How often something was seen, and first in which run.
+/// Number of occurrences, and the first run.
 #[derive(Clone, Debug, Default)]
 struct Seen {
     count: usize,
@@ -519,7 +520,7 @@ impl Coaxial {
         row
     }
 
-    /// Whether no run ends wrongly with OK.
+    /// Whether no run completes with OK at a wrong end.
     pub fn is_met(&self) -> bool {
         self.wrong.count == 0
     }
@@ -566,7 +567,7 @@ const HEADER: [&str; 12] = [
     "wrong with OK",
 ];
 
-/// The scenes with these numbers by kind: by effect, by lengths, and all. Runs that end early or wrongly are shown to `complain`.
+/// Scenes with these numbers grouped by effect, by lengths, and in total. Passes early and wrong ends to `complain`.
 pub fn measure(numbers: &[u64], complain: impl Fn(&str) + Sync) -> Vec<Coaxial> {
     let find = |number: &u64| {
         let finding = Scene::new(*number).find();
@@ -595,7 +596,7 @@ pub fn write_markdown(rows: &[Coaxial], mut to: impl Write) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// The judge does not know a tilted gravity: no method ends where it says, though the energy adds up.
+    /// The judge ignores a tilted gravity, so no method ends where it expects, although the energy balance holds.
     #[test]
     fn motions_that_end_elsewhere_are_noticed() {
         let mut scene = Scene::new(0);

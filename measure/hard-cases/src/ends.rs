@@ -1,5 +1,5 @@
-//! Ends of the independent programs in random scenes. They take far longer than the judged runs, so ends are kept in
-//! `data/ends.csv`; a scene that is not among them is computed when it is asked for.
+//! Ends of random scenes by the independent programs. These take much longer than the judged runs, so their ends are stored in
+//! `data/ends.csv`; a missing end is computed when needed.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -17,46 +17,46 @@ use crate::independent::Independent;
 use crate::watch::Watch;
 use crate::{Case, Extent};
 
-/// An end that is farther off than this, rad, is wrong...
+/// Error of an end, rad, above which it is wrong, unless the scene is sensitive (see [`MULTIPLIED`]).
 const WRONG: f64 = 1e-3;
-/// ... unless a start that is so much off, rad and rad/s, ...
+/// Change of the start, rad and rad/s, to measure the sensitivity.
 const NUDGE: f64 = 1e-7;
-/// ... makes an end off by more than WRONG over this: bounces multiply errors.
+/// If the changed start moves the end by more than `WRONG` divided by this, more error is allowed: bounces multiply errors.
 const MULTIPLIED: f64 = 100.0;
 
-/// A scene to be followed to its end.
+/// A scene to run to its end.
 #[derive(Clone, Debug)]
 pub struct Goal {
     /// Its parameters.
     pub parameters: Parameters,
-    /// Inputs that are held.
+    /// Constant inputs.
     pub inputs: Inputs,
-    /// Length of the run, s.
+    /// Duration, s.
     pub duration: f64,
 }
 
-/// An end.
+/// End of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct End {
     /// Angles of the links, rad.
     pub angles: [f64; 4],
-    /// How far off a run may be, rad.
+    /// Allowed error, rad.
     pub allowed: f64,
 }
 
-/// Ends by the name of their scene; `None` where the program gave up.
+/// Ends by scene name; `None` if the program failed.
 type Ends = HashMap<String, Option<End>>;
 
 /// Ends read from `data/ends.csv`.
 static KEPT: LazyLock<Ends> = LazyLock::new(|| read(include_str!("../data/ends.csv")));
 
 impl Goal {
-    /// The end that is kept, or a new one.
+    /// The stored end, or a newly computed one.
     pub(crate) fn kept_or_new(&self) -> Option<End> {
         KEPT.get(&self.name()).copied().unwrap_or_else(|| self.end())
     }
 
-    /// A name that tells scenes apart, whatever the round-off of their values: FNV-1a of nine digits of each.
+    /// A name that identifies a scene despite round-off of its values: FNV-1a of nine digits of each.
     fn name(&self) -> String {
         let Self { parameters: Parameters { geometry, effects, start, .. }, inputs, duration } = self;
         let text = format!("{:?}", (geometry, effects, start, inputs, duration));
@@ -68,7 +68,6 @@ impl Goal {
         format!("{hash:016x}")
     }
 
-    /// End computed by the independent program.
     fn end(&self) -> Option<End> {
         let Self { parameters, inputs, duration } = self;
         let start = Independent::new(parameters, inputs).start();
@@ -81,13 +80,12 @@ impl Goal {
     }
 }
 
-/// The largest difference of two postures, rad, whole turns left out.
+/// Largest difference of two postures, rad, without whole turns.
 pub(crate) fn apart(x: &[f64; 4], y: &[f64; 4]) -> f64 {
     (0..4).map(|i| ((x[i] - y[i] + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0).abs()).fold(0.0, f64::max)
 }
 
-/// The ends in a table: scene, case, number, four angles, allowed distance, and the seconds that it took; no angles where the
-/// program gave up.
+/// Ends from a table with scene, case, number, four angles, allowed error and computing time, s; no angles if the program failed.
 fn read(table: &str) -> Ends {
     let numbers = |row: &str| {
         let columns: Vec<f64> = row.split(',').skip(3).filter_map(|column| column.parse().ok()).collect();
@@ -97,7 +95,7 @@ fn read(table: &str) -> Ends {
     table.lines().filter_map(|row| Some((row.split(',').next()?.to_owned(), numbers(row)))).collect()
 }
 
-/// Works out the ends that are not in a table yet, and adds them one by one: it may be stopped and started again.
+/// Computes missing ends and appends each to the table, so that it can be interrupted and restarted.
 ///
 /// # Errors
 ///

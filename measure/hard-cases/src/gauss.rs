@@ -1,6 +1,6 @@
-//! Gauss's principle on the tangent cone, by brute force: the acceleration at rest in a vertex, independent of the library's own.
+//! Gauss's principle on the tangent cone, by brute force: the acceleration from rest in a vertex, independent of the library's code.
 //!
-//! Among the motions d of the cone the true one maximises (F·d)²/(d·M d), F the loads and M the mass matrix in link angles; then
+//! Among the motions d of the cone the true one maximises (F·d)²/(d·M d), with F the loads and M the mass matrix in link angles; then
 //! q̈ = d (F·d)/(d·M d) (`docs/vertices.md`, "The start from rest"). Every local maximum is a branch on which the machine may leave.
 
 use std::f64::consts::TAU;
@@ -23,10 +23,10 @@ pub struct Branch {
     pub acceleration: [f64; 4],
 }
 
-/// Number of directions looked at.
+/// Number of sampled directions.
 const DIRECTIONS: u32 = 3600;
 
-/// The branches on which the machine may leave rest in `vertex` under its loads, the strongest first; none without loads that do work.
+/// The branches on which the machine may leave rest in `vertex` under its loads, strongest first; empty if no load does work.
 pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, SceneError> {
     let simulation = Simulation::at(parameters, inputs, vertex.theta, [0.0; 4])?;
     let model = simulation.model();
@@ -49,7 +49,7 @@ pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Res
     };
     let at = |i: u32| TAU * f64::from(i) / f64::from(DIRECTIONS);
     let values: Vec<f64> = (0..DIRECTIONS).map(|i| value(at(i)).0).collect();
-    // Below this a load is round-off of one that does no work.
+    // Smaller loads are round-off of loads that do no work.
     let least = 1e-20 * load.iter().map(|load| load * load).sum::<f64>() / mass[0][0];
     let n = DIRECTIONS as usize;
     let mut found = Vec::new();
@@ -65,7 +65,7 @@ pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Res
     Ok(found)
 }
 
-/// Place of the largest `f` between two places with one maximum between them.
+/// Position of the largest `f` in an interval with a single maximum.
 fn maximum(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     for _ in 0..60 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);

@@ -1,4 +1,4 @@
-//! The predictability horizon: how fast two runs of a free fall that differ by 1e-12 rad/s part.
+//! The predictability horizon: divergence of two free falls that differ by 1e-12 rad/s at the start.
 
 use std::f64::consts::FRAC_PI_2;
 use std::io::Write;
@@ -10,10 +10,10 @@ use fivebar::simulation::{Parameters, Simulation};
 use crate::machine::{NO_LOAD, fall_90_120};
 use crate::setting::Setting;
 
-/// Difference of both proximal rates at the start, rad/s. (In a direct singularity a difference of the proximal angles would
-/// be one of its square root in the others.)
+/// Difference of both proximal rates at the start, rad/s. (In a direct singularity a difference of the proximal angles would change the
+/// other angles by its square root.)
 const APART: f64 = 1e-12;
-/// Fixed step, s: both runs make the same steps, so nothing but the dynamics parts them.
+/// Fixed step, s. Both runs make the same steps, so only the dynamics separates them.
 const STEP: f64 = 1e-5;
 /// Steps between two rows.
 const STRIDE: u64 = 200;
@@ -27,7 +27,7 @@ fn pairs() -> [(&'static str, Parameters); 3] {
     [("90/90 deg", default_parameters()), ("90/90 deg, 0.01 and 0.02 rad off", near), ("90/120 deg", fall_90_120())]
 }
 
-/// Largest difference of the link angles (rad) of two runs, over time; a pair whose step fails ends there.
+/// Largest difference of the link angles of two runs, rad, over time; a pair ends if a step fails.
 pub fn write(to: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(to);
     writer.write_record(["pair", "time [s]", "difference [rad]"])?;

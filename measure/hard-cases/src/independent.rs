@@ -1,8 +1,8 @@
 //! A second program for the same motions, by another method and without the library's code: absolute link angles with Lagrange
 //! multipliers, Gauss elimination, and extrapolation of the modified midpoint rule (Gragg, Bulirsch and Stoer; Hairer, Nørsett, Wanner,
-//! section II.9). It shares the numbers of a scene with the library, and nothing else.
+//! section II.9). It shares only the parameters of a scene with the library.
 //!
-//! No touch is stepped over by force: a step is never longer than what the fastest approach needs for the gap to the nearest stop or
+//! No step can miss a contact: its length is limited by the time in which the fastest approach closes the gap to the nearest stop or
 //! plane.
 
 use std::f64::consts::{E, PI, SQRT_2, TAU};
@@ -17,33 +17,33 @@ pub type Motion = [f64; 8];
 
 /// The columns of the extrapolation.
 const COLUMNS: usize = 6;
-/// Error of a step, rad and a tenth of a rad/s.
+/// Error of a step, in rad and in tenths of a rad/s.
 const TOLERANCE: f64 = 2e-13;
-/// The longest step, s.
+/// Longest step, s.
 const LONGEST: f64 = 5e-3;
 /// Joints as differences of links: left base, left elbow, tip, right elbow, right base.
 pub(crate) const JOINTS: [(usize, Option<usize>); 5] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
-/// The closure as this program sees it. With coaxial motors the links are vectors with the sum zero, those of the right leg pointing from the
-/// tip to the motors; where lengths are equal in pairs, a branch has equations that are regular in every posture.
+/// Closure equations of this program. With coaxial motors the links are vectors with sum zero; vectors of the right leg point from the tip
+/// to the motors. If lengths are equal in pairs, each branch has equations that are regular in every posture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Closure {
-    /// Both legs end in the tip: singular where all links are in line.
+    /// Both legs end at the tip; singular if all links are in line.
     Tip,
-    /// The vectors of each of these pairs of links are opposite.
+    /// In each of these pairs the link vectors are opposite.
     Opposite([[usize; 2]; 2]),
-    /// The vectors of each of these pairs of links are mirror images in one axis: θ = x ± α, and x ± β, with a cos α + b cos β = 0.
+    /// In each of these pairs the link vectors are mirror images in one axis: θ = x ± α, and x ± β, with a cos α + b cos β = 0.
     Mirrored([[usize; 2]; 2]),
 }
 
-/// An equation of the closure: `gap` = 0; its second derivative is row·(accelerations of the links) − `drift`.
+/// A closure equation, `gap` = 0. Its second derivative is row·(accelerations of the links) − `drift`.
 struct Equation {
     row: [f64; 4],
     gap: f64,
     drift: f64,
 }
 
-/// A scene as this program sees it.
+/// A scene, as seen by this program.
 #[derive(Clone, Debug)]
 pub struct Independent<'a> {
     pub(crate) scene: &'a Parameters,
@@ -56,7 +56,7 @@ fn along(angle: f64, length: f64) -> [f64; 2] {
 }
 
 impl<'a> Independent<'a> {
-    /// For the default orientation of gravity; rotors are not known here. Equal links with coaxial motors make a parallelogram.
+    /// For the default orientation of gravity; without rotors. Equal links with coaxial motors form a parallelogram.
     pub fn new(scene: &'a Parameters, inputs: &'a Inputs) -> Self {
         let links = &scene.geometry.links;
         let equal = links.iter().all(|link| link.length == links[0].length);
@@ -64,13 +64,13 @@ impl<'a> Independent<'a> {
         Self::on(if is_rhombus { Closure::Opposite([[0, 2], [3, 1]]) } else { Closure::Tip }, scene, inputs)
     }
 
-    /// As [`Independent::new`], with a closure that the scene has.
+    /// Like [`Independent::new`], with another closure of the scene.
     pub fn on(closure: Closure, scene: &'a Parameters, inputs: &'a Inputs) -> Self {
         assert!(!scene.effects.rotor.enabled, "rotors are not known here");
         Self { scene, inputs, closure }
     }
 
-    /// The start, from the proximal angles and rates: tip to the left of the arrow from the left elbow to the right one.
+    /// The start, from the proximal angles and rates; the tip is to the left of the arrow from the left elbow to the right one.
     pub fn start(&self) -> Motion {
         let [left, distal_left, distal_right, right] = self.scene.geometry.links.map(|link| link.length);
         let ([a, d], [wa, wd]) = (self.scene.start.theta, self.scene.start.omega);
@@ -83,7 +83,7 @@ impl<'a> Independent<'a> {
         let tip = [p[0] + (foot * dx - height * dy) / distance, p[1] + (foot * dy + height * dx) / distance];
         let b = (tip[1] - p[1]).atan2(tip[0] - p[0]);
         let c = (tip[1] - q[1]).atan2(tip[0] - q[0]);
-        // The closure's rates, solved for those of the distal links.
+        // Rate equations of the closure, solved for the distal links.
         let [[jb, jc], [kb, kc]] =
             [[-distal_left * b.sin(), distal_right * c.sin()], [distal_left * b.cos(), -distal_right * c.cos()]];
         let x = left * a.sin() * wa - right * d.sin() * wd;
@@ -92,7 +92,7 @@ impl<'a> Independent<'a> {
         [a, b, c, d, wa, (x * kc - jc * y) / determinant, (jb * y - kb * x) / determinant, wd]
     }
 
-    /// After `duration` seconds, with friction that sticks where the scene has it; `None` where the program gives up.
+    /// State after `duration` seconds, with friction that sticks if the scene has it; `None` if the program fails.
     pub(crate) fn followed(&self, start: Motion, duration: f64) -> Option<Motion> {
         let effects = &self.scene.effects;
         let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
@@ -100,7 +100,7 @@ impl<'a> Independent<'a> {
         if sticks { Sticking::new(self.clone()).after(start, duration) } else { self.after(start, duration) }
     }
 
-    /// After `duration` seconds; `None` where steps become too short.
+    /// State after `duration` seconds; `None` if steps become too short.
     pub fn after(&self, start: Motion, duration: f64) -> Option<Motion> {
         let (mut state, mut time, mut wanted) = (start, 0.0, 1e-4_f64);
         while time < duration {
@@ -113,23 +113,23 @@ impl<'a> Independent<'a> {
                 state = self.closed(end);
                 time += h;
             }
-            // The error of a small step is mostly round-off, which does not fall with the step: steps may grow faster than the
-            // order says.
+            // The error of a small step is mostly round-off and does not decrease with the step. So steps may grow faster than the order
+            // suggests.
             wanted = h * (0.7 * error.max(1e-12).powf(-0.2)).clamp(0.2, 4.0);
         }
         Some(state)
     }
 
-    /// The tip, m.
+    /// Position of the tip, m.
     pub fn tip(&self, state: &Motion) -> [f64; 2] {
         let links = &self.scene.geometry.links;
         let (p, d) = (along(state[0], links[0].length), along(state[1], links[1].length));
         [p[0] + d[0], p[1] + d[1]]
     }
 
-    /// The longest step that cannot pass a gap, s.
+    /// Longest step that cannot pass a gap, s.
     pub(crate) fn cap(&self, state: &Motion) -> f64 {
-        /// Part of a ramp that a step may be longer than the way to it.
+        /// Fraction of a ramp by which a step may pass its beginning.
         const PART: f64 = 0.3;
         let effects = &self.scene.effects;
         let mut cap = LONGEST;
@@ -154,7 +154,7 @@ impl<'a> Independent<'a> {
         cap
     }
 
-    /// A step by extrapolation, with its error in units of the tolerance.
+    /// An extrapolated step, with its error in units of the tolerance.
     fn extrapolate(&self, from: &Motion, h: f64) -> (Motion, f64) {
         extrapolate(&|state| self.slope(state), from, h)
     }
@@ -166,12 +166,12 @@ impl<'a> Independent<'a> {
         [wa, wb, wc, wd, solution[0], solution[1], solution[2], solution[3]]
     }
 
-    /// The equations of motion and of closure in four accelerations and two multipliers; the last column is the right-hand side.
+    /// Equations of motion and closure in four accelerations and two multipliers; the last column is the right-hand side.
     pub(crate) fn equations(&self, state: &Motion) -> [[f64; 7]; 6] {
         let links = &self.scene.geometry.links;
         let mut matrix = [[0.0; 7]; 6];
         let forces = self.forces(state);
-        // Each leg: proximal and distal link, and what it carries.
+        // For each leg: proximal and distal link, and payload.
         for ([proximal, distal], payload) in [([0, 1], self.payload()), ([3, 2], 0.0)] {
             let ([angle, rate], [other, other_rate]) = ([state[proximal], state[4 + proximal]], [state[distal], state[4 + distal]]);
             let (p, q) = (&links[proximal], &links[distal]);
@@ -192,7 +192,7 @@ impl<'a> Independent<'a> {
         matrix
     }
 
-    /// Mass at the tip, kg, which the left leg carries.
+    /// Mass at the tip, kg, as part of the left leg.
     fn payload(&self) -> f64 {
         let payload = &self.scene.effects.payload;
         if payload.enabled { payload.mass } else { 0.0 }
@@ -262,7 +262,7 @@ impl<'a> Independent<'a> {
             if effects.viscous.enabled {
                 torque -= effects.viscous.b[joint] * w;
             }
-            // `sticking.rs` has the friction that sticks.
+            // `sticking.rs` handles friction that sticks.
             if effects.friction.enabled && effects.friction.law == Law::Smooth {
                 let friction = &effects.friction;
                 let (coulomb, breakaway, velocity) =
@@ -298,7 +298,7 @@ impl<'a> Independent<'a> {
             let arms = self.arms(state);
             let v = arms.iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - rate[*link] * y, v[1] + rate[*link] * x]);
             let [_, normal] = self.pressed(state);
-            // `sticking.rs` has the friction that sticks.
+            // `sticking.rs` handles friction that sticks.
             let drag = match contact.law {
                 Law::Smooth => contact.mu * normal * ((n[0] * v[1] - n[1] * v[0]) / contact.slip_velocity).tanh(),
                 Law::Stick => 0.0,
@@ -311,7 +311,7 @@ impl<'a> Independent<'a> {
         forces
     }
 
-    /// The arms at which the links of the left leg move the tip, m.
+    /// Lever arms of the left leg's links on the tip, m.
     pub(crate) fn arms(&self, state: &Motion) -> [(usize, [f64; 2]); 2] {
         let links = &self.scene.geometry.links;
         [(0, along(state[0], links[0].length)), (1, along(state[1], links[1].length))]
@@ -328,7 +328,7 @@ impl<'a> Independent<'a> {
         [depth, push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width])]
     }
 
-    /// Back onto the closure: the nearest angles, and then rates.
+    /// Projects onto the closure: nearest angles first, then rates.
     pub fn closed(&self, mut state: Motion) -> Motion {
         for round in 0..4 {
             let [one, other] = self.closure(&state);
@@ -345,11 +345,11 @@ impl<'a> Independent<'a> {
         state
     }
 
-    /// The scene with the friction of joints that always turn by the same angle in one of them, and none in joints that do not turn: their
-    /// own torques are not unique. Which do is read off a motion.
+    /// Merges the friction of joints that always turn together into one of them, and removes it from joints that do not turn, because their
+    /// individual torques are not unique. A motion shows which joints these are.
     pub(crate) fn merged(&self, state: &Motion) -> Parameters {
         let mut merged = self.scene.clone();
-        // Rates of a joint that a motion on the closure can have.
+        // Possible joint rates of a motion on the closure.
         let turns = JOINTS.map(|(first, second)| {
             let mut rates = *state;
             rates[4..].fill(0.0);
@@ -378,7 +378,7 @@ impl<'a> Independent<'a> {
     }
 }
 
-/// A step by extrapolation, with its error in units of the tolerance.
+/// An extrapolated step, with its error in units of the tolerance.
 pub(crate) fn extrapolate(slope: &impl Fn(&Motion) -> Motion, from: &Motion, h: f64) -> (Motion, f64) {
     let mut table: Vec<Motion> = Vec::with_capacity(COLUMNS);
     let mut error = f64::INFINITY;
@@ -402,7 +402,7 @@ pub(crate) fn extrapolate(slope: &impl Fn(&Motion) -> Motion, from: &Motion, h: 
     (end, if end.iter().all(|x| x.is_finite()) { error } else { f64::INFINITY })
 }
 
-/// The modified midpoint rule in so many parts.
+/// The modified midpoint rule in `parts` parts.
 fn midpoint(slope: &impl Fn(&Motion) -> Motion, from: &Motion, h: f64, parts: usize) -> Motion {
     let part = h / parts as f64;
     let add = |x: &Motion, factor: f64, slope: &Motion| -> Motion { std::array::from_fn(|i| x[i] + factor * slope[i]) };
@@ -425,7 +425,7 @@ fn push(depth: f64, rate: f64, [stiffness, damping, width]: [f64; 3]) -> f64 {
     (u * u * u * (10.0 - 15.0 * u + 6.0 * u * u) * (stiffness * depth + damping * rate)).max(0.0)
 }
 
-/// Gauss elimination with the largest pivot of each column; the right-hand side is the last.
+/// Gauss elimination with column pivoting; the last column is the right-hand side.
 pub(crate) fn eliminate<const N: usize, const W: usize>(mut matrix: [[f64; W]; N]) -> [f64; N] {
     for column in 0..N {
         let pivot = (column..N).max_by(|i, j| matrix[*i][column].abs().total_cmp(&matrix[*j][column].abs())).unwrap_or(column);

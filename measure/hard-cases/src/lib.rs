@@ -1,8 +1,8 @@
 //! The battery of hard cases: five-bar motion through and near singularities, by every method, with pass or fail.
 //!
-//! A [`Case`] is data: trials (a scene, a start, a schedule of loads and communication steps, what to watch) and a demand on the
-//! result. [`Case::measure`] runs it by a [`Setting`] (method, step, tolerance) and gives a [`Row`]. The cases themselves are in
-//! [`cases`], in the numbered groups of `docs/hard-cases.md`.
+//! A [`Case`] is data: trials (a scene, a start, a schedule of loads and communication steps, what to watch) and requirements on the
+//! result. [`Case::measure`] runs it with a [`Setting`] (method, step, tolerance) and returns a [`Row`]. The cases are in [`cases`], in the
+//! numbered groups of `docs/hard-cases.md`.
 
 pub mod books;
 pub mod cases;

@@ -1,22 +1,21 @@
-//! Scenes and machines that several cases share.
+//! Scenes and machines shared by several cases.
 
 use fivebar::mechanism::{Geometry, closure};
 use fivebar::simulation::bindings::default_parameters;
 use fivebar::simulation::{Inputs, Parameters};
 
-/// No load.
 pub(crate) const NO_LOAD: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2], servo_theta: [0.0; 2], servo_omega: [0.0; 2] };
 
-/// Acceleration of gravity in the unit of energy, m/s².
+/// Gravity in the unit of energy, m/s².
 const G: f64 = 9.81;
 
-/// m g L of the machine, J: the unit in which energy errors are judged. With unequal links, of the heaviest and the longest.
+/// m g L of the machine, J, the unit of energy errors. With unequal links, from the heaviest and the longest.
 pub fn mgl(geometry: &Geometry) -> f64 {
     let largest = |of: fn(&fivebar::mechanism::Link) -> f64| geometry.links.iter().map(of).fold(0.0, f64::max);
     largest(|link| link.mass) * G * largest(|link| link.length)
 }
 
-/// The machine's size in sizes of the paper's machine, by which bounds in m and m/s are scaled.
+/// Ratio of the machine's size to the paper's machine; scales bounds in m and m/s.
 pub(crate) fn relative_size(geometry: &Geometry) -> f64 {
     geometry.length_scale() / default_parameters().geometry.length_scale()
 }
@@ -35,7 +34,7 @@ pub(crate) fn weightless() -> Parameters {
     parameters
 }
 
-/// The paper's machine with every length times `factor`; the masses stay.
+/// The paper's machine with every length multiplied by `factor`; the masses stay.
 pub(crate) fn scaled(factor: f64) -> Parameters {
     let mut parameters = fall_90_120();
     parameters.geometry.base_distance *= factor;
@@ -47,7 +46,7 @@ pub(crate) fn scaled(factor: f64) -> Parameters {
     parameters
 }
 
-/// Angles of a leg's links (proximal, distal) that put its end on `tip`; `side` is the sign with which the leg bends.
+/// Angles of a leg's links (proximal, distal) that put its end at `tip`; `side` is the sign of the bend.
 pub(crate) fn leg_to(base: f64, [proximal, distal]: [f64; 2], tip: [f64; 2], side: f64) -> [f64; 2] {
     let (x, y) = (tip[0] - base, tip[1]);
     let distance = x.hypot(y);
@@ -57,7 +56,7 @@ pub(crate) fn leg_to(base: f64, [proximal, distal]: [f64; 2], tip: [f64; 2], sid
     [first, (y - elbow[1]).atan2(x - elbow[0])]
 }
 
-/// Rates of the right leg (distal, proximal) that follow the tip as the left leg moves it.
+/// Rates of the right leg (distal, proximal) that follow the tip's motion by the left leg.
 pub(crate) fn right_rates(geometry: &Geometry, theta: [f64; 4], left: [f64; 2]) -> [f64; 2] {
     let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
     let normal = |i: usize| [-theta[i].sin(), theta[i].cos()];
@@ -67,14 +66,14 @@ pub(crate) fn right_rates(geometry: &Geometry, theta: [f64; 4], left: [f64; 2]) 
     [l4 * (velocity[0] * n4[1] - velocity[1] * n4[0]) / determinant, l3 * (n3[0] * velocity[1] - n3[1] * velocity[0]) / determinant]
 }
 
-/// q̇ of the whole machine for unit rate of one link, each leg by itself.
+/// q̇ of the whole machine for unit rate of one link, with each leg separate.
 pub(crate) fn unit_motion(geometry: &Geometry, theta: [f64; 4], link: usize) -> fivebar::mechanism::Coordinates {
     let mut omega = [0.0; 4];
     omega[link] = 1.0;
     closure::assemble(geometry, theta, omega).1
 }
 
-/// The closest link angles and rates that close the loop, by Newton's method with the shortest corrections.
+/// Nearest link angles and rates that close the loop, by Newton's method with minimal corrections.
 pub(crate) fn closed(geometry: &Geometry, mut theta: [f64; 4], mut omega: [f64; 4]) -> ([f64; 4], [f64; 4]) {
     let lengths = geometry.links.map(|link| link.length);
     // Left leg minus right leg.

@@ -1,4 +1,4 @@
-//! Runs the battery and writes its tables; `cargo xtask hard-cases` builds it, calls it and draws the pictures.
+//! Runs the battery and writes its tables; `cargo xtask hard-cases` builds and runs it and draws the pictures.
 
 use std::fs::{self, File};
 use std::io;
@@ -21,94 +21,95 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Task {
-    /// Run the cases; hard-cases.csv, hard-cases.md and horizon.csv go to a folder
+    /// Run the cases; write hard-cases.csv, hard-cases.md and horizon.csv
     Run {
-        /// The folder
+        /// Output folder
         #[arg(long)]
         out: PathBuf,
-        /// A sample of every case
+        /// Only a sample of every case
         #[arg(long)]
         quick: bool,
         /// Only cases whose name contains this
         #[arg(long)]
         only: Option<String>,
-        /// Only items 1 to 6 and 9 by this method, named as `solver.method` names it
+        /// Only items 1 to 6 and 9 with this method, by its name in `solver.method`
         #[arg(long)]
         by: Option<String>,
         /// A file with the fingerprint of a build without optimisation
         #[arg(long)]
         unoptimised: Option<PathBuf>,
     },
-    /// Time the falls by the explicit method, and each step of them by the conserving one; falls.csv, step-times.csv and step-work.csv go to a folder
+    /// Time the falls by the explicit method, and each of their steps by the conserving one; write falls.csv, step-times.csv and
+    /// step-work.csv
     Falls {
-        /// The folder
+        /// Output folder
         #[arg(long)]
         out: PathBuf,
-        /// A sample of them
+        /// Only a sample
         #[arg(long)]
         quick: bool,
     },
-    /// Run falls of 50 s of several seeds by the explicit method; seeds.csv goes to a folder
+    /// Run falls of 50 s with several seeds by the explicit method; write seeds.csv
     Seeds {
-        /// The folder
+        /// Output folder
         #[arg(long)]
         out: PathBuf,
-        /// How many seeds, from 1 on
+        /// Number of seeds, starting at 1
         #[arg(long, default_value_t = 10)]
         seeds: u64,
-        /// How many falls of each
+        /// Number of falls for each
         #[arg(long, default_value_t = 1000)]
         falls: usize,
     },
-    /// Keep the books of energy of random scenes with kinks at tolerances from 1e-4 to 1e-12 rad; books.csv goes to a folder
+    /// Check the energy balance of random scenes with kinks at tolerances from 1e-4 to 1e-12 rad; write books.csv
     Books {
-        /// The folder
+        /// Output folder
         #[arg(long)]
         out: PathBuf,
-        /// How many scenes of each kind
+        /// Number of scenes of each kind
         #[arg(long, default_value_t = 20)]
         scenes: u64,
-        /// The number of the first
+        /// Number of the first scene
         #[arg(long, default_value_t = 200)]
         from: u64,
         /// Only kinds whose name contains this
         #[arg(long, default_value = "")]
         only: String,
-        /// Only this method, named as `solver.method` names it
+        /// Only this method, by its name in `solver.method`
         #[arg(long)]
         by: Option<String>,
-        /// Communication points to one of the battery; macro steps are as short
+        /// Communication points for each one of the battery; macro steps are equally short
         #[arg(long, default_value_t = 1)]
         points: u64,
-        /// Torques that change now and then differ by multiples of this, N·m
+        /// Unit of the occasional torque changes, N·m
         #[arg(long, default_value_t = 1e-3)]
         push: f64,
-        /// At these tolerances, rad
+        /// Tolerances, rad
         #[arg(long, value_delimiter = ',', default_value = "1e-4,1e-6,3e-9,1e-12")]
         tolerances: Vec<f64>,
     },
-    /// Run random scenes of every kind by every method that checks its steps, at tolerances from 1e-11 to 1e-3 rad: no check stops one
+    /// Run random scenes of every kind by every method with checked steps, at tolerances from 1e-11 to 1e-3 rad: no check may stop one
     Checks {
-        /// How many scenes
+        /// Number of scenes
         #[arg(long, default_value_t = 20_000)]
         scenes: u64,
-        /// The number of the first
+        /// Number of the first scene
         #[arg(long, default_value_t = 0)]
         from: u64,
     },
-    /// Run random scenes with coaxial motors by every method against a second program; coaxial.csv goes to a folder
+    /// Compare random scenes with coaxial motors by every method with a second program; write coaxial.csv
     Coaxial {
-        /// The folder
+        /// Output folder
         #[arg(long)]
         out: PathBuf,
-        /// How many scenes
+        /// Number of scenes
         #[arg(long, default_value_t = 5000)]
         scenes: u64,
-        /// The number of the first, its seed
+        /// Number of the first scene, its seed
         #[arg(long, default_value_t = 0)]
         from: u64,
     },
-    /// Compute the ends of the independent programs in the random scenes with kinks, and add missing ones to a table
+    /// Compute the ends of the random scenes with kinks by the independent programs and add missing ones to a table
     Ends {
         /// The table
         #[arg(long, default_value = "measure/hard-cases/data/ends.csv")]
@@ -116,7 +117,7 @@ enum Task {
         /// Only cases whose name contains this
         #[arg(long, default_value = "")]
         only: String,
-        /// Only so many scenes of each
+        /// Maximum number of scenes of each
         #[arg(long, default_value_t = usize::MAX)]
         count: usize,
     },
@@ -204,7 +205,7 @@ fn extent(quick: bool) -> Extent {
     if quick { Extent::Quick } else { Extent::Full }
 }
 
-/// The rows of the cases whose names contain `only`, and of all methods or one.
+/// Rows of the cases with `only` in their names, for all methods or one.
 fn rows(extent: Extent, (only, by): (&str, Option<&str>), unoptimised: Option<&Path>) -> Result<Vec<Row>> {
     let mut cases: Vec<Case> = Case::all(extent).into_iter().filter(|case| case.name.contains(only)).collect();
     cases.iter_mut().for_each(|case| case.settings.retain(|setting| by.is_none_or(|by| setting.method() == by)));
@@ -239,7 +240,7 @@ fn rows(extent: Extent, (only, by): (&str, Option<&str>), unoptimised: Option<&P
     Ok(rows)
 }
 
-/// The fingerprint that another process of this program prints.
+/// Fingerprint printed by another process of this program.
 fn other_process() -> Result<String> {
     let program = std::env::current_exe().context("this program's own path")?;
     let output = Command::new(program).arg("fingerprint").output().context("this program could not be started again")?;
@@ -254,7 +255,7 @@ fn write(folder: &Path, rows: &[Row]) -> Result<()> {
     Ok(())
 }
 
-/// A new file in a folder, which is made if need be.
+/// A new file in a folder, which is created if missing.
 fn file(folder: &Path, name: &str) -> Result<File> {
     fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
     let path = folder.join(name);

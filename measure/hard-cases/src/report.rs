@@ -1,14 +1,14 @@
-//! Rows of the battery's tables, a case by a method each, with the verdict; and tables in CSV and Markdown.
+//! Rows of the battery's tables, one per case and method, with the verdict; tables in CSV and Markdown.
 
 use std::fmt;
 use std::io::{self, Write};
 
-/// How a row is judged.
+/// Verdict on a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Verdict {
-    /// Meets its criterion.
+    /// Meets the criterion.
     Pass,
-    /// Does not.
+    /// Does not meet the criterion.
     Fail,
     /// Shown, not judged.
     #[default]
@@ -25,10 +25,10 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// A case by one method with its setting.
+/// A case with one method and setting.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
-    /// Number of its group: the column *item* of `docs/hard-cases.md`.
+    /// Group number: the column *item* of `docs/hard-cases.md`.
     pub item: u8,
     /// The case.
     pub case: &'static str,
@@ -40,29 +40,29 @@ pub struct Row {
     pub runs: usize,
     /// Runs that do not meet the criterion.
     pub failures: usize,
-    /// Runs that ended before their time.
+    /// Runs that ended early.
     pub ended_early: usize,
-    /// Why they did, with counts.
+    /// Reasons for early ends, with counts.
     pub statuses: String,
-    /// Largest |balance residual of the energy|, mgL or the trial's larger unit.
+    /// Largest |balance residual of the energy|, in mgL or the trial's larger unit.
     pub energy: f64,
-    /// Largest fall of the dissipated energy, in parts of the largest energy.
+    /// Largest decrease of dissipated energy, relative to the largest energy.
     pub taken_back: f64,
-    /// Largest constraint violation, m for a machine of the paper's size.
+    /// Largest constraint violation, m, scaled to the paper's machine.
     pub position: f64,
-    /// Largest constraint violation at velocity level, m/s for a machine of the paper's size.
+    /// Largest constraint violation at velocity level, m/s, scaled to the paper's machine.
     pub velocity: f64,
-    /// Most sub-steps in a macro step.
+    /// Largest number of sub-steps in a macro step.
     pub most: u64,
     /// Mean sub-steps per macro step.
     pub mean: f64,
-    /// Criterion in words.
+    /// Text of the criterion.
     pub criterion: String,
-    /// The judgement.
+    /// Verdict on the row.
     pub verdict: Verdict,
-    /// Exact inputs of every run that does not meet the criterion, and its violation.
+    /// Exact inputs and violation of every run that does not meet the criterion.
     pub objections: Vec<String>,
-    /// Wall seconds.
+    /// Wall time, s.
     pub seconds: f64,
 }
 
@@ -154,7 +154,7 @@ pub(crate) fn markdown_table<const N: usize>(
     rows.map(line).try_for_each(|line| writeln!(to, "{line}"))
 }
 
-/// The rows as a table in Markdown, and below it the violations by the judged ones.
+/// The rows as a Markdown table, followed by the violations of judged rows.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     // Criteria and exact inputs are too long for a table.
     let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 15, 16];

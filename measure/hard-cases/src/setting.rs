@@ -1,4 +1,4 @@
-//! The methods with their settings: the columns of the matrix.
+//! The methods with their settings; the columns of the matrix.
 
 use fivebar::simulation::{Method, Parameters};
 
@@ -9,30 +9,30 @@ pub enum Setting {
     Default,
     /// i3-ALP with error-controlled sub-steps at this local error, rad.
     Tolerance(f64),
-    /// i3-ALP at strictly fixed steps of this many seconds.
+    /// i3-ALP with fixed steps of this length, s.
     Fixed(f64),
-    /// i3-ALP as printed, at steps of this many seconds.
+    /// i3-ALP as printed, with steps of this length, s.
     Printed(f64),
-    /// Runge-Kutta of order 4 with projection, at steps of this many seconds.
+    /// Runge-Kutta of order 4 with projection, with steps of this length, s.
     Rk4(f64),
-    /// The conserving step, of this many seconds.
+    /// The conserving step, of this length, s.
     Conserving(f64),
     /// Runge-Kutta of order 8 with this error tolerance, rad.
     Dop853(f64),
-    /// The kind of step that takes least, with this error tolerance, rad.
+    /// The method that chooses the cheapest kind of step, with this error tolerance, rad.
     Automatic(f64),
 }
 
 impl Setting {
-    /// The tighter tolerance at which the battery judges, rad.
+    /// The tighter tolerance of the battery, rad.
     pub const TIGHT: Self = Self::Tolerance(3e-10);
-    /// Far tighter than anything judged: starts and reference motions.
+    /// Much tighter than any judged setting, for starts and reference motions.
     pub const REFERENCE: Self = Self::Tolerance(1e-11);
-    /// The explicit method at the tolerance at which the battery judges it, rad.
+    /// The explicit method at the battery's tolerance, rad.
     pub const EXPLICIT: Self = Self::Dop853(1e-10);
-    /// The method that chooses its scheme, at the tolerance at which the battery judges it, rad.
+    /// The method that chooses its scheme, at the battery's tolerance, rad.
     pub const AUTOMATIC: Self = Self::Automatic(1e-10);
-    /// The conserving step at which every case is judged, s; falls are judged at all of its columns.
+    /// The conserving step that judges every case, s; falls are judged at all of its step lengths.
     pub const CONSERVING: Self = Self::Conserving(1e-3);
     /// The columns of the matrix.
     pub const ALL: [Self; 13] = [
@@ -51,7 +51,7 @@ impl Setting {
         Self::Rk4(1e-4),
     ];
 
-    /// Writes the setting into a scene; the longest macro step stays that of the scene where the setting has none.
+    /// Applies the setting to a scene. Settings without a step keep the scene's longest macro step.
     pub fn apply(self, parameters: &mut Parameters) {
         let settings = &mut parameters.settings;
         let step = match self {
@@ -88,7 +88,7 @@ impl Setting {
         settings.step_size = step;
     }
 
-    /// The method's name, as `solver.method` has it.
+    /// Name of the method in `solver.method`.
     pub fn method(self) -> &'static str {
         match self {
             Self::Default | Self::Tolerance(_) | Self::Fixed(_) => "i3alp",

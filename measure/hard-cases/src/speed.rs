@@ -1,4 +1,4 @@
-//! Energy error and wall time per simulated second of the battery's first 200 perturbed falls, by the explicit method in communication
+//! Energy error and wall time per simulated second of the battery's first 200 perturbed falls, by the explicit method with communication
 //! steps of several lengths. Part of `cargo xtask bench`.
 
 use std::io::{self, Write};
@@ -7,21 +7,21 @@ use crate::cases::{Case, Extent};
 use crate::report;
 use crate::setting::Setting;
 
-/// How many falls.
+/// Number of falls.
 const FALLS: usize = 200;
 /// Communication steps, s: a whole fall in one call, then shorter ones.
 const STEPS: [f64; 3] = [f64::INFINITY, 50e-3, 1e-3];
 
-/// The falls in communication steps of one length.
+/// The falls with communication steps of one length.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// Length of a communication step, s.
     pub step: f64,
-    /// How long a fall is, s.
+    /// Duration of a fall, s.
     pub duration: f64,
-    /// The battery's judgement.
+    /// Verdict of the battery.
     pub falls: report::Row,
-    /// Milliseconds of wall time per simulated second, on one core: the median over the falls and the largest.
+    /// Wall time per simulated second, ms, on one core: median and maximum over the falls.
     pub cost: [f64; 2],
 }
 
@@ -36,7 +36,7 @@ const HEADER: [&str; 8] = [
     "largest time [ms/s]",
 ];
 
-/// The first falls of the battery, in communication steps of `step` s or, where that is longer, in one.
+/// First falls of the battery, in communication steps of `step` s, or in a single call if `step` is longer.
 pub fn falls(extent: Extent, step: f64) -> Case {
     let mut case = Case::of_item(extent, 1).swap_remove(0);
     case.trials.truncate(FALLS);
@@ -48,8 +48,8 @@ pub fn falls(extent: Extent, step: f64) -> Case {
     case
 }
 
-/// Times the falls one after the other, each in all communication steps in turn, so that disturbances of the machine meet all of
-/// them alike; then judges them. Returns the failure where a fall does not come to its end.
+/// Times the falls one by one. Each fall runs with all communication steps in turn, so that other load on the machine affects all of them
+/// alike. Then judges them; returns the failure if a fall does not complete.
 pub fn rows(extent: Extent) -> Result<Vec<Row>, String> {
     let cases = STEPS.map(|step| falls(extent, step));
     let mut costs = [const { Vec::new() }; STEPS.len()];
@@ -92,7 +92,7 @@ pub fn write_csv(rows: &[Row], to: impl Write) -> csv::Result<()> {
     report::csv_table(HEADER, rows.iter().map(Row::cells), to)
 }
 
-/// The rows as a table in Markdown, and below it the goals that were not met.
+/// The rows as a Markdown table, followed by targets that were not met.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     report::markdown_table(HEADER, rows.iter().map(Row::cells), &mut to)?;
     let objections = rows.iter().flat_map(|row| &row.falls.objections);

@@ -1,5 +1,5 @@
-//! Wall time of a single strictly fixed step, typically and at worst, for real-time users. Each step of the battery's first falls
-//! is timed alone, by the conserving method. Part of `cargo xtask bench`.
+//! Typical and worst wall time of a single fixed step, for real-time users. Each step of the battery's first falls is timed alone, by the
+//! conserving method. Part of `cargo xtask bench`.
 
 use std::io::{self, Write};
 use std::time::Instant;
@@ -10,19 +10,19 @@ use crate::report;
 use crate::setting::Setting;
 use crate::speed::falls;
 
-/// Steps, s, and bounds on the iterations of one (`solver.maxWork`).
+/// Step lengths, s, with bounds on the iterations of a step (`solver.maxWork`).
 const SETTINGS: [(f64, u32); 5] = [(1e-3, UNBOUNDED), (1e-3, 150), (1e-3, 40), (1e-3, 0), (4e-3, UNBOUNDED)];
-/// The start value: the ladder runs to its end.
+/// The default: all rescues are tried.
 const UNBOUNDED: u32 = 400_000;
-/// Parts of the steps that take no longer.
+/// Quantiles in the table.
 const PARTS: [f64; 6] = [0.5, 0.99, 0.999, 0.9999, 0.99999, 1.0];
-/// Bins of times per decade, from 1 ns on.
+/// Bins of times per decade, from 1 ns.
 const PER_DECADE: f64 = 10.0;
 const BINS: usize = 80;
-/// More than the fallback takes, in iterations.
+/// More iterations than the fallback takes.
 #[cfg(test)]
 const LAST_RESORT: usize = 30;
-/// More iterations are counted as so many.
+/// Larger numbers of iterations are counted as this.
 const MOST: usize = 2000;
 
 /// The steps of one setting.
@@ -32,17 +32,17 @@ pub struct StepTimes {
     pub step: f64,
     /// `solver.maxWork`.
     pub max_work: u32,
-    /// Steps by their times, in tenths of decades from 1 ns on.
+    /// Number of steps in each bin of time: tenths of decades from 1 ns.
     pub times: [u64; BINS],
-    /// The longest, ns.
+    /// Longest step, ns.
     pub longest: f64,
-    /// Steps by their iterations.
+    /// Number of steps for each number of iterations.
     pub iterations: Vec<u64>,
-    /// Steps by rescues beyond a first guess, and by the fallback; and falls that ended with a status, for want of a rescue.
+    /// Steps that needed more than the first guess; steps by the fallback; falls that ended with a status because no rescue was left.
     pub rescued: [u64; 3],
 }
 
-/// Times every step of the falls, 1e7 of 1 ms in full.
+/// Times every step of the falls; in full, 1e7 steps of 1 ms.
 pub fn measure(extent: Extent) -> Result<Vec<StepTimes>, String> {
     let falls = falls(extent, f64::INFINITY);
     let of = |&(step, max_work): &(f64, u32)| {
@@ -78,7 +78,7 @@ pub fn measure(extent: Extent) -> Result<Vec<StepTimes>, String> {
     SETTINGS.iter().map(of).collect()
 }
 
-/// The first place up to which this part of all counts lies.
+/// First index up to which `part` of all counts lies.
 fn quantile(counts: &[u64], part: f64) -> usize {
     let wanted = part * counts.iter().sum::<u64>() as f64;
     let mut sum = 0;
@@ -97,12 +97,12 @@ fn upper(bin: usize) -> f64 {
 }
 
 impl StepTimes {
-    /// Steps.
+    /// Number of steps.
     pub fn count(&self) -> u64 {
         self.times.iter().sum()
     }
 
-    /// Time of the steps of each of [`PARTS`], ns, and their iterations.
+    /// For each of [`PARTS`], quantiles of time, ns, and iterations.
     fn rows(&self) -> impl Iterator<Item = [String; 7]> {
         PARTS.into_iter().map(|part| {
             let ns = if part < 1.0 { upper(quantile(&self.times, part)).min(self.longest) } else { self.longest };
@@ -119,13 +119,13 @@ impl StepTimes {
     }
 }
 
-/// A table: of all steps this part takes no longer, and no more iterations.
+/// A table of quantiles of time and iterations.
 pub fn write_markdown(all: &[StepTimes], mut to: impl Write) -> io::Result<()> {
     let header = ["step [s]", "solver.maxWork", "steps", "part", "time [us]", "iterations", "rescued / fallbacks / ended"];
     report::markdown_table(header, all.iter().flat_map(StepTimes::rows), &mut to)
 }
 
-/// Iterations of every setting, and how many steps needed more than a first guess, which no clock changes.
+/// For every setting: iterations, and number of steps that needed more than the first guess; independent of any clock.
 pub fn write_work(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
     let header =
         ["step [s]", "solver.maxWork", "steps", "median", "99.99 %", "most iterations", "rescued", "by the fallback", "ended"];
@@ -147,7 +147,7 @@ pub fn write_work(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
     report::csv_table(header, rows, to)
 }
 
-/// The histogram: upper end of each bin and the steps in it, of every setting.
+/// The histogram of every setting: upper end of each bin and number of steps.
 pub fn write_csv(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
     let header = ["step [s]", "solver.maxWork", "up to [ns]", "steps"];
     let bins = all.iter().flat_map(|found| {
@@ -170,7 +170,7 @@ mod tests {
             let (steps, ended) = (if found.step > 1e-3 { 25_000 } else { 100_000 }, found.rescued[2] > 0);
             assert!(if ended { found.max_work == 0 && found.count() < steps } else { found.count() == steps }, "{found:?}");
         }
-        // Typical and rare steps, as docs/conserving.md has them: 99.99 % at most 8 iterations at 1 ms, and 50 at 4 ms.
+        // Typical and rare steps, as in docs/conserving.md: 99.99 % take at most 8 iterations at 1 ms, and 50 at 4 ms.
         for found in &all {
             let [median, rare] = [0.5, 0.9999].map(|part| quantile(&found.iterations, part));
             let most = if found.step > 1e-3 { [4, 50] } else { [3, 8] };

@@ -1,5 +1,5 @@
-//! The second program for friction that sticks, in the joints or of the tip on the plane: between events each sticking joint is one
-//! more constraint with a multiplier; at an event every pattern of sticking and slipping is tried against the law.
+//! The second program for friction that sticks, in the joints or between tip and plane. Between events each sticking place adds a
+//! constraint with a multiplier; at an event every pattern of sticking and slipping is tested against the law.
 
 use fivebar::effects::Law;
 use fivebar::simulation::Parameters;
@@ -16,14 +16,14 @@ enum StickSlip {
 
 /// The joints, and the tip on the plane.
 const FRICTION_PLACES: usize = 6;
-/// The place of the tip.
+/// Index of the tip.
 const TIP: usize = 5;
 
 type StickSlips = [StickSlip; FRICTION_PLACES];
 
-/// Rates below this, rad/s, are those of rest.
+/// Rates below this count as rest, rad/s.
 const SLOW: f64 = 1e-8;
-/// Longest step, s: too short for a rate to pass 0 twice.
+/// Longest step, s, short enough that a rate cannot pass 0 twice.
 const LONGEST: f64 = 1e-3;
 
 /// A scene whose friction sticks.
@@ -32,7 +32,7 @@ pub struct Sticking<'a> {
     program: Independent<'a>,
 }
 
-/// How fast the bodies at a friction place slide on each other: row·(rates of the links), and row·(their accelerations) + drift is how that changes.
+/// Sliding rate at a friction place: row·(rates of the links). Its derivative is row·(accelerations of the links) + drift.
 struct Row {
     row: [f64; 4],
     drift: f64,
@@ -49,17 +49,17 @@ impl Row {
 }
 
 impl<'a> Sticking<'a> {
-    /// With the closure and loads of a program.
+    /// Takes closure and loads from a program.
     pub fn new(program: Independent<'a>) -> Self {
         Self { scene: program.scene, program }
     }
 
-    /// After `duration` seconds; `None` where steps become too short or events too many.
+    /// State after `duration` seconds; `None` if steps become too short or events too many.
     pub fn after(&self, start: Motion, duration: f64) -> Option<Motion> {
         let (mut state, mut time, mut wanted, mut events) = (start, 0.0, 1e-4_f64, 0);
         let mut stick_slip = self.decided(&mut state);
         while duration - time > 1e-12 {
-            // Nothing moves, and no input changes.
+            // At rest with constant inputs, nothing changes.
             if state[4..].iter().all(|rate| *rate == 0.0)
                 && stick_slip.iter().filter(|place| **place == StickSlip::Holds).count() > 1
             {
@@ -93,7 +93,7 @@ impl<'a> Sticking<'a> {
         for place in (0..FRICTION_PLACES).filter(|place| stick_slip[*place] == StickSlip::Holds) {
             let row = self.row(place, &state);
             let rate = row.rate(&state);
-            // The rates nearest by that keep the closure: two equations of it, and that of the friction place.
+            // The nearest rates that satisfy two closure equations and the sticking constraint.
             let mut matrix = [[0.0; 8]; 7];
             for (equation, closure) in self.program.equations(&state)[4..].iter().enumerate() {
                 for link in 0..4 {
@@ -111,10 +111,10 @@ impl<'a> Sticking<'a> {
         state
     }
 
-    /// The end of the step that comes just beyond where the state of a friction place changes: by false position (Illinois) and bisection in
-    /// turn. Where two places are near their change the smallest guard has a corner, at which false position alone stops moving.
+    /// The end of the step just beyond a change of a friction place's state. It alternates false position (Illinois) and bisection: if two
+    /// places are about to change, the smallest guard has a corner, at which false position alone stalls.
     fn event(&self, from: &Motion, stick_slip: &StickSlips, longest: f64) -> (Motion, f64) {
-        /// So far beyond, rad/s and N·m, within the smaller.
+        /// Distance beyond the event, rad/s and N·m, within the smaller.
         const BEYOND: [f64; 2] = [5e-13, 4e-13];
         const ROUNDS: usize = 200;
         let step = |h: f64| extrapolate(&|state| self.slope(state, stick_slip), from, h).0;
@@ -138,7 +138,7 @@ impl<'a> Sticking<'a> {
         (end, beyond)
     }
 
-    /// Smallest guard value: slip rates in their direction, friction left in sticking joints, and the gap to the plane.
+    /// Smallest guard: slip rates in their direction, remaining friction of sticking joints, and the gap to the plane.
     fn margin(&self, state: &Motion, stick_slip: &StickSlips) -> f64 {
         let (_, torques) = self.accelerations(state, stick_slip);
         let margins = (0..FRICTION_PLACES).map(|place| match stick_slip[place] {
@@ -176,7 +176,7 @@ impl<'a> Sticking<'a> {
         Row { row, drift }
     }
 
-    /// Friction while it slips at a rate, N·m or N; the breakaway value at rate 0.
+    /// Friction at a slip rate, N·m or N; the breakaway value at rate 0.
     fn bound(&self, place: usize, state: &Motion, rate: f64) -> f64 {
         if place == TIP {
             return self.scene.effects.contact.mu * self.program.pressed(state)[1];
@@ -191,7 +191,7 @@ impl<'a> Sticking<'a> {
         [state[4], state[5], state[6], state[7], a[0], a[1], a[2], a[3]]
     }
 
-    /// Accelerations, and the torques of the friction places that hold. Two hold at most.
+    /// Accelerations, and friction torques of the sticking places, at most two.
     fn accelerations(&self, state: &Motion, stick_slip: &StickSlips) -> ([f64; 4], [f64; FRICTION_PLACES]) {
         let mut matrix = [[0.0; 9]; 8];
         for (row, equation) in self.program.equations(state).into_iter().enumerate() {
@@ -228,7 +228,7 @@ impl<'a> Sticking<'a> {
         ([solution[0], solution[1], solution[2], solution[3]], torques)
     }
 
-    /// Whether bodies slide on each other at the place, so that friction could hold them.
+    /// Whether bodies touch and can slide at the place, so that friction could hold them.
     fn rubs(&self, place: usize, state: &Motion) -> bool {
         let friction = &self.scene.effects.friction;
         match place {
@@ -237,7 +237,7 @@ impl<'a> Sticking<'a> {
         }
     }
 
-    /// Decides the stick-slip states from here on.
+    /// Determines the new stick-slip states.
     fn decided(&self, state: &mut Motion) -> StickSlips {
         let all: Vec<usize> = (0..FRICTION_PLACES).filter(|place| self.rubs(*place, state)).collect();
         let able = |stick_slip: Vec<usize>| {
@@ -260,7 +260,7 @@ impl<'a> Sticking<'a> {
         self.best(state, &stick_slip, &zero, false).1
     }
 
-    /// The stick-slip pattern that violates the law least, with two joints sticking or with one at most.
+    /// The stick-slip pattern that violates the law least, with exactly two sticking joints or with at most one.
     fn best(&self, state: &Motion, others: &StickSlips, zero: &[usize], rests: bool) -> (f64, StickSlips) {
         let mut best = (f64::INFINITY, *others);
         for code in 0..3_usize.pow(zero.len() as u32) {
@@ -274,7 +274,7 @@ impl<'a> Sticking<'a> {
             if if rests { holding != 2 } else { holding > 1 } {
                 continue;
             }
-            // About the axis of coaxial motors all turns as one piece while one inner joint holds: a second one holds nothing more.
+            // With coaxial motors one sticking inner joint makes everything turn as one piece; a second would add nothing.
             let inner = (1..TIP - 1).filter(|place| stick_slip[*place] == StickSlip::Holds).count();
             if self.scene.geometry.base_distance == 0.0 && inner > 1 {
                 continue;

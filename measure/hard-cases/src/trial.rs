@@ -20,98 +20,99 @@ pub enum Beginning {
     Links([f64; 4], [f64; 4]),
 }
 
-/// A number of equal communication steps with held loads.
+/// A number of equal communication steps with constant loads.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// Loads.
+    /// Loads during the span.
     pub inputs: Inputs,
     /// Communication step, s.
     pub size: f64,
-    /// How many.
+    /// Number of steps.
     pub count: u64,
 }
 
 impl Span {
-    /// The span in communication steps that are not shorter than the macro step.
+    /// The same span in communication steps not shorter than the macro step.
     pub(crate) fn in_steps_of(self, step: f64) -> Self {
         if step <= self.size { self } else { Self { size: step, count: (self.duration() / step).round() as u64, ..self } }
     }
 
-    /// How long it is, s.
+    /// Duration, s.
     pub fn duration(&self) -> f64 {
         self.size * self.count as f64
     }
 }
 
-/// A run to be made.
+/// Definition of a run.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// Exact values that distinguish the trial from the others of its case.
+    /// Exact values that identify the trial within its case.
     pub label: String,
-    /// The scene.
+    /// Scene of the run.
     pub parameters: Parameters,
     /// Start of the run.
     pub beginning: Beginning,
     /// Schedule of communication steps and loads.
     pub schedule: Vec<Span>,
-    /// Watch on the path, besides energy and constraints.
+    /// Requirement on the path, besides energy and constraints.
     pub watch: Watch,
-    /// The energy error is judged against the larger of mgL and this part of the largest kinetic energy met.
+    /// The unit of energy errors is the larger of mgL and this fraction of the largest kinetic energy.
     pub kinetic_part: f64,
-    /// Outputs in a vertex (smallest singular value of Φ_q below 1e-3) are shown, not held against the bounds on Φ and Φ̇: a
-    /// projection there divides by that singular value.
+    /// If set, outputs in a vertex (smallest singular value of Φ_q below 1e-3) are shown but not judged by Φ and Φ̇, because a projection
+    /// there divides by this singular value.
     pub vertex_outputs: bool,
-    /// Bits of the modes (0 assembly, 1 left, 2 right leg) of which one at least must change: singularities passed through.
+    /// Indices of the configuration signs (0 assembly, 1 left, 2 right leg); at least one of them must change, so that a singularity is
+    /// passed.
     pub passes: &'static [usize],
-    /// Before the schedule begins, the motion from the start is followed for this long and turned round, s.
+    /// If positive, the motion first runs for this time, s, and is reversed before the schedule begins.
     pub turned_after: f64,
-    /// The trial brings its own macro step or tolerance, which stays.
+    /// Whether the trial keeps its own macro step or tolerance.
     pub keeps_settings: bool,
 }
 
-/// How a run ended.
+/// End of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ending {
-    /// At the end of its schedule.
+    /// Reached the end of its schedule.
     Complete,
-    /// With a status: the sentence, and the time it came, s.
+    /// Ended with a status: the message, and the time, s.
     Status(String, f64),
     /// The start was refused.
     Refused(String),
-    /// With a value that is not finite, at this time, s. Must not happen.
+    /// Reached a value that is not finite, at this time, s. Must not happen.
     NotFinite(f64),
 }
 
 /// Outcome of a run.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// How it ended.
+    /// Whether and why the run ended early.
     pub ending: Ending,
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
     /// Largest |balance residual of the energy|, J.
     pub joules: f64,
-    /// Largest fall of the dissipated energy, as part of the largest energy until then.
+    /// Largest decrease of dissipated energy, relative to the largest energy until then.
     pub taken_back: f64,
-    /// Largest constraint violation at the outputs, m, divided by the machine's size in sizes of the paper's machine.
+    /// Largest constraint violation at the outputs, m, scaled to the paper's machine.
     pub position: f64,
-    /// Largest constraint violation at velocity level, m/s, divided by the machine's size likewise.
+    /// Largest constraint violation at velocity level, m/s, scaled likewise.
     pub velocity: f64,
-    /// Position and velocity violation without the outputs that are not judged.
+    /// Position and velocity violation without outputs that are not judged.
     pub judged: [f64; 2],
-    /// Most sub-steps in one macro step (mean over a communication step, where that holds several).
+    /// Largest number of sub-steps in a macro step (the mean over a communication step with several macro steps).
     pub most: u64,
-    /// Sub-steps.
+    /// Number of sub-steps.
     pub substeps: u64,
-    /// Macro steps.
+    /// Number of macro steps.
     pub steps: u64,
     /// Objection of the watch.
     pub objection: Option<String>,
-    /// The path of the link angles, where something is watched on it.
+    /// Path of the link angles, if the watch needs it.
     pub path: Vec<Sample>,
     /// The last state.
     pub state: Option<State>,
-    /// Wall seconds.
+    /// Wall time, s.
     pub seconds: f64,
 }
 
@@ -121,7 +122,7 @@ impl Trial {
         Self::driven(label, parameters, NO_LOAD, duration)
     }
 
-    /// A motion of `duration` seconds under held loads, with outputs every millisecond.
+    /// A motion of `duration` seconds under constant loads, with outputs every millisecond.
     pub fn driven(label: impl Into<String>, parameters: Parameters, inputs: Inputs, duration: f64) -> Self {
         Self {
             label: label.into(),
@@ -137,17 +138,17 @@ impl Trial {
         }
     }
 
-    /// The trial from angles and rates of all links.
+    /// The trial with this start: angles and rates of all links.
     pub fn from_links(self, theta: [f64; 4], omega: [f64; 4]) -> Self {
         Self { beginning: Beginning::Links(theta, omega), ..self }
     }
 
-    /// How long it is, s.
+    /// Duration, s.
     pub fn duration(&self) -> f64 {
         self.schedule.iter().map(Span::duration).sum()
     }
 
-    /// The scene with the setting in it.
+    /// The scene with the setting applied.
     fn scene(&self, setting: Setting) -> Parameters {
         let mut parameters = self.parameters.clone();
         setting.apply(&mut parameters);
@@ -158,7 +159,7 @@ impl Trial {
         parameters
     }
 
-    /// The scene made ready.
+    /// The initialised simulation.
     pub fn start(&self, setting: Setting) -> Result<Simulation, SceneError> {
         self.initialised(&self.scene(setting))
     }
@@ -172,7 +173,7 @@ impl Trial {
         if self.turned_after == 0.0 { Ok(simulation) } else { self.turned(parameters, simulation) }
     }
 
-    /// The motion followed for a while and turned round.
+    /// Runs the motion for a while and reverses it.
     fn turned(&self, parameters: &Parameters, mut simulation: Simulation) -> Result<Simulation, SceneError> {
         let step = parameters.settings.step_size;
         let away = simulation.advance(&NO_LOAD, step, (self.turned_after / step).round() as u64);
@@ -182,7 +183,7 @@ impl Trial {
         Simulation::at(parameters, &NO_LOAD, theta, omega.map(|rate| -rate))
     }
 
-    /// Runs it.
+    /// Runs the trial with a setting.
     pub fn run(&self, setting: Setting) -> Outcome {
         let begin = Instant::now();
         let mut outcome = Outcome {
@@ -222,7 +223,7 @@ impl Trial {
         outcome
     }
 
-    /// Wall seconds of its communication steps, with nothing observed; the failure where they do not come to their end.
+    /// Wall time of the communication steps, s, without observations; the failure if the run does not complete.
     pub fn time(&self, setting: Setting) -> Result<f64, String> {
         let scene = self.scene(setting);
         let mut simulation = self.initialised(&scene).map_err(|refusal| refusal.to_string())?;
@@ -233,8 +234,8 @@ impl Trial {
         }
     }
 
-    /// Makes the communication steps; after each `look` is shown the simulation, how many macro steps it took and the time reached, s,
-    /// and tells whether everything is finite.
+    /// Makes the communication steps. After each, `look` gets the simulation, its number of macro steps and the time, s, and returns
+    /// whether all values are finite.
     fn drive(&self, simulation: &mut Simulation, step: f64, mut look: impl FnMut(&Simulation, u64, f64) -> bool) -> Ending {
         let mut clock = Clock::new(0.0, None).expect("a start at 0");
         for span in &self.schedule {

@@ -1,7 +1,7 @@
 //! The four postures in which the constraints of the paper's machine lose rank, and the cone of motions through each.
 //!
-//! With s the signs of cos θ with which the links enter closure, the motions are Σ s ω = 0, Σ s ω² = 0: one link has the odd
-//! sign, the other three lie on a circle around a third of it (`docs/method.md`, equation (23)).
+//! Let s be the signs of cos θ of the links in the closure. The motions satisfy Σ s ω = 0 and Σ s ω² = 0. One link has the odd sign; the
+//! rates of the other three lie on a circle around a third of its rate (`docs/method.md`, equation (23)).
 
 use std::f64::consts::PI;
 
@@ -23,20 +23,20 @@ pub struct Vertex {
 }
 
 impl Vertex {
-    /// The signs with which link rates enter closure.
+    /// Signs of the link rates in the closure.
     fn signs(&self) -> [f64; 4] {
         let [c1, c2, c3, c4] = self.theta.map(|theta| f64::cos(theta).signum());
         [c1, c2, -c3, -c4]
     }
 
-    /// The link whose sign differs from that of the others: its own sign tells the two sheets of the cone apart.
+    /// The link with the odd sign; the sign of its rate distinguishes the two sheets of the cone.
     pub fn odd(&self) -> usize {
         let signs = self.signs();
         let sum: f64 = signs.iter().sum();
         signs.iter().position(|sign| sign * sum < 0.0).expect("one sign differs: the base has the length of two links")
     }
 
-    /// The direction of the cone at angle `f` around it, rate 1 of the odd link.
+    /// Direction of the cone at angle `f` around it, with rate 1 of the odd link.
     pub fn direction(&self, f: f64) -> [f64; 4] {
         let radius = (2.0_f64 / 3.0).sqrt();
         let (e1, e2) = (radius * f.cos() / 2_f64.sqrt(), radius * f.sin() / 6_f64.sqrt());
@@ -46,14 +46,14 @@ impl Vertex {
         std::array::from_fn(|i| if i == odd { 1.0 } else { rest.next().expect("three other links") })
     }
 
-    /// Across that direction, along the cone's sheet: length 1.
+    /// Unit vector perpendicular to this direction, along the cone's sheet.
     pub(crate) fn across(&self, f: f64) -> [f64; 4] {
         let (a, b) = (self.direction(f + 1e-6), self.direction(f - 1e-6));
         let difference: [f64; 4] = std::array::from_fn(|i| a[i] - b[i]);
         difference.map(|part| part / dot(difference, difference).sqrt())
     }
 
-    /// How far link angles are from the posture, whole turns aside.
+    /// Difference of the link angles from the posture, without whole turns.
     pub fn offset(&self, theta: [f64; 4]) -> [f64; 4] {
         std::array::from_fn(|i| {
             let difference = theta[i] - self.theta[i];

@@ -1,4 +1,4 @@
-//! Demands of a trial on the path of the link angles, beyond energy and constraints.
+//! Requirements of a trial on the path of the link angles, besides energy and constraints.
 
 use std::sync::OnceLock;
 
@@ -8,12 +8,12 @@ use crate::vertex::{Vertex, cosine};
 /// A sample of the path: time (s) and link angles (rad).
 pub type Sample = (f64, [f64; 4]);
 
-/// Watch on the path.
+/// Requirement on the path.
 #[derive(Clone, Debug)]
 pub enum Watch {
-    /// Nothing.
+    /// None.
     Nothing,
-    /// These links stay where they are.
+    /// These links must not move.
     Stays {
         /// Links that must stay.
         links: [bool; 4],
@@ -26,41 +26,41 @@ pub enum Watch {
         vertex: Vertex,
         /// Direction and sense of the motion.
         direction: [f64; 4],
-        /// Between these two times, s.
+        /// Judged interval, s.
         between: [f64; 2],
     },
-    /// Is turned before the vertex: the odd link never changes sides. Goes as the reference does, all the way.
+    /// Turns back before the vertex: the odd link never changes sides. Follows the reference all the way.
     Turns {
         /// The vertex.
         vertex: Vertex,
-        /// Between these two times, s, it is near enough to the vertex for the sides to mean something.
+        /// Interval, s, in which it is near enough to the vertex for sides to be meaningful.
         between: [f64; 2],
-        /// Path of the reference, at the same times; empty while the reference itself is run.
+        /// Path of the reference at the same times; empty while the reference runs.
         reference: Vec<Sample>,
-        /// Link angles of an independent witness at the end, rad, where there is one.
+        /// Link angles at the end by an independent method, rad, if available.
         witness: Option<[f64; 4]>,
-        /// Within this, rad, of both.
+        /// Allowed distance from both, rad.
         within: f64,
     },
-    /// Ends where an independent program says, as far as that can be told.
+    /// Ends where an independent program ends, within the accuracy of its result.
     Follows {
         /// The scene.
         goal: Box<Goal>,
-        /// End of that program, computed once.
+        /// The program's end, computed once.
         end: OnceLock<Option<End>>,
     },
-    /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
+    /// Leaves rest in the vertex with one of these accelerations; with the first one if they can be distinguished.
     Leaves {
         /// The vertex.
         vertex: Vertex,
-        /// Accelerations of the possible branches, rad/s²; the first is the one to take.
+        /// Accelerations of the possible branches, rad/s²; the first is the expected one.
         branches: Vec<[f64; 4]>,
     },
 }
 
-/// Time at which the branch is looked at, s: the motion is still a t²/2, and far above round-off.
+/// Time at which the branch is judged, s: the motion is still a t²/2, and well above round-off.
 const LEAVING: f64 = 5e-3;
-/// Cosine from which two directions count as the same.
+/// Cosine above which two directions count as equal.
 const SAME: f64 = 0.999;
 
 impl Watch {

@@ -7,7 +7,7 @@ use hard_cases::books::{self, Books, Sample};
 use hard_cases::cases::{bits_row, fingerprint, followed, followed_count, hour};
 use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, checks, coaxial, speed};
 
-/// The judged settings meet the demands of every case of an item.
+/// The judged settings meet the requirements of every case of an item.
 fn hold(item: u8) {
     let cases = Case::of_item(Extent::Quick, item);
     assert!(!cases.is_empty());
@@ -21,7 +21,7 @@ fn hold(item: u8) {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// A sample of `hard-cases checks`: scenes of every kind by every method that checks its steps, at tolerances from 1e-11 to 1e-3 rad.
+/// A sample of `hard-cases checks`: scenes of every kind by every method with checked steps, at tolerances from 1e-11 to 1e-3 rad.
 #[test]
 fn no_check_stops_a_right_step() {
     let mut table = Vec::new();
@@ -39,7 +39,7 @@ fn perturbed_free_falls_keep_energy_and_constraints() {
     hold(1);
 }
 
-/// The energy half of the goal of 200 falls of 50 s; their times are shown by `cargo xtask bench` and judged nowhere.
+/// Energies of 200 falls of 50 s meet their target; `cargo xtask bench` only shows the times.
 #[test]
 fn falls_of_50_s_keep_energy_by_the_explicit_method() {
     let falls = speed::falls(Extent::Full, 50e-3);
@@ -48,7 +48,7 @@ fn falls_of_50_s_keep_energy_by_the_explicit_method() {
     assert_eq!(complaint(&falls.measure(Setting::EXPLICIT)), None);
 }
 
-/// The table of times has a row for each communication step, and the very sub-steps of one call: on the grid nobody sees who looked.
+/// The table of times has a row for each communication step. Communication points on the grid do not change the number of sub-steps.
 #[test]
 fn falls_are_timed_in_communication_steps_of_several_lengths() {
     let rows = speed::rows(Extent::Quick).expect("falls that come to their end");
@@ -93,7 +93,7 @@ fn a_long_motion_drifts_nowhere() {
     assert_eq!(complaint(&hour(Extent::Quick)), None);
 }
 
-/// The corrector on, by every method that is judged.
+/// Following machines, by every judged method.
 #[test]
 fn machines_are_followed_through_singularities() {
     let mut rows = Vec::new();
@@ -112,7 +112,7 @@ fn two_processes_give_the_same_bits() {
     assert!(fingerprint().lines().count() > 50);
 }
 
-/// The demands can be failed: the printed method ends early, fixed Runge-Kutta steps lose the energy.
+/// The requirements can fail: the printed method ends early, fixed Runge-Kutta steps lose energy.
 #[test]
 fn methods_that_do_not_hold_are_noticed() {
     let falls = &Case::of_item(Extent::Quick, 1)[0];
@@ -123,7 +123,7 @@ fn methods_that_do_not_hold_are_noticed() {
     assert_eq!(rk4.verdict, Verdict::ForComparison);
 }
 
-/// Fixed steps stay fixed, and no method ever hands out a value that is not finite.
+/// Fixed steps stay fixed, and no method ever returns a value that is not finite.
 #[test]
 fn no_method_ends_in_nan() {
     for case in Case::all(Extent::Quick) {
@@ -140,14 +140,14 @@ fn no_method_ends_in_nan() {
     }
 }
 
-/// Touches, stops, drives that saturate and friction end where a program without the library's code ends.
+/// Impacts, stops, saturating drives and friction end where a program without the library's code ends.
 #[test]
 fn loads_with_kinks_are_followed() {
     hold(9);
 }
 
-/// Up to 6e-4 of the energies was taken back from the dissipated energy in these scenes, at loose tolerances: between the ends of
-/// steps, where work is a polynomial. With torques that change within steps, and communication points 0.1 ms apart.
+/// Dissipated energy never decreases, also between step ends, where work is a polynomial: in these scenes such an error was up to 6e-4 of
+/// the energies at loose tolerances. With torque changes within steps, and communication points 0.1 ms apart.
 #[test]
 fn what_is_dissipated_is_never_taken_back() {
     let sample = |scenes: Vec<u64>, by: &str, tolerances: &[f64], points: u64| Sample {
@@ -169,7 +169,7 @@ fn what_is_dissipated_is_never_taken_back() {
     assert!(rows.len() == 10 * (4 + 4 + 2 + 1) && wrong.is_empty(), "{} rows, {}", rows.len(), wrong.join("\n"));
 }
 
-/// Every effect, and all lengths: each run that ends with OK ends where a program without the library's code ends.
+/// Every effect with all lengths: each run that completes with OK ends where a program without the library's code ends.
 #[test]
 fn machines_with_coaxial_motors_stay_on_their_branch() {
     let complaints = Mutex::new(Vec::new());

@@ -1,7 +1,7 @@
-//! Properties of random machines, states and loads, beyond the list of cases. Every run must be finite, closed and balanced in its
-//! energy, or end with a status that leaves the state unchanged; and it must end.
+//! Properties of random machines, states and loads, beyond the listed cases. Every run must terminate. It must be finite, closed and
+//! balanced in energy, or end with a status that leaves the state unchanged.
 //!
-//! The seed is fixed; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for other machines, the nightly run for 1024.
+//! The seed is fixed. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` select other machines; the nightly run has 1024.
 
 use fivebar::mechanism::{Assembly, Link};
 use fivebar::observers::{self, SingularityKind};
@@ -19,7 +19,7 @@ fn config() -> Config {
     if matches!(config.rng_seed, RngSeed::Random) {
         config.rng_seed = RngSeed::Fixed(3);
     }
-    // Machines that cannot start are not counted, and three of four at least must run.
+    // Machines that cannot start are not counted; at least three of four must run.
     config.max_global_rejects = config.cases / 3;
     config
 }
@@ -28,7 +28,7 @@ fn log_uniform(low: f64, high: f64) -> impl Strategy<Value = f64> {
     (low.ln()..high.ln()).prop_map(f64::exp)
 }
 
-/// Mass, inertia and centre of mass of a link of unit length, for a length.
+/// Mass, inertia and centre of mass of a link of unit length, scaled to a length.
 fn link(length: f64) -> impl Strategy<Value = Link> {
     (log_uniform(1e-3, 10.0), log_uniform(0.01, 0.5), -0.2..1.2).prop_map(move |(mass, inertia, com)| Link {
         length,
@@ -42,12 +42,12 @@ fn any_link() -> impl Strategy<Value = Link> {
     log_uniform(0.05, 1.0).prop_flat_map(link)
 }
 
-/// The link with its length times `factor`, and all that goes with it.
+/// The link with its length multiplied by `factor`, and its other data to match.
 fn stretched(link: Link, factor: f64) -> Link {
     Link { length: link.length * factor, com: link.com * factor, inertia: link.inertia * factor * factor, ..link }
 }
 
-/// Lengthens or shortens the distal links where they would not meet; `slack` is how far the posture then is from a singularity.
+/// Changes the distal lengths if they would not meet; `slack` is the resulting distance of the posture from a singularity.
 fn reaching(mut parameters: Parameters, slack: f64) -> Parameters {
     let [theta, other] = parameters.start.theta;
     let links = &mut parameters.geometry.links;
@@ -65,7 +65,7 @@ fn reaching(mut parameters: Parameters, slack: f64) -> Parameters {
     parameters
 }
 
-/// A machine of any proportions that moves anyhow, at the default settings.
+/// A machine of any proportions with any motion, at the default settings.
 fn any_scene() -> impl Strategy<Value = Parameters> {
     let links = prop::array::uniform4(any_link());
     let angle = -3.2..3.2;
@@ -83,7 +83,7 @@ fn any_scene() -> impl Strategy<Value = Parameters> {
     )
 }
 
-/// Loads in units of mgL (torques) and mg (tip force) of the machine they will act on.
+/// Loads in units of the machine's own mgL (torques) and mg (tip force).
 fn any_load() -> impl Strategy<Value = [f64; 4]> {
     let one = prop_oneof![2 => Just(0.0), 1 => -3.0..3.0];
     prop::array::uniform4(one)
@@ -95,10 +95,10 @@ fn loads(parameters: &Parameters, [left, right, x, y]: [f64; 4]) -> Inputs {
     Inputs { tau: [left * unit, right * unit], tip_force: [x * unit / length, y * unit / length], ..Inputs::default() }
 }
 
-/// Torques of several mgL make links of a gram whirl at thousands of rad/s: after so many sub-steps a run has shown enough.
+/// Torques of several mgL accelerate links of one gram to thousands of rad/s. A run that reaches this number of sub-steps ends there.
 const MOST_SUBSTEPS: u64 = 20_000;
 
-/// Runs `steps` steps of `h`; the bounds of the battery, the energy against the larger of mgL and the largest kinetic energy.
+/// Runs `steps` steps of `h` within the bounds of the battery; the unit of energy is the larger of mgL and the largest kinetic energy.
 fn follow(
     simulation: &mut Simulation,
     parameters: &Parameters,
@@ -131,7 +131,7 @@ fn follow(
         peak = peak.max(energies.kinetic);
         let error = energies.error.abs() / unit.max(peak);
         prop_assert!(error <= 1e-2, "step {}: energy error {error:e}", step + 1);
-        // A projection in a vertex divides by the singular value that vanishes there.
+        // In a vertex a projection divides by the vanishing singular value.
         if observers::singularity(model, state).kind == SingularityKind::Constraint {
             continue;
         }
@@ -150,7 +150,7 @@ fn follow(
 proptest! {
     #![proptest_config(config())]
 
-    /// The default settings, any machine.
+    /// Any machine at the default settings.
     #[test]
     fn any_machine_is_finite_closed_and_balanced(parameters in any_scene(), load in any_load(), h in log_uniform(1e-5, 1e-2)) {
         let inputs = loads(&parameters, load);
@@ -159,7 +159,7 @@ proptest! {
         follow(&mut simulation.expect("assumed"), &parameters, &inputs, h, 200, true)?;
     }
 
-    /// The other methods and settings: never NaN, and a failed step changes nothing.
+    /// Other methods and settings: never NaN, and a failed step changes nothing.
     #[test]
     fn no_method_gives_nan(
         mut parameters in any_scene(),
@@ -193,7 +193,7 @@ proptest! {
         follow(&mut simulation, &parameters, &inputs, 1e-3, 100, true)?;
     }
 
-    /// Any direction of the cone through any vertex at any rate: there and on, finite and balanced.
+    /// Any direction of the cone through any vertex at any rate: finite and balanced on the way in and out.
     #[test]
     fn motion_through_a_vertex_is_finite_and_balanced(
         vertex in 0..4_usize,

@@ -1,4 +1,4 @@
-//! Cost of precision on the published problems: the first table of `docs/notes/problems.md`.
+//! Cost of precision for the published problems: the first table of `docs/notes/problems.md`.
 //!
 //! `cargo run --release -p problems --example cost`
 
@@ -16,7 +16,7 @@ fn main() {
     show("Andrews", &squeezer::problem(), &[1e-5, 1e-6], [&[1e-8, 1e-10, 1e-12], &[1e-6, 1e-9, 1e-12]], 1e-4);
 }
 
-/// Two methods at fixed steps, and i3-ALP and DOP853 at several tolerances, looked at every h.
+/// Two methods at fixed steps, and i3-ALP and DOP853 at several tolerances, read every h.
 fn show<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     name: &str,
     problem: &Problem<S, N, M>,

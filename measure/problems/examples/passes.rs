@@ -1,6 +1,6 @@
-//! How reliably the singular postures of A02 are passed: the last table of `docs/notes/problems.md`.
+//! How reliably A02 passes its singular postures: the last table of `docs/notes/problems.md`.
 //!
-//! The runs pass 10 and 20 of them. With each of many step sizes the steps end at other distances from them.
+//! The runs pass 10 and 20 singular postures. Each step size places step ends at different distances from them.
 //!
 //! `cargo run --release -p problems --example passes`
 
@@ -50,7 +50,7 @@ struct Row {
 }
 
 impl Row {
-    /// Runs of `least` macro steps, and of up to a tenth more.
+    /// Runs with `least` macro steps, and up to a tenth more.
     fn of<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
         problem: &Problem<S, N, M>,
         method: Method,

@@ -1,14 +1,14 @@
-//! IFToMM benchmark A02: N four-bars in a row, singular whenever they lie flat.
+//! IFToMM benchmark A02: N four-bars in a row, singular if they lie flat.
 //!
-//! N + 1 links stand on the ground at x = 0, 1 … N m, N links join their tips B0 … BN: 2N + 1 uniform rods of 1 m and 1 kg. Gravity is
-//! 9.81 m/s² downwards; the standing links begin upright, B0 with 1 m/s along x.
+//! N + 1 links stand on the ground at x = 0, 1 … N m; N links connect their tips B0 … BN: 2N + 1 uniform rods of 1 m and 1 kg. Gravity is
+//! 9.81 m/s² downwards; the standing links start upright, B0 with 1 m/s along x.
 //!
-//! Coordinates x, y, θ per link: 3 (2N + 1) of them, and 2 (3N + 1) constraints. The mechanism has one degree of freedom, and N + 1 in
-//! the instant in which all links are horizontal. As long as it stays a row of parallelograms it is exactly a pendulum
+//! Each link has coordinates x, y, θ: 3 (2N + 1) in all, with 2 (3N + 1) constraints. The mechanism has one degree of freedom, but
+//! N + 1 at the instant when all links are horizontal. While it remains a row of parallelograms it equals the pendulum
 //! φ̈ = (p/c) g sin φ, φ from the vertical, B0 = (sin φ, cos φ); see [`phi`].
 //!
-//! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A02. The positions
-//! are those of the pendulum.
+//! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A02. The positions come
+//! from the pendulum.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -18,33 +18,33 @@ use fivebar::vector::Vector;
 
 /// Gravity, m/s².
 const G: f64 = 9.81;
-/// Entries of a row of the dual matrix up to the diagonal: joints of the same link are at most two places apart.
+/// Entries in a row of the dual matrix up to the diagonal: joints of the same link are at most two places apart.
 const W: usize = 6;
-/// e, 1/kg: smaller than elsewhere. At the angle d from the singular posture the dual matrix has an eigenvalue of about d²/kg; where e
-/// exceeds it, the accelerations leave the constraints.
+/// e, 1/kg, smaller than elsewhere. At the angle d from the singular posture the dual matrix has an eigenvalue of about d²/kg. If e is
+/// larger, the accelerations violate the constraints.
 const SOFTNESS: f64 = 1e-15;
 /// B0 for N = 2 after 10 s, m.
 pub const TWO_AT_10_S: [f64; 2] = [0.328_458_111_540_815_4, 0.944_518_538_178_601];
 /// B0 for N = 40 after 20 s, m.
 pub const FORTY_AT_20_S: [f64; 2] = [0.410_901_153_762_945_2, 0.911_679_900_971_980_7];
 
-/// The benchmark with N = 2 over 10 s: the error is the distance of B0 from the published position, m.
+/// The benchmark with N = 2 over 10 s. Error: distance of B0 from the published position, m.
 pub fn two() -> Problem<Linkage<15, 14, W>, 15, 14> {
     problem(10.0, |q| distance(tip(&q[..]), TWO_AT_10_S))
 }
 
-/// The benchmark with N = 40 over 20 s: the error is the distance of B0 from the published position, m.
+/// The benchmark with N = 40 over 20 s. Error: distance of B0 from the published position, m.
 pub fn forty() -> Problem<Linkage<243, 242, W>, 243, 242> {
     problem(20.0, |q| distance(tip(&q[..]), FORTY_AT_20_S))
 }
 
-/// The benchmark with as many loops as N coordinates have, over 1 s, for cost: the error is the distance of B0 from its circle, m.
+/// The benchmark with as many loops as N coordinates allow, over 1 s, for cost. Error: distance of B0 from its circle, m.
 pub fn row<const N: usize, const M: usize>() -> Problem<Linkage<N, M, W>, N, M> {
     problem(1.0, |q| (tip(&q[..])[0].hypot(tip(&q[..])[1]) - 1.0).abs())
 }
 
 /// φ(t) of the equivalent pendulum for N = `loops`, rad: c φ̈ = p g sin φ, φ(0) = 0, φ̇(0) = 1/s. The standing links turn about their
-/// feet, the others move without turning: c = (N + 1)/3 + N and p = (N + 1)/2 + N, kg m² and kg m.
+/// feet, the others translate: c = (N + 1)/3 + N and p = (N + 1)/2 + N, kg m² and kg m.
 ///
 /// Runge-Kutta of order 4 in steps of at most 50 µs: its error is below 1e-10 within 20 s.
 pub fn phi(loops: usize, t: f64) -> f64 {
@@ -76,7 +76,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Links in the order from left to right: standing 0, bar 1, standing 1, bar 2 …
+/// Links from left to right: standing 0, bar 1, standing 1, bar 2 …
 fn problem<const N: usize, const M: usize>(duration: f64, error: fn(&Vector<N>) -> f64) -> Problem<Linkage<N, M, W>, N, M> {
     const { assert!(N % 6 == 3 && M == N - 1, "3 (2 n + 1) coordinates and 2 (3 n + 1) constraints") };
     let loops = (N / 3 - 1) / 2;

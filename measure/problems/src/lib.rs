@@ -1,7 +1,7 @@
-//! Published multibody benchmarks, run through the very same integrator code as the five-bar: support for tests and benchmarks.
+//! Published multibody benchmarks, run by the same integrator code as the five-bar: support for tests and benchmarks.
 //!
-//! One file per benchmark: its data, where they come from, the published result. `docs/notes/problems.md` says how each is set up
-//! and what the required precision costs. Two of the three are [`Linkage`]s: bodies in x, y, θ joined by revolutes.
+//! One file per benchmark: its data, their source, the published result. `docs/notes/problems.md` describes each setup and the cost of the
+//! required precision. Two of the three are [`Linkage`]s: bodies in x, y, θ joined by revolutes.
 
 pub mod four_bars;
 pub mod linkage;

@@ -1,8 +1,8 @@
 //! Bodies in x, y, θ, joined by revolutes: any number, any topology.
 //!
-//! Coordinates: x, y of the centre of mass in m and the angle θ in rad, counter-clockwise, body after body. A joint is two
-//! constraint equations, in the order in which joints are listed. Forces: gravity, constant torques, springs to the ground; all of
-//! them conservative, so that their tangent is exact, symmetric and one 3×3 block per body.
+//! Coordinates: x, y of the centre of mass in m and the angle θ in rad, counter-clockwise, body by body. Each joint gives two constraint
+//! equations, in the order of the list. Forces are gravity, constant torques and springs to the ground. All are conservative, so that the
+//! tangent is exact, symmetric, and has one 3×3 block per body.
 
 mod factor;
 mod pose;
@@ -29,32 +29,32 @@ pub struct Body {
     pub torque: f64,
 }
 
-/// One of the two points that a revolute keeps together.
+/// One of the two points joined by a revolute.
 #[derive(Clone, Copy, Debug)]
 pub enum End {
-    /// A point of the ground.
+    /// A point of the ground, m.
     Ground(Planar),
-    /// A point of a body, seen from its centre of mass in its own axes.
+    /// A point of a body, relative to its centre of mass in the body's axes, m.
     Body(usize, Planar),
 }
 
 /// A linear spring between a point of a body and a point of the ground.
 #[derive(Clone, Copy, Debug)]
 pub struct Spring {
-    /// The body.
+    /// Index of the body.
     pub body: usize,
-    /// Attachment to the body, from the centre of mass in the body's axes, m.
+    /// Attachment point on the body, relative to its centre of mass in the body's axes, m.
     pub at: Planar,
-    /// Attachment to the ground, m.
+    /// Attachment point on the ground, m.
     pub ground: Planar,
     /// Stiffness, N/m.
     pub stiffness: f64,
-    /// Length without force, m.
+    /// Free length, m.
     pub length: f64,
 }
 
-/// The system: N = 3 · bodies coordinates, M = 2 · revolutes equations. Two joints of the same body are less than W/2 places apart
-/// in the list, so that a row of the dual matrix has W entries up to its diagonal.
+/// The system: N = 3 · bodies coordinates, M = 2 · revolutes equations. In the list two joints of the same body must be less than W/2
+/// places apart, so that a row of the dual matrix has W entries up to its diagonal.
 #[derive(Clone, Debug)]
 pub struct Linkage<const N: usize, const M: usize, const W: usize> {
     /// The bodies, N/3.
@@ -65,7 +65,7 @@ pub struct Linkage<const N: usize, const M: usize, const W: usize> {
     pub springs: Vec<Spring>,
     /// Gravity, m/s².
     pub gravity: Planar,
-    /// The largest magnitude a coordinate can have, m.
+    /// Largest magnitude of a coordinate, m.
     pub size: f64,
 }
 
@@ -73,7 +73,7 @@ pub struct Linkage<const N: usize, const M: usize, const W: usize> {
 type Block = [[f64; 3]; 3];
 
 impl<const N: usize, const M: usize, const W: usize> Linkage<N, M, W> {
-    /// Kinetic and potential energy, J; that of a constant torque is −torque · θ.
+    /// Kinetic and potential energy, J; for a constant torque the potential is −torque · θ.
     pub fn energy(&self, q: &Vector<N>, v: &Vector<N>) -> f64 {
         let bodies: f64 = (self.bodies.iter().zip(q.chunks_exact(3)).zip(v.chunks_exact(3)))
             .map(|((body, q), v)| {
@@ -114,7 +114,7 @@ struct Stretch {
 }
 
 impl Spring {
-    /// `q` begins with the coordinates of its body.
+    /// `q` starts with the coordinates of the spring's body.
     fn stretch(&self, q: &[f64]) -> Stretch {
         let arm = rotated(self.at, q[2]);
         let [x, y] = [q[0] + arm[0] - self.ground[0], q[1] + arm[1] - self.ground[1]];
@@ -136,7 +136,7 @@ impl Spring {
         let across = tension / length;
         let along = self.stiffness - across;
         let n = quarter_turn(arm);
-        // H of the point, then x, y, θ of the body by the chain rule.
+        // Hessian with respect to the point, then with respect to x, y, θ by the chain rule.
         let h = [[across + along * u[0] * u[0], along * u[0] * u[1]], [along * u[0] * u[1], across + along * u[1] * u[1]]];
         let turned = [h[0][0] * n[0] + h[0][1] * n[1], h[1][0] * n[0] + h[1][1] * n[1]];
         let theta = turned[0] * n[0] + turned[1] * n[1] - tension * (u[0] * arm[0] + u[1] * arm[1]);

@@ -1,7 +1,7 @@
 //! IFToMM benchmark A01: simple pendulum.
 //!
-//! A point of 1 kg, 1 m from a fixed axis, starts from the horizontal (x = +1) at rest, g = 9.81 m/s². Coordinates x, y; the one
-//! constraint is Φ = (x² + y² − 1)/2.
+//! A point of 1 kg, 1 m from a fixed axis, starts from the horizontal (x = +1) at rest, g = 9.81 m/s². Coordinates x, y; a single
+//! constraint Φ = (x² + y² − 1)/2.
 //!
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
@@ -22,7 +22,7 @@ pub const AT_10_S: [f64; 2] = [0.275_087_462_576_116_9, -0.961_419_205_099_125_1
 #[derive(Clone, Debug)]
 pub struct Pendulum;
 
-/// The benchmark: the error is the distance from the position at 10 s, m.
+/// The benchmark. Error: distance from the position at 10 s, m.
 pub fn problem() -> Problem<Pendulum, 2, 1> {
     Problem {
         system: Pendulum,

@@ -1,4 +1,4 @@
-//! A benchmark and the results of a run.
+//! A benchmark, and the results of a run.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use fivebar::integrator::dense::{DenseStep, Horizon};
 use fivebar::integrator::{Events, Implicit, Passage, State, StepError, dense, i3alp, rk4};
 use fivebar::vector::Vector;
 
-/// A benchmark: a system, its start, its end and the published result.
+/// A benchmark: a system, its start, its duration and the published result.
 pub struct Problem<S, const N: usize, const M: usize> {
     /// The system.
     pub system: S,
@@ -14,13 +14,13 @@ pub struct Problem<S, const N: usize, const M: usize> {
     pub q: Vector<N>,
     /// Velocities at the start.
     pub v: Vector<N>,
-    /// When the published values hold, s.
+    /// Time of the published values, s.
     pub duration: f64,
-    /// e of the methods' saddle-point systems, 1/kg: 1e-12 over the mean mass if nothing is said.
+    /// e of the methods' saddle-point systems, 1/kg; by default 1e-12 divided by the mean mass.
     pub regularization: f64,
-    /// How far coordinates at the end are from the published values; each benchmark says in which unit.
+    /// Error of the final coordinates against the published values; each benchmark states the unit.
     pub error: fn(&Vector<N>) -> f64,
-    /// Conserved energy, J: kinetic and potential energy, that of constant torques included.
+    /// Conserved energy, J: kinetic and potential energy, including constant torques.
     pub energy: fn(&S, &Vector<N>, &Vector<N>) -> f64,
 }
 
@@ -54,17 +54,17 @@ pub struct Outcome {
     pub seconds: f64,
 }
 
-/// Newton's bound on the constraint violation, relative to the size: the five-bar's default.
+/// Newton's bound on the constraint violation, relative to the size; the five-bar's default.
 const TOLERANCE: f64 = 5e-13;
 /// The five-bar's default.
 const MAX_ITERATIONS: u32 = 10;
 /// The five-bar's default.
 const MAX_WORK: u32 = 400_000;
-/// The first step that DOP853 tries, s; a longer one is soon found.
+/// First trial step of DOP853, s; step control soon lengthens it.
 const FIRST_STEP: f64 = 1e-5;
 
 impl<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize> Problem<S, N, M> {
-    /// i3-ALP at strictly fixed step.
+    /// i3-ALP with fixed steps.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
     }
@@ -92,7 +92,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>
         Method::Rk4(rk4::Settings { regularization: self.regularization, tolerance: TOLERANCE, max_iterations: MAX_ITERATIONS })
     }
 
-    /// DOP853 with this local error, of the coordinates in their own units.
+    /// DOP853 with this local error, in the units of the coordinates.
     pub fn dop853(&self, error_tolerance: f64) -> Method {
         Method::Dop853(dense::Settings {
             schemes: dense::Schemes::Only(dense::Scheme::Dop853),
@@ -110,7 +110,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>
         self.watch(method, h, |_, _| {})
     }
 
-    /// Runs to the published time; `look` sees time and state after each macro step.
+    /// Runs to the published time; calls `look` with time and state after each macro step.
     pub fn watch(&self, method: Method, h: f64, mut look: impl FnMut(f64, &State<N, M>)) -> Result<Outcome, StepError> {
         let system = &self.system;
         let start = Instant::now();
@@ -149,7 +149,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>
     }
 }
 
-/// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
+/// A macro step of h seconds by DOP853. Its own steps may run past the end, so the state there is interpolated.
 fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &dense::Settings,

@@ -4,7 +4,7 @@
 //!
 //! The published form has seven relative angles β, Θ, γ, Φ, δ, Ω, ε and six loop equations. Here each body has x, y, θ:
 //!
-//! | body | hinged at | θ | other joints, in the axes of the body from the hinge |
+//! | body | hinged at | θ | other joints, from the hinge in body axes |
 //! | --- | --- | --- | --- |
 //! | K1 | O, the origin | β | (rr, 0): K2 |
 //! | K2 | K1 | β + Θ | (−d, 0): E |
@@ -14,15 +14,15 @@
 //! | K6 | K7 | Ω + ε | (zf, 0): E |
 //! | K7 | A | ε | (0, −u): K6 |
 //!
-//! K2, K3, K4 and K6 meet in E: three revolutes.
+//! Three revolutes join K2, K3, K4 and K6 at E.
 //!
 //! Source: Test Set for Initial Value Problem Solvers (Lioen, de Swart, Mazzia, Magherini), "Andrews' squeezing mechanism"; Hairer and
-//! Wanner, Solving Ordinary Differential Equations II, VII.7; also IFToMM benchmark A03. The values at 30 ms are the test set's.
+//! Wanner, Solving Ordinary Differential Equations II, VII.7; also IFToMM benchmark A03. The values at 30 ms are from the test set.
 
 use crate::linkage::{Body, End, Planar, Spring, rotated};
 use crate::{Linkage, Problem};
 
-/// Names of the published angles, in their order.
+/// Names of the published angles, in order.
 pub const NAMES: [&str; 7] = ["β", "Θ", "γ", "Φ", "δ", "Ω", "ε"];
 /// Published angles at the start, rad.
 pub const START: [f64; 7] = [
@@ -49,7 +49,7 @@ pub const START_ACCELERATIONS: [f64; 2] = [14_222.443_919_954_114, -10_666.832_9
 
 const MASSES: [f64; 7] = [0.04325, 0.00365, 0.02373, 0.00706, 0.07050, 0.00706, 0.05498];
 const INERTIAS: [f64; 7] = [2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5];
-/// Torque of the motor, N m.
+/// Motor torque, N m.
 const MOM: f64 = 0.033;
 
 const A: Planar = [-0.06934, -0.00227];
@@ -77,14 +77,14 @@ const ZT: f64 = 0.04;
 const C0: f64 = 4530.0;
 const L0: f64 = 0.07785;
 
-/// Centres of mass, in the axes of the body from its hinge.
+/// Centres of mass, from the hinge in body axes.
 const CENTRES: [Planar; 7] = [[RA, 0.0], [-DA, 0.0], [SB, -SA], [0.0, EA - E], [TA, TB], [ZF - FA, 0.0], [-UB, -UA]];
 
-/// Number of coordinates, of constraints, and of entries of a row of the dual matrix up to its diagonal: joints of the same body are
-/// at most three places apart.
+/// Number of coordinates, of constraints, and of entries in a row of the dual matrix up to its diagonal: joints of the same body are at
+/// most three places apart.
 type Squeezer = Linkage<21, 20, 8>;
 
-/// The benchmark: the error is the largest relative error of the seven angles at 30 ms.
+/// The benchmark. Error: largest relative error of the seven angles at 30 ms.
 pub fn problem() -> Problem<Squeezer, 21, 20> {
     let [k1, k2, k3, k4, k5, k6, k7] = std::array::from_fn(|i| i);
     let at = |body: usize, [x, y]: Planar| End::Body(body, [x - CENTRES[body][0], y - CENTRES[body][1]]);
@@ -143,7 +143,7 @@ fn assembled([beta, theta, gamma, phi, delta, omega, epsilon]: [f64; 7]) -> [f64
     q
 }
 
-/// The published angles, or their rates or accelerations, from those of the bodies.
+/// The published angles, rates or accelerations, from the same quantities of the bodies.
 pub fn published(q: &[f64; 21]) -> [f64; 7] {
     let [k1, k2, k3, k4, k5, k6, k7] = std::array::from_fn(|body| q[3 * body + 2]);
     [k1, k2 - k1, k3, k4 - k5, k5, k6 - k7, k7]

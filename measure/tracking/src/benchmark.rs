@@ -1,4 +1,4 @@
-//! The five-bar of the benchmark of state observers by Sanjurjo and others (mbde): gravity off by 1 m/s², starting angles off by π/16.
+//! The five-bar from the benchmark of state observers by Sanjurjo and others (mbde): gravity off by 1 m/s², start angles off by π/16.
 
 use fivebar::estimator::{LinkState, Linkage, Links, MEASURED, Scene};
 use fivebar::mechanism::{Assembly, Link};
@@ -8,7 +8,7 @@ use fivebar::simulation::{FollowedScene, Method, Parameters};
 use crate::machine::{Encoder, Plan, Random, Scenario, exact, follow, motion, no_inputs};
 use crate::report::{Figure, Table};
 
-/// Encoders with the best row of the table: angle, rate, acceleration, torque.
+/// Encoders with the best row of the published table: angle, rate, acceleration, torque.
 const ROWS: [(Encoder, [f64; 4]); 2] = [
     (Encoder { name: "1 deg", sigma: std::f64::consts::PI / 180.0, quantum: 0.0 }, [0.0064, 0.121, 1.51, 0.78]),
     (Encoder { name: "1.3e-4 rad", sigma: 1.3e-4, quantum: 0.0 }, [0.9e-4, 0.0072, 0.40, 0.19]),
@@ -26,7 +26,7 @@ fn machine() -> Parameters {
     parameters
 }
 
-/// Errors against the best rows.
+/// Errors relative to the best rows.
 pub fn table(seeds: u64, first: u64) -> Table {
     let mut table =
         Table::new("Benchmark of mbde, 5 ms, 10 s without the first second: at most 1.10 times the best row of its table");
@@ -52,7 +52,7 @@ pub fn table(seeds: u64, first: u64) -> Table {
     table
 }
 
-/// Mean squares of a run, and NEES.
+/// Mean squared errors of a run, and NEES.
 fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] {
     let inputs = default_inputs();
     let turns = [0; 4];
@@ -80,11 +80,11 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
             sums[1] += (omega[link] - rates[link]).powi(2) / 2.0;
             sums[2] += (acceleration(at.truth, link) - acceleration(at.estimate, link)).powi(2) / 2.0;
         }
-        // The motor torques equivalent to the gravity that the model lacks.
+        // Motor torques equivalent to the gravity missing in the model.
         let (state, basis) = (LinkState::new(theta, omega), linkage.frame(&theta.into()).basis);
         let [with, without] = scenes.each_ref().map(|scene| scene.acceleration(&state, &Links::zeros()));
         let accelerations = basis.tr_mul(&(with - without));
-        // Accelerations per torque of a motor.
+        // Accelerations per motor torque.
         let [left, right] = [Links::x(), Links::y()].map(|torque| basis.tr_mul(&(scenes[0].acceleration(&state, &torque) - with)));
         let determinant = left.perp(&right);
         if let Some((tau, _)) = at.twin.motor_torques().filter(|_| determinant != 0.0) {

@@ -1,4 +1,4 @@
-//! Faults of every kind at a random time and of a random size: whether the estimator names what went wrong.
+//! Faults of every kind, at a random time and with a random size: does the estimator name the cause?
 
 use std::collections::VecDeque;
 
@@ -10,12 +10,12 @@ use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, l
 use crate::quality::{fall, sines};
 use crate::report::{Figure, Table};
 
-/// Time after the onset at which the cause is asked for, s.
+/// Time from the onset to the evaluation of the cause, s.
 const ASKED: f64 = 0.4;
-/// Time from which on causes count, s: a twin that starts off the machine surprises.
+/// Time before which causes do not count, s: an initial error of the twin surprises the estimator.
 const SETTLED: f64 = 0.3;
 
-/// Fault of a machine, its encoders or its clock, as `estimated.cause` counts them.
+/// A fault of a machine, its encoders or its clock, with the numbers of `estimated.cause`.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Nothing,
@@ -23,20 +23,20 @@ enum Fault {
     Torque(usize, f64),
     /// Force on the tip, N.
     Push([f64; 2]),
-    /// Encoder reads on as at the onset.
+    /// The encoder's reading freezes at the onset.
     Frozen(usize),
-    /// Encoder reads off by an angle, rad.
+    /// The encoder's reading is off by an angle, rad.
     Jump(usize, f64),
     /// Payload, kg.
     Payload(f64),
     /// Viscous friction in a joint, N·m·s/rad.
     Viscous(usize, f64),
-    /// Samples are late by a time, s.
+    /// Samples are late by this time, s.
     Late(f64),
 }
 
 impl Fault {
-    /// Changes the machine, at a time, s.
+    /// Starts the fault at a time, s.
     fn begin(self, scenario: &mut Scenario, time: f64) {
         let effects = &mut scenario.truth.effects;
         match self {
@@ -50,7 +50,7 @@ impl Fault {
         }
     }
 
-    /// Its cause.
+    /// Number of its cause.
     fn number(self) -> usize {
         match self {
             Self::Nothing => 0,
@@ -62,7 +62,7 @@ impl Fault {
         }
     }
 
-    /// A fault of a kind.
+    /// A random fault of a kind.
     fn drawn(number: usize, random: &mut Random) -> Self {
         let mut signed = |least: f64, most: f64| {
             let size = random.between(least, most);
@@ -84,7 +84,7 @@ impl Fault {
     }
 }
 
-/// Cause that a twin tells of a fault.
+/// Cause reported by a twin for a fault.
 #[derive(Clone, Copy, Debug)]
 struct Told {
     fault: usize,
@@ -92,7 +92,7 @@ struct Told {
     probability: f64,
 }
 
-/// The cause that a twin tells 0.4 s after the onset of a fault, or the first that it tells without one.
+/// The cause reported 0.4 s after the onset of a fault; without a fault the first one reported.
 fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Random) -> Told {
     let h = 1e-3;
     let onset = random.between(0.5, 1.0);
@@ -124,7 +124,7 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
         }
         twin.correct(&measured, time);
         last = measured;
-        // Of a machine that nothing is wrong with, any cause that was ever told counts.
+        // Without a fault, any reported cause counts.
         if time > SETTLED && (failing && !matches!(fault, Fault::Nothing) || told.0 == Cause::None) {
             told = twin.cause();
         }
@@ -142,7 +142,7 @@ fn run(mut scenario: Scenario, encoder: &Encoder, fault: Fault, random: &mut Ran
     Told { fault: fault.number(), cause: told.0.number(), probability: told.1 }
 }
 
-/// Causes told of `runs` faults of each kind, servos on sines and falls alternately, by a twin that takes its geometry for so uncertain.
+/// Causes reported for `runs` faults of each kind, alternately for servos on sines and falls; `uncertain` sets the twin's geometry errors.
 fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, first: u64) -> Vec<Told> {
     type Scene = fn(&mut Random) -> Scenario;
     let scenes: [Scene; 2] = [|random| sines(random, 2.0), |random| fall(random, true)];
@@ -155,13 +155,13 @@ fn trials(encoder: &Encoder, uncertain: fn(Scenario) -> Scenario, runs: u64, fir
     (0..8 * runs).map(one).collect()
 }
 
-/// Number of faults that are named, of `runs` of each of eight kinds, by 16 bits and by 0.1°.
+/// Number of faults named correctly, with `runs` of each of eight kinds, at 16 bits and at 0.1°.
 pub fn named(runs: u64, first: u64) -> [usize; 2] {
     [FINE, COARSE]
         .map(|encoder| trials(&encoder, |exact| exact, runs, first).iter().filter(|told| told.cause == told.fault).count())
 }
 
-/// Faults that are named, by encoder and kind.
+/// Faults named correctly, by encoder and kind.
 pub fn table(runs: u64, first: u64) -> Table {
     const NAMES: [&str; 8] =
         ["nothing", "torque at motor 1", "torque at motor 2", "force at the tip", "encoder 1", "encoder 2", "parameters", "timing"];
@@ -183,7 +183,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             Figure::told(name, share(&all), remark)
         };
         table.push(judged);
-        // Of causes that are told with these probabilities as many are to be right.
+        // Calibration: of the causes reported with a probability in each range, the same fraction must be right.
         for [least, most] in [[0.0, 0.7], [0.7, 0.94], [0.94, 1.0]] {
             let of: Vec<Told> =
                 all.iter().filter(|told| told.cause > 0 && (least..most).contains(&told.probability)).copied().collect();

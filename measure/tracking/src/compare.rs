@@ -1,5 +1,5 @@
-//! Other ways to follow, on the same machines: open loop, starting anew from every sample, an extended and an unscented Kalman filter in
-//! the angles of the motors, as they are built around a unit from outside.
+//! Other filters on the same machines: open loop, a restart from every sample, and extended and unscented Kalman filters in the motor
+//! angles, as users build them around a unit.
 
 use std::path::Path;
 
@@ -17,25 +17,25 @@ const H: f64 = 1e-3;
 /// Angles and rates of the motors, unknown motor torques.
 type Error = [f64; 6];
 type Matrix = [Error; 6];
-/// White acceleration of motors, rad²/s³, and walk of the unknown torques, N²m²/s: the pair that follows most of these scenes.
+/// White acceleration of motors, rad²/s³, and random walk of the unknown torques, N²m²/s: the pair with the fewest lost scenes.
 const NOISE: [f64; 2] = [0.1, 1e-4];
-/// Standard deviations at the start: angles, rad, rates, rad/s, torques, N·m.
+/// Initial standard deviations: angles, rad, rates, rad/s, torques, N·m.
 const START: [f64; 3] = [0.02, 0.2, 0.02];
 
-/// A way to follow from outside.
+/// A filter around the unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// Nothing is corrected.
+    /// No correction.
     OpenLoop,
-    /// Angles and rates of the motors by differences of samples.
+    /// Restart with angles and rates of the motors from differences of samples.
     Anew,
-    /// Extended Kalman filter with Jacobians by differences.
+    /// Extended Kalman filter with Jacobians by finite differences.
     Extended,
     /// Unscented Kalman filter with thirteen sigma points.
     Unscented,
 }
 
-/// A twin that is corrected from outside.
+/// A twin corrected by an external filter.
 pub(crate) struct Outside<'a> {
     way: Way,
     model: &'a Parameters,
@@ -79,7 +79,7 @@ impl<'a> Outside<'a> {
         tip(&self.run, &self.run.state())
     }
 
-    /// Goes on from the mean, where it can be assembled.
+    /// Restarts from the mean, if it can be assembled.
     fn restart(&mut self, inputs: &Inputs) {
         if let Some(run) = assembled(self.model, &self.mean, assembly(&self.run), &with_torques(inputs, &self.mean)) {
             self.run = run;
@@ -114,7 +114,7 @@ impl<'a> Outside<'a> {
         }
     }
 
-    /// The mean a step later from another one.
+    /// A mean, one step later.
     fn moved(&self, x: &Error, inputs: &Inputs) -> Option<Error> {
         let held = with_torques(inputs, x);
         let mut run = assembled(self.model, x, assembly(&self.run), &held)?;
@@ -176,24 +176,24 @@ impl<'a> Outside<'a> {
             next[2 + i][2 + i] += NOISE[0] * H;
             next[4 + i][4 + i] += NOISE[1] * H;
         }
-        // Next to a direct singularity it may have become anything.
+        // Near a direct singularity values may diverge.
         if next.iter().flatten().all(|x| x.is_finite() && x.abs() < 1e6) {
             self.covariance = next;
         }
     }
 }
 
-/// A run of a way: the tip's error after each sample, m.
+/// Run of a filter: the tip's error after each sample, m.
 struct Followed(Vec<f64>);
 
 impl Followed {
-    /// Root of the mean square, m, without the beginning.
+    /// Root mean square, m, without the beginning.
     fn rms(&self) -> f64 {
         let settled = &self.0[(SETTLED / H).round() as usize..];
         (settled.iter().map(|error| error * error).sum::<f64>() / settled.len() as f64).sqrt()
     }
 
-    /// Whether it ended more than 10 mm off.
+    /// Whether the final error exceeds 10 mm.
     fn is_lost(&self) -> bool {
         self.0.last().is_none_or(|last| last.is_nan() || *last >= 0.01)
     }
@@ -229,7 +229,7 @@ fn by_the_unit(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> F
 
 type Scene = fn(&mut Random) -> Scenario;
 
-/// The scenes that are compared.
+/// Compared scenes.
 const SCENES: [(&str, Scene); 4] = [
     ("pick, 20 g unknown", pick),
     ("fall, masses 5 % off", |random| fall(random, true)),
@@ -237,11 +237,11 @@ const SCENES: [(&str, Scene); 4] = [
     ("push of 0.5 N", push),
 ];
 
-/// Methods from outside and their names in tables.
+/// External filters, with their names in tables.
 const WAYS: [(&str, Way); 4] =
     [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
 
-/// Scenes, encoders and seeds that are compared, each with its scenario and the random numbers that are left.
+/// Compared scenes, encoders and seeds, each with its scenario and the continued random numbers.
 fn runs(seeds: u64, first: u64) -> impl Iterator<Item = (&'static str, Encoder, u64, Scenario, Random)> {
     SCENES.into_iter().flat_map(move |(name, scene)| {
         [COARSE, FINE].into_iter().flat_map(move |encoder| {
@@ -254,7 +254,7 @@ fn runs(seeds: u64, first: u64) -> impl Iterator<Item = (&'static str, Encoder, 
     })
 }
 
-/// Tip errors side by side.
+/// Tip errors of all methods.
 pub fn table(seeds: u64, first: u64) -> Table {
     let mut table = Table::new("Side by side, 1 ms: tip error, mm (median over the runs), and lost runs");
     let all: Vec<_> = runs(seeds, first).collect();
@@ -279,11 +279,11 @@ pub fn table(seeds: u64, first: u64) -> Table {
     table
 }
 
-/// The comparison as tables for other programs: in a folder `runs.csv`, a row for each run with the twin's variables;
-/// `samples.csv`, the samples of both encoders, the inputs, and the true tip; `errors.csv`, the tip's error in m by each method.
+/// Writes the comparison for other programs, as tables in a folder: `runs.csv`, a row for each run with the twin's variables;
+/// `samples.csv`, the samples of both encoders, the inputs and the true tip; `errors.csv`, the tip's error of each method, m.
 pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
-    // Names of scenes have commas.
+    // The separator is a semicolon because names of scenes contain commas.
     let file = |name: &str| csv::WriterBuilder::new().delimiter(b';').from_path(folder.join(name));
     let (mut described, mut samples, mut errors) = (file("runs.csv")?, file("samples.csv")?, file("errors.csv")?);
     described.write_record(["run", "scene", "encoder", "seed", "variable", "value"])?;
@@ -322,7 +322,7 @@ pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Variables of a twin that differ from the start values of the unit, by name.
+/// Variables of a twin that differ from the unit's start values, by name.
 fn variables(model: &Parameters, encoder: &Encoder) -> Vec<(&'static str, f64)> {
     let servo = &model.effects.servo;
     let bit = |value: bool| f64::from(u8::from(value));

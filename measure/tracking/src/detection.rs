@@ -1,11 +1,11 @@
-//! Alarms: how soon a push is noticed, and how often there is an alarm without one.
+//! Alarms: delay after a push, and rate of false alarms.
 
 use crate::learning;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, by_start_values, desk, five_percent, follow, learned, start_off};
 use crate::quality::{pick_course, plan, push, servos, sines};
 use crate::report::{Figure, Table, median, quantile};
 
-/// The pick, repeated, with masses 5 % off; a push of 0.5 N from some time on.
+/// Repeated picks with masses 5 % off, and a push of 0.5 N.
 fn pushed_pick(random: &mut Random) -> Scenario {
     let mut model = desk();
     model.effects.gravity.enabled = false;
@@ -31,7 +31,7 @@ fn delay(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> (f64, b
     (if done.is_ok() { noticed } else { f64::INFINITY }, early)
 }
 
-/// Time from a push of 0.5 N to the alarm of a unit that learns by its start values, s, by 16 bits.
+/// Delay from a push of 0.5 N to the alarm, s, of a unit that learns with its start values, at 16 bits.
 pub fn delays_while_learning<const N: usize>(seeds: [u64; N]) -> [f64; N] {
     seeds.map(|seed| {
         let mut random = Random::new(seed);
@@ -40,7 +40,7 @@ pub fn delays_while_learning<const N: usize>(seeds: [u64; N]) -> [f64; N] {
     })
 }
 
-/// Alarms, each counted once, in a calm run.
+/// Number of alarms in a run without pushes.
 fn false_alarms(encoder: &Encoder, seconds: f64, seed: u64) -> f64 {
     let mut random = Random::new(seed);
     let scenario = sines(&mut random, seconds);
@@ -60,13 +60,13 @@ fn false_alarms(encoder: &Encoder, seconds: f64, seed: u64) -> f64 {
 pub fn table(runs: u64, hours: f64, first: u64) -> Table {
     let mut table = Table::new("Alarms at 1 ms: from a push of 0.5 N to the alarm, and without one");
     type Scene = fn(&mut Random) -> Scenario;
-    // Bounds of the median by 0.1° and by 16 bits, ms.
+    // Bounds of the median at 0.1° and at 16 bits, ms.
     let scenes: [(&str, Scene, Option<[f64; 2]>); 6] = [
         ("sines", push, Some([80.0, 10.0])),
         ("pick", pushed_pick, Some([80.0, 10.0])),
         ("fall under known sines", |random| learning::pushed(random, false), Some([80.0, 12.0])),
         ("fall under known sines, learned", |random| learning::pushed(random, true), Some([80.0, 12.0])),
-        // Uncertain geometry costs sight, which is told and not judged where it is not learned.
+        // Uncertain geometry delays detection; if it is not learned, the delay is shown but not judged.
         ("sines, start values", |random| by_start_values(push(random)), None),
         ("sines, start values, learned", |random| learned(push(random)), Some([80.0, 12.0])),
     ];
@@ -89,7 +89,7 @@ pub fn table(runs: u64, hours: f64, first: u64) -> Table {
                 None => Figure::told(label, median(times()), remark),
             });
         }
-        // Many runs of two minutes, each with other masses.
+        // Many runs of two minutes, each with different masses.
         let blocks = (hours * 30.0).round().max(1.0) as u64;
         let alarms: f64 = (0..blocks).map(|block| false_alarms(&encoder, 120.0, first + 7_800_000 + block)).sum();
         let per_hour = alarms / (blocks as f64 / 30.0);

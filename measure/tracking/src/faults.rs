@@ -1,4 +1,4 @@
-//! Encoders, clocks and starts that fail: how often the estimate is wrong in silence, and how soon the failure is told.
+//! Encoders, clocks and starts that fail: how often the estimate is wrong without a warning, and how soon the failure is reported.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -17,63 +17,63 @@ use crate::quality::{fall, friction, pick, plan, push, servos, sines};
 use crate::report::{Figure, Table, median, most_of};
 use crate::scores::half_width;
 
-/// Tip error that counts, m, and in half-widths; and how long it must last in silence, s.
+/// An estimate is wrong in silence if the tip error exceeds this, m, and this number of half-widths, without a warning for this time, s.
 pub const SILENT: (f64, f64, f64) = (0.01, 3.0, 0.1);
-/// Time within which a failure is to be told, s.
+/// Time within which a failure must be reported, s.
 const SOON: f64 = 0.2;
-/// Rate of failures that could be named by then and are not which is allowed.
+/// Allowed rate of failures that could be named by then and are not.
 const UNNAMED: f64 = 0.05;
-/// Time that a sample may take, ms.
+/// Largest time for a sample, ms.
 const DEAREST: f64 = 1.0;
-/// Distance of the axis from a frozen reading that an observer sees, in quantisation intervals and in standard deviations of the angle.
+/// Distance of the axis from a frozen reading that is visible, in quantisation intervals and in standard deviations of the angle.
 const VISIBLE: [f64; 2] = [2.0, 4.0];
 
-/// Whether the tip of a twin, which is off by so much, m, is beyond its band.
+/// Whether a tip error, m, exceeds the twin's band.
 fn is_beyond(twin: &Following, time: f64, off: f64) -> bool {
     time > 0.1 && off > SILENT.0.max(SILENT.1 * half_width(twin.tip_covariance()))
 }
 
-/// Whether the tip of a twin, which is off by so much, m, is beyond its band while nothing is said.
+/// Whether a tip error, m, exceeds the twin's band without a warning.
 pub fn is_wrong_in_silence(twin: &Following, time: f64, off: f64) -> bool {
     let is_fine = twin.status() == Status::Following && !twin.estimator().alarm();
     is_beyond(twin, time, off) && is_fine
 }
 
-/// Failure of encoder 1, of both clocks, or of the start.
+/// Failure of encoder 1, of both encoders or clocks, or of the start.
 #[derive(Clone, Copy, Debug)]
 enum Failure {
-    /// Reads on as at the onset.
+    /// The reading freezes at the onset.
     Frozen,
-    /// Reads 0.
+    /// The reading is 0.
     Zero,
-    /// Reads off by an angle, rad.
+    /// The reading is off by an angle, rad.
     Jump(f64),
-    /// Is silent for a second.
+    /// No samples for one second.
     Missing,
-    /// Is silent.
+    /// No more samples.
     Gone,
-    /// Both encoders read on as at the onset.
+    /// Both readings freeze at the onset.
     BothFrozen,
-    /// Both encoders are silent for 0.3 s.
+    /// No samples of both encoders for 0.3 s.
     Silence,
-    /// A part of the samples of each encoder is missing, all the time, beside another failure.
+    /// Besides another failure, this fraction of each encoder's samples is missing all the time.
     Lossy(f64, &'static Failure),
     /// The encoders are exchanged.
     Swapped,
-    /// Stamps are off by normal noise, s, beside another failure.
+    /// Besides another failure, time stamps have normal noise, s.
     Jitter(f64, &'static Failure),
-    /// Stamps are late by a constant, s.
+    /// Time stamps are late by a constant, s.
     Late(f64),
-    /// Stamps are late by a constant from the onset on, s, after as long without a sample.
+    /// From the onset time stamps are late by a constant, s; before that there is no sample for the same time.
     Delayed(f64),
     /// The twin starts in the other assembly.
     Assembly,
-    /// None.
+    /// No failure.
     Nothing,
 }
 
 impl Failure {
-    /// Whether both encoders read what is true, so that none is stuck.
+    /// Whether both encoders read correctly, so that none is stuck.
     fn leaves_encoders_sound(self) -> bool {
         use Failure::{Assembly, Gone, Jitter, Late, Lossy, Missing, Nothing, Silence};
         match self {
@@ -82,7 +82,7 @@ impl Failure {
         }
     }
 
-    /// Whether encoder 1 freezes, which shows only once its axis has turned.
+    /// Whether encoder 1 freezes; visible only after its axis has turned.
     fn freezes(self) -> bool {
         match self {
             Self::Lossy(_, other) | Self::Jitter(_, other) => other.freezes(),
@@ -90,12 +90,12 @@ impl Failure {
         }
     }
 
-    /// Whether a cause names the failure, of encoders of which one alone fails.
+    /// Whether a cause can name the failure: exactly one encoder fails.
     fn has_name(self) -> bool {
         !matches!(self, Self::BothFrozen) && [Cause::Encoder(0), Cause::Timing].into_iter().any(|cause| self.is_named(cause))
     }
 
-    /// Whether a cause is the name of the failure. Samples that are missing, late from the start or of another assembly are told by the status alone.
+    /// Whether a cause names the failure. Only the status reports missing samples, samples late from the start, and the wrong assembly.
     fn is_named(self, cause: Cause) -> bool {
         use Failure::{BothFrozen, Delayed, Frozen, Jitter, Jump, Lossy, Swapped, Zero};
         match self {
@@ -108,7 +108,7 @@ impl Failure {
     }
 }
 
-/// Maker of a scene's machine and twin.
+/// Generator of a scene's machine and twin.
 type Scene = fn(&mut Random) -> Scenario;
 
 /// Outcome of a run.
@@ -116,22 +116,22 @@ type Scene = fn(&mut Random) -> Scenario;
 struct Outcome {
     /// Whether the tip is off at the end.
     lost: bool,
-    /// Whether the tip was off with a status that does not tell it.
+    /// Whether the tip was off without a warning by the status.
     silent: bool,
-    /// Whether the tip was beyond its band, whatever the status.
+    /// Whether the tip was outside its band, with any status.
     beyond: bool,
-    /// Time from the onset to the first status that tells it, s.
+    /// Time from the onset to the first status that reports it, s.
     found: f64,
-    /// Time from the onset to the first sample at which the cause is the failure's name, s.
+    /// Time from the onset to the first sample with the right cause, s.
     named: f64,
-    /// Whether the axis was so far from its frozen reading within the time in which that is to be told that an observer sees it who knows the
-    /// instant of the failure.
+    /// Whether the axis moved far enough from its frozen reading in time for a report: visible to an observer who knows the instant of the
+    /// failure.
     visible: bool,
-    /// Whether an encoder was called stuck whose reading was true at that time.
+    /// Whether an encoder was reported stuck while its reading was true.
     early: bool,
-    /// Part of the samples after which some had been refused for their stamp.
+    /// Fraction of the samples after which some had been refused for their time stamp.
     refused: f64,
-    /// Times that the twin took for each sample, s.
+    /// Computing time of the twin for each sample, s.
     taken: Vec<f64>,
 }
 
@@ -142,17 +142,17 @@ fn swing_course(time: f64, plan: &Plan) -> Inputs {
     Inputs { servo_theta: [angle(0), angle(1)], servo_omega: [speed(0), speed(1)], ..default_inputs() }
 }
 
-/// Servos of 1 N·m/rad that swing both axes by 0.25 rad at 2 rad/s, masses 5 % off.
+/// Servos of 1 N·m/rad that swing both axes by 0.25 rad at 2 rad/s; masses 5 % off.
 pub fn swing(random: &mut Random) -> Scenario {
     swing_by(random, 1.0)
 }
 
-/// Servos of 20 N·m/rad, otherwise as [`swing`].
+/// As [`swing`], with servos of 20 N·m/rad.
 pub fn stiff(random: &mut Random) -> Scenario {
     swing_by(random, 20.0)
 }
 
-/// A scene whose machine and twin start in minus.
+/// A scene with machine and twin in the assembly minus.
 fn in_minus(mut scenario: Scenario) -> Scenario {
     (scenario.model.start.assembly, scenario.truth.start.assembly) = (Assembly::Minus, Assembly::Minus);
     scenario
@@ -177,8 +177,8 @@ fn fast(random: &mut Random) -> Scenario {
     sines(random, 3.0)
 }
 
-/// The machine of `scenes/haptic.json`, which a hand presses onto a wall: masses 5 % off, a fifth more payload and unknown damping, as the
-/// twin's stand-in has them.
+/// The machine of `scenes/haptic.json`, pressed onto a wall by a hand. As in the twin's demonstration, masses are 5 % off, the payload is
+/// a fifth larger, and damping is unknown.
 pub fn haptic(random: &mut Random) -> Scenario {
     let mut model = desk();
     model.settings.method = Method::Automatic;
@@ -195,7 +195,7 @@ pub fn haptic(random: &mut Random) -> Scenario {
     Scenario { model, truth, course: no_inputs, plan: Plan { hand, ..plan(random) }, duration: 2.0, from: None }
 }
 
-/// A run with a failure from some instant on.
+/// A run with a failure.
 fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, random: &mut Random) -> Outcome {
     let onset = random.between(0.5, 1.2);
     let (failure, lost, jitter) = match failure {
@@ -209,7 +209,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
         let assembly = &mut told.model.start.assembly;
         *assembly = if *assembly == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
     }
-    // Samples that are late come from a machine that runs before its twin begins.
+    // For late samples the machine starts before its twin.
     let (mut machine, mut queue) = (scenario.machine(), VecDeque::new());
     let lead = if let Failure::Late(by) = failure { (by / h).round() as u64 } else { 0 };
     for step in 0..lead {
@@ -227,7 +227,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     let mut twin = told.twin(encoder);
     let mut outcome = Outcome { found: f64::INFINITY, named: f64::INFINITY, ..Outcome::default() };
     let (mut held, mut wrong, mut beyond, mut refused, mut stamp) = (None, 0.0, 0.0, 0.0, Measured::default().time);
-    // A twin that takes no sample of the frozen encoder.
+    // A second twin without the samples of the frozen encoder.
     let mut observer = None;
     let steps = (scenario.duration / h).round() as u64;
     for step in 0..steps {
@@ -246,7 +246,7 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
             Failure::Silence if (onset..onset + 0.3).contains(&time) => measured.time = stamp,
             Failure::Swapped => measured.theta.swap(0, 1),
             Failure::Late(_) => {
-                // A sample has the stamp of its arrival.
+                // A sample carries the time stamp of its arrival.
                 queue.push_back(measured.theta);
                 measured.theta = queue.pop_front().unwrap_or_default();
             }
@@ -323,45 +323,45 @@ fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), failure: Failure, ran
     outcome
 }
 
-/// Number of runs that are lost of those with samples late by 8 ms that nobody tells, from a start in the right assembly, while a machine is learned.
+/// Number of lost runs among those with unreported delays of 8 ms, from a start in the right assembly, while learning.
 pub fn lost_by_late_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| learned(fast(random)), Failure::Late(8e-3), &FINE, seeds, |outcome| outcome.lost)
 }
 
-/// Number of runs without a failure that are lost where stiff servos swing a machine, from a start in the right assembly: by 16 bits in plus, by 14 bits in
-/// minus.
+/// Number of lost runs without a failure, for stiff servos that swing a machine, from a start in the right assembly: at 16 bits in plus, at
+/// 14 bits in minus.
 pub fn lost_in_stiff_swings(plus: impl IntoIterator<Item = u64>, minus: impl IntoIterator<Item = u64>) -> [usize; 2] {
     let lost = |outcome: &Outcome| outcome.lost;
     let in_minus = |random: &mut Random| in_minus(stiff(random));
     [count(stiff, Failure::Nothing, &FINE, plus, lost), count(in_minus, Failure::Nothing, &MEDIUM, minus, lost)]
 }
 
-/// Number of runs whose stamps jitter by 0.3 ms while a machine is learned in which a good encoder is called stuck.
+/// Number of runs with a good encoder reported stuck, with time stamps that jitter by 0.3 ms, while learning.
 pub fn stuck_by_jitter(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| learned(fast(random)), Failure::Jitter(3e-4, &Failure::Nothing), &FINE, seeds, |outcome| outcome.early)
 }
 
-/// Number of falls by the unit's start values in which an encoder that freezes is believed in silence.
+/// Number of falls with the unit's start values in which an encoder freezes without a warning.
 pub fn silent_in_falls(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| by_start_values(falling(random)), Failure::Frozen, &FINE, seeds, |outcome| outcome.silent)
 }
 
-/// Number of falls in which one encoder falls silent and the tip is beyond its band by the other.
+/// Number of falls in which one encoder stops and the other leaves the tip outside its band.
 pub fn beyond_by_one_encoder(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(falling, Failure::Gone, &FINE, seeds, |outcome| outcome.beyond)
 }
 
-/// Number of falls in which both encoders freeze at once and are believed in silence.
+/// Number of falls in which both encoders freeze at once without a warning.
 pub fn silent_where_both_freeze(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(falling, Failure::BothFrozen, &FINE, seeds, |outcome| outcome.silent)
 }
 
-/// Number of swings in which a jump of 0.1 rad is believed in silence while a fiftieth of the samples is lost.
+/// Number of swings in which a jump of 0.1 rad gets no warning while one in fifty samples is lost.
 pub fn silent_with_lost_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(swing, Failure::Lossy(0.02, &Failure::Jump(0.1)), &FINE, seeds, |outcome| outcome.silent)
 }
 
-/// Number of runs at 1 kHz of some kind.
+/// Number of runs at 1 kHz with some property.
 fn count(
     scene: Scene,
     failure: Failure,
@@ -377,7 +377,7 @@ fn count(
     seeds.into_iter().map(outcome).filter(is_of_kind).count()
 }
 
-/// Time of the dearest sample of a run, and of the median one, s: the fewest of three times each, for other programs run as well.
+/// Times of the most expensive and of the median sample of a run, s. Each is the smallest of three, because other programs run as well.
 fn dearest(scene: Scene, random: &Random, failure: Failure, tolerance: f64) -> [f64; 2] {
     let again = || {
         let mut random = random.clone();
@@ -395,7 +395,7 @@ const fn bits(name: &'static str, bits: u32) -> Encoder {
     Encoder { name, sigma: 0.0, quantum: std::f64::consts::TAU / (1_u64 << bits) as f64 }
 }
 
-/// Failures, each in its scenes by its encoders.
+/// Failures, each in its scenes and with its encoders.
 pub fn table(runs: u64, first: u64) -> Table {
     const JITTER: Failure = Failure::Jitter(3e-4, &Failure::Nothing);
     const FIFTH: Failure = Failure::Lossy(0.2, &Failure::Nothing);
@@ -567,7 +567,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         let label = format!("{name}, {}, {} ms", encoder.name, 1e3 * h);
         let wrong = format!("{label}: wrong in silence");
         table.push(match failure {
-            // Beyond what one encoder and the model can tell.
+            // Cannot be detected with one encoder and the model.
             Failure::BothFrozen => Figure::told(wrong, silent as f64, remark),
             _ if failure.leaves_encoders_sound() => {
                 Figure::at_most(format!("{wrong}, or stuck in error"), count(&|o| o.silent || o.early) as f64, 0.0, remark)

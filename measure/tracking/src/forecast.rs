@@ -1,5 +1,5 @@
-//! Forecasts: how often the tip is within its bands, also after a push, their scores beside other ways, and how good the probability of a
-//! singularity is.
+//! Forecasts: coverage of the tip's bands, also after a push; scores compared with other methods; and accuracy of the probability of a
+//! singularity.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::flow::unit_forces;
@@ -13,18 +13,18 @@ use crate::quality::{driven, fall, push, sines};
 use crate::report::{Figure, Table, median};
 use crate::scores::{ConstantVelocity, ELLIPSE, Scores, holds, in_hindsight, mean, scores};
 
-/// When bands are looked at, s ahead.
+/// Horizons, s.
 const AHEAD: [f64; 3] = [0.1, 0.3, 0.5];
 const H: f64 = 1e-3;
-/// Members of the ensemble that is compared with.
+/// Members of the ensemble for comparison.
 const MEMBERS: usize = 100;
 
 /// Outcome of a forecast.
 struct Outcome {
     inside: [bool; 3],
-    /// Scores of the unit, by its covariance of the tip, and by its radius alone.
+    /// Scores of the unit, with its covariance of the tip, and with its radius alone.
     scores: [[Scores; 2]; 3],
-    /// Errors of the tip, m, by a constant velocity and by starting anew.
+    /// Errors of the tip, m, with constant velocity and with a restart.
     others: [[[f64; 2]; 2]; 3],
     meets: bool,
     probability: f64,
@@ -39,7 +39,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     let followed = random.between(0.3, 1.0);
     let steps = (followed / H) as u64;
     let inputs = |step: u64| scenario.inputs((step as f64 + 0.5) * H);
-    // An encoder's step at the end of a link.
+    // Resolution of the encoder at the end of a link.
     let noise = (scenario.model.geometry.links[0].length * encoder.quantum).powi(2) / 12.0;
     for step in 0..steps {
         let time = step as f64 * H;
@@ -55,7 +55,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
         twin.advance_along(&Signal::held(inputs(step)), H, 1).ok()?;
         machine.advance(&inputs(step), H, 1).ok()?;
     }
-    // The inputs ahead are known only where they are held, as from here on.
+    // Future inputs are known only if they are constant, as from here on.
     let held = inputs(steps);
     let probability = twin.singularity_probability(&twin.state_for(&held).inputs);
     let start = side(&motion(&machine.state()).0);
@@ -73,7 +73,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
             inside[next] = holds(covariance, off);
             let round = twin.tip_radius().powi(2) / ELLIPSE;
             own[next] = [covariance, [round, 0.0, round]].map(|covariance| scores(covariance, off));
-            // The last sample was taken a step before the forecast.
+            // The last sample was taken one step before the forecast.
             others[next] = [straight.ahead(AHEAD[next] + H), anew.tip()].map(|[v, w]| [x - v, y - w]);
             next = (next + 1).min(2);
         }
@@ -81,7 +81,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
     Some(Outcome { inside, scores: own, others, meets, probability, of_members })
 }
 
-/// Part of random members of the estimate that meet a direct singularity within 0.5 s.
+/// Fraction of random members of the estimate that meet a direct singularity within 0.5 s.
 fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize, random: &mut Random) -> f64 {
     if members == 0 {
         return 0.0;
@@ -109,8 +109,8 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     met.count() as f64 / members as f64
 }
 
-/// Forecasts of 0.3 s from every 50 ms of the second after a push on: whether the tip is within its radius; and the radius 20 ms after the push
-/// over that just before it.
+/// Forecasts of 0.3 s, every 50 ms during the second after a push: whether the tip is within its radius; and the ratio of the radius 20 ms
+/// after the push to the radius just before it.
 fn after_push(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Option<(Vec<bool>, f64)> {
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
     let pushed = (scenario.plan.from / H).round() as u64;
@@ -139,7 +139,7 @@ pub fn table(runs: u64, first: u64) -> Table {
     let mut table =
         Table::new("Forecasts by sigma points: part within the 95 % ellipse, and Brier score of a direct singularity within 0.5 s");
     type Scene = fn(&mut Random) -> Scenario;
-    // Scores of a machine that servos hold are told and not judged: in hindsight a width knows that nothing acts.
+    // Scores of machines under servos are shown but not judged: a width in hindsight knows that nothing acts.
     let scenes: [(&str, Scene, bool); 4] = [
         ("free fall", |random| fall(random, false), true),
         ("fall, masses 5 % off", |random| fall(random, true), true),

@@ -1,6 +1,6 @@
-//! A machine that is none of this library: two arms with two links each, held together at the tip by a joint with backlash, integrated
-//! by its own Runge-Kutta of order 4 in steps of 10 µs. Its links are up to 0.5 % longer or shorter than the twin believes, its encoders
-//! are eccentric, their samples are 2 ms old.
+//! A machine without code of this library: two arms with two links each, connected at the tip by a joint with backlash, integrated by
+//! Runge-Kutta of order 4 in steps of 10 µs. Link lengths differ from the twin's by up to 0.5 %; encoders are eccentric; samples are 2 ms
+//! old.
 
 use fivebar::estimator::{Measured, Status};
 use fivebar::simulation::Signal;
@@ -10,7 +10,7 @@ use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, desk, no_inputs, s
 use crate::report::{Figure, Table};
 use crate::scores::holds;
 
-/// Play of the joint at the tip, m, stiffness, N/m, and damping, N·s/m, past the play.
+/// Play of the joint at the tip, m; stiffness, N/m, and damping, N·s/m, beyond the play.
 const JOINT: [f64; 3] = [2e-5, 2e5, 20.0];
 /// Eccentricity e of the encoders, rad: angle + e sin(angle + phase).
 const ECCENTRICITY: f64 = 3e-4;
@@ -21,7 +21,7 @@ const DELAY: f64 = 2e-3;
 const STEP: f64 = 1e-5;
 const G: f64 = 9.81;
 
-/// An arm of two links: lengths, m, masses, kg, inertias about the centres of mass, kg·m², at half of the lengths.
+/// An arm of two links: lengths, m, masses, kg, and inertias about the centres of mass, kg·m²; these are at mid-length.
 #[derive(Clone, Copy)]
 struct Arm {
     base: f64,
@@ -34,7 +34,7 @@ struct Arm {
 type State = [f64; 8];
 
 impl Arm {
-    /// End and its velocity.
+    /// Position and velocity of the end.
     fn end(&self, [p, d, wp, wd]: [f64; 4]) -> [f64; 4] {
         let [a, b] = self.length;
         [
@@ -103,7 +103,7 @@ impl Foreign {
     }
 }
 
-/// A fall of the desk machine with links that are off.
+/// A fall of the desk machine with wrong link lengths.
 fn machine(scenario: &Scenario, random: &mut Random) -> Option<Foreign> {
     let mut links = scenario.truth.geometry.links;
     for link in &mut links {
@@ -121,7 +121,7 @@ fn machine(scenario: &Scenario, random: &mut Random) -> Option<Foreign> {
         let angle = [p, q][i];
         [arms[i].base + arms[i].length[0] * angle.cos(), arms[i].length[0] * angle.sin()]
     });
-    // The tip to the left of the arrow from the left to the right elbow.
+    // The tip is to the left of the arrow from the left to the right elbow.
     let arrow = [elbows[1][0] - elbows[0][0], elbows[1][1] - elbows[0][1]];
     let distance = arrow[0].hypot(arrow[1]);
     let [a, b] = [arms[0].length[1], arms[1].length[1]];
@@ -136,15 +136,15 @@ fn machine(scenario: &Scenario, random: &mut Random) -> Option<Foreign> {
     Some(Foreign { arms, state: [p, angle(elbows[0]), 0.0, 0.0, q, angle(elbows[1]), 0.0, 0.0] })
 }
 
-/// Part of the samples in which the tip is within its 95 % ellipse; in which it is, or the status says that bands are not to be believed;
-/// largest error, m.
+/// Fraction of samples with the tip within its 95 % ellipse; fraction with the tip inside or a status that warns about the bands; largest
+/// error, m.
 fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
     let mut model = desk();
     model.estimator.max_delay = 2.0 * DELAY;
     model.start.theta = [random.between(1.7, 2.4), random.between(0.7, 1.4)];
     let truth = model.clone();
     start_off(&mut model, random, [0.02, 0.0]);
-    // Model of a user: encoder noise is the eccentricity, length errors are the tolerance.
+    // A user's model: eccentricity as encoder noise, the tolerance as length errors.
     model.estimator.sigma0_length = TOLERANCE * model.geometry.links[0].length / 3f64.sqrt();
     let scenario = Scenario { model, truth, course: no_inputs, plan: Default::default(), duration: 1.5, from: None };
     let mut foreign = machine(&scenario, random)?;
@@ -179,7 +179,7 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
     Some([inside / count, honest / count, worst, (squares / count).sqrt()])
 }
 
-/// Whether bands stay honest.
+/// Checks that bands stay honest.
 pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("A truth from other code: lengths 0.5 % off, eccentric encoders, 2 ms of delay, backlash");
     for encoder in [COARSE, FINE] {

@@ -1,5 +1,5 @@
-//! Machines whose lengths or encoders' mounting angles are not those of the model, told, learned or neither: how far the tip is off, whether it is
-//! within its band, and whether a machine is lost without a word.
+//! Machines with errors of lengths or encoder mounting angles, configured in the twin, learned, or neither: error of the tip, coverage of
+//! its band, and runs lost without a warning.
 
 use fivebar::estimator::{MEASURED, set_lengths};
 use fivebar::mechanism::Start;
@@ -14,37 +14,37 @@ use crate::report::{Figure, Table, median, most_of};
 use crate::scores::{half_width, holds};
 use crate::singular::{FAST, SLOW, crossing};
 
-/// Standard deviations of the twin that is told: lengths, m, and mounting angles, rad.
+/// Standard deviations configured in the twin: lengths, m, and mounting angles, rad.
 const TOLD: [f64; 2] = [2e-4, 2e-3];
 
-/// Label of machines of which an encoder is mounted off.
+/// Label of machines with a mounting error of one encoder.
 const OFFSET: &str = "an encoder 1 mrad off";
 /// Label of scenes of servos on sines.
 const SERVOS: &str = "servos on sines";
-/// Tip error of those by 16 bits after 5 s of learning that is allowed, mm: a third of the 0.23 mm of a twin that takes encoders for exact.
+/// Allowed tip error of these machines at 16 bits after 5 s of learning, mm: a third of the 0.23 mm of a twin that assumes exact encoders.
 const OFFSET_LEARNED: f64 = 0.077;
 /// Label of machines with eccentric encoders.
 const ECCENTRICITY: &str = "eccentricity 2 mrad";
-/// Label of machines whose geometry the twin is told to be exact.
+/// Label of machines with geometry configured as exact.
 const EXACT: &str = "masses 5 % off, falls under known sines, geometry told to be exact";
-/// Labels of machines of which the twin is not told that the scales of the encoders may be off.
+/// Labels of machines with errors of the encoder scales that are not configured in the twin.
 const UNTOLD: [&str; 2] = ["scale 0.2 % off, falls", "scale 0.2 % off, servos"];
-/// Label of machines whose encoders have another scale.
+/// Label of machines with another scale of the encoders.
 const SCALE: &str = "scale 0.2 % off";
 
 /// Outcome of a run.
 struct Outcome {
-    /// Tip errors, m, and half-widths of the 95 % ellipse along its longer axis, m, of each sample.
+    /// For each sample: error of the tip, m, and half-width of the 95 % ellipse along its longer axis, m.
     errors: Vec<[f64; 2]>,
-    /// Part of the samples with the tip within its ellipse.
+    /// Fraction of samples with the tip within its ellipse.
     inside: f64,
     lost: bool,
     silently: bool,
-    /// Whether an alarm was raised, which nothing acts to raise.
+    /// Whether there was an alarm; all are false.
     alarm: bool,
 }
 
-/// Lengths of links and base 0.1 % off, each by itself.
+/// Lengths of links and base 0.1 % off, independently.
 fn lengths_off(scenario: &mut Scenario, random: &mut Random) {
     set_lengths(&mut scenario.truth.geometry, |_, length| length * (1.0 + 1e-3 * random.normal()));
 }
@@ -54,7 +54,7 @@ fn offset(scenario: &mut Scenario, _: &mut Random) {
     scenario.plan.systematic[0].offset = 1e-3;
 }
 
-/// Lengths and mounting angles drawn from what the twin is told of them.
+/// Lengths and mounting angles drawn from the twin's priors.
 fn as_told(scenario: &mut Scenario, random: &mut Random) {
     set_lengths(&mut scenario.truth.geometry, |_, length| length + TOLD[0] * random.normal());
     scenario.plan.systematic.iter_mut().for_each(|of| of.offset = TOLD[1] * random.normal());
@@ -75,7 +75,7 @@ fn scale(scenario: &mut Scenario, _: &mut Random) {
     scenario.plan.systematic.iter_mut().for_each(|of| of.scale = OFF_BY);
 }
 
-/// Scenario of a twin that is told that scales may be off by as much.
+/// A scenario with this error configured in the twin.
 fn scale_told(mut scenario: Scenario) -> Scenario {
     scenario.model.estimator.sigma0_scale = OFF_BY;
     scenario
@@ -100,7 +100,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Outcome {
     Outcome { errors, inside: inside / count, lost: lost || done.is_err(), silently, alarm }
 }
 
-/// A direct singularity that is passed at speeds between these, m/s, from motor angles and rates, which other lengths close as well.
+/// A crossing of a direct singularity at speeds in this range, m/s, from motor angles and rates, so that other lengths also close the loop.
 fn crossing_by_motors(random: &mut Random, speeds: [f64; 2]) -> Scenario {
     let mut scenario = crossing(random, speeds);
     if let Some((theta, omega)) = scenario.from.take() {
@@ -110,25 +110,25 @@ fn crossing_by_motors(random: &mut Random, speeds: [f64; 2]) -> Scenario {
     scenario
 }
 
-/// Draws a scenario.
+/// Generator of a scenario.
 pub type Scene = fn(&mut Random) -> Scenario;
 type Error = fn(&mut Scenario, &mut Random);
 
-/// Scenario of a machine whose geometry has an error, of which the twin is told these standard deviations.
+/// Scenario of a machine with a geometry error; `told` are the standard deviations configured in the twin.
 fn drawn(scene: Scene, error: Error, told: [f64; 2], random: &mut Random) -> Scenario {
     loop {
         let mut scenario = scene(random);
         scenario.truth = Parameters { geometry: scenario.model.geometry, ..scenario.truth };
         error(&mut scenario, random);
         [scenario.model.estimator.sigma0_length, scenario.model.estimator.sigma0_offset] = told;
-        // Lengths with which the machine cannot be assembled are drawn again.
+        // Lengths that cannot be assembled are drawn again.
         if Simulation::new(&scenario.truth, &scenario.acting(0.0)).is_ok() {
             return scenario;
         }
     }
 }
 
-/// Scenario of a machine as a workshop builds it, and of a twin that is told so: lengths 0.1 % off, an encoder mounted 1 mrad off.
+/// Scenario of a machine from a workshop, with matching priors of the twin: lengths 0.1 % off, one encoder mounted 1 mrad off.
 pub fn as_built(scene: Scene, random: &mut Random) -> Scenario {
     let error: Error = |scenario, random| {
         lengths_off(scenario, random);
@@ -137,7 +137,8 @@ pub fn as_built(scene: Scene, random: &mut Random) -> Scenario {
     drawn(scene, error, TOLD, random)
 }
 
-/// Machines of which each has one thing off, by the unit's start values, and learned by them: tip errors, coverage, lost runs and false alarms.
+/// Machines with a single error each, with the unit's start values, with and without learning: tip errors, coverage, lost runs, false
+/// alarms.
 pub fn one_thing_off(runs: u64, first: u64) -> Table {
     let mut table = Table::new("One thing off, by the unit's start values, at 1 ms: falls of 2 s, servos on sines for 5 s");
     const FALLS: Scene = |random| fall(random, false);
@@ -200,7 +201,7 @@ pub fn one_thing_off(runs: u64, first: u64) -> Table {
     table
 }
 
-/// Falls of machines with lengths 0.1 % off, learned by the unit's start values by 16 bits, in which an alarm is raised.
+/// Number of falls with a false alarm, with lengths 0.1 % off, learned with the unit's start values at 16 bits.
 pub fn false_alarms_while_learning<const N: usize>(seeds: [u64; N]) -> usize {
     let alarms = seeds.map(|seed| {
         let mut random = Random::new(seed);
@@ -210,13 +211,13 @@ pub fn false_alarms_while_learning<const N: usize>(seeds: [u64; N]) -> usize {
     alarms.into_iter().filter(|alarm| *alarm).count()
 }
 
-/// Time for which lengths and mounting angles are learned, s, and of its end that is judged.
+/// Time of learning lengths and mounting angles, s, and judged part at its end, s.
 const LEARNING: [f64; 2] = [5.0, 0.5];
 
 /// Period of picks, s, and the payload, kg.
 const PICKS: (f64, f64) = (1.6, 0.05);
 
-/// The pick of `scenes/pick_and_place.json` again and again, with a payload that the twin knows.
+/// The pick of `scenes/pick_and_place.json`, repeated, with a known payload.
 fn picks(random: &mut Random) -> Scenario {
     let mut scenario = pick(random);
     for of in [&mut scenario.model, &mut scenario.truth] {
@@ -225,14 +226,14 @@ fn picks(random: &mut Random) -> Scenario {
     Scenario { course: |time, plan| pick_course(time % PICKS.0, plan), ..scenario }
 }
 
-/// Machines of which the twin is told, and which it learns or not: tip errors in the last half second of 5 s, coverage and lost runs of all.
+/// Machines with configured errors, with and without learning: tip errors in the last half second of 5 s, coverage and lost runs.
 pub fn learned(runs: u64, first: u64) -> Table {
     let mut table = Table::new("Geometry that is off, told, and learned or not, at 1 ms: the tip after 5 s");
     let both: Error = |scenario, random| {
         lengths_off(scenario, random);
         offset(scenario, random);
     };
-    // With the standard deviation of the eccentricity that the twin is told, rad.
+    // With the twin's standard deviation of the eccentricity, rad.
     let by_start = default_parameters().estimator.sigma0_eccentricity;
     let errors: [(&str, Error, f64); 6] = [
         ("lengths 0.1 % off", lengths_off, 0.0),
@@ -288,13 +289,13 @@ pub fn learned(runs: u64, first: u64) -> Table {
     table
 }
 
-/// Tip errors, coverage and lost runs by what is off, scene, encoder, and whether the twin is told.
+/// Tip errors, coverage and lost runs by kind of error, scene, encoder, and whether the error is configured.
 pub fn table(seeds: u64, first: u64) -> Table {
     let mut table =
         Table::new("Geometry that is off, at 1 ms: coverage of the 95 % ellipse of the tip, and runs lost without a word");
     let errors: [(&str, Error); 4] =
         [("lengths 0.1 % off", lengths_off), (OFFSET, offset), (ECCENTRICITY, eccentricity), (SCALE, scale)];
-    // Crossings are told and not judged: encoders hardly show on which side of a line they were passed.
+    // Crossings are shown but not judged: encoders hardly reveal on which side of a line they were passed.
     let scenes: [(&str, Scene, bool); 4] = [
         ("falls", |random| fall(random, false), true),
         (SERVOS, |random| sines(random, 2.0), true),

@@ -1,4 +1,4 @@
-//! Masses and friction that are learned while a machine is followed, against the true ones; alarms that mean nothing, and forecasts.
+//! Masses and friction learned while following a machine, compared with the true ones; false alarms; forecasts.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::error_state::{DRY, Learned, MASSES, PAYLOAD, VISCOUS};
@@ -10,50 +10,50 @@ use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, motion, tip}
 use crate::quality::{fall, push, servos};
 use crate::report::{Figure, Table, median, most_of};
 
-/// Time between samples, s.
+/// Sampling interval, s.
 const H: f64 = 1e-3;
-/// Time for which a machine is learned, s.
+/// Time of learning, s.
 const LEARNED_FOR: f64 = 2.0;
-/// When forecasts begin, s, and how far ahead they are looked at, s.
+/// Interval in which forecasts start, s, and their horizon, s.
 const FORECASTS: ([f64; 2], f64) = ([1.0, LEARNED_FOR], 0.3);
-/// Alarms before, s, are of the start: an alarm lasts 0.1 s.
+/// Alarms before this time, s, belong to the start: an alarm lasts 0.1 s.
 pub(crate) const STARTED: f64 = 0.15;
-/// Length of a rest, and time between its samples, s.
+/// Duration of a rest, and sampling interval, s.
 const REST: [f64; 2] = [3600.0, 5e-3];
-/// Rates of runs that may raise a false alarm, without and with learning.
+/// Allowed rates of runs with a false alarm, without and with learning.
 pub(crate) const FALSE_ALARMS: [f64; 2] = [1.0 / 100.0, 2.0 / 500.0];
-/// Least standard deviation of a mass in a free fall, %: of the mean of four logarithms that are 5 % off, less what round-off may take.
+/// Smallest standard deviation of a mass in a free fall, %: the mean of four logarithms that are 5 % off, less an allowance for round-off.
 const COMMON: f64 = 2.45;
 /// Largest coefficient of viscous friction, N·m·s/rad.
 const VISCOUS_UP_TO: f64 = 2e-5;
 
-/// Payload of the twin, kg, and the standard deviation of the machine's about it.
+/// Payload of the twin, kg, and standard deviation of the machine's payload from it.
 const CARRIED: [f64; 2] = [0.02, 0.004];
 
 /// Standard deviation of the logarithm of the factor of dry friction.
 const DRY_SIGMA: f64 = 0.3;
 
-/// Loads that a machine has beside its masses and its twin does not know.
+/// Loads of a machine besides its masses that are unknown to its twin.
 #[derive(Clone, Copy, PartialEq)]
 enum Unknown {
     Nothing,
-    /// Viscous friction, in each joint of its own.
+    /// Viscous friction, different in each joint.
     Viscous,
     /// A payload, and viscous friction.
     Carrying,
-    /// Dry friction, off by one factor.
+    /// Dry friction, wrong by a common factor.
     Dry,
-    /// Dry friction, which the twin's scene does not have.
+    /// Dry friction that is missing in the twin's scene.
     Foreign,
 }
 
-/// Known torques: sines of 0.03 N·m on both motors, of 3 to 9 rad/s.
+/// Known torques: sines of 0.03 N·m on both motors, at 3 to 9 rad/s.
 fn torques(time: f64, plan: &Plan) -> Inputs {
     let rate = |i: usize| 3.0 + 6.0 * plan.phase[i + 2] / std::f64::consts::TAU;
     Inputs { tau: [0, 1].map(|i| 0.03 * (rate(i) * time + plan.phase[i]).sin()), ..default_inputs() }
 }
 
-/// Falls whose machines have masses 5 % off and, where asked for, friction.
+/// Falls with masses 5 % off and, if requested, friction.
 fn scenario(random: &mut Random, (driven, unknown): (bool, Unknown), learns: bool) -> Scenario {
     let mut scenario = fall(random, true);
     if driven {
@@ -88,19 +88,19 @@ fn scenario(random: &mut Random, (driven, unknown): (bool, Unknown), learns: boo
     scenario
 }
 
-/// A fall under known sines of a machine whose masses are 5 % off.
+/// A fall under known sines with masses 5 % off.
 pub(crate) fn under_torques(random: &mut Random) -> Scenario {
     scenario(random, (true, Unknown::Nothing), false)
 }
 
-/// A fall under known sines, learned or not, pushed after a second by 0.5 N.
+/// A fall under known sines, with or without learning, and a push of 0.5 N after one second.
 pub(crate) fn pushed(random: &mut Random, learns: bool) -> Scenario {
     let mut scenario = scenario(random, (true, Unknown::Nothing), learns);
     (scenario.plan.push, scenario.plan.from) = (push(random).plan.push, 1.0);
     scenario
 }
 
-/// Values that an estimator of `model` would learn of the machine `truth`.
+/// True values, for the machine `truth`, of everything that an estimator of `model` learns.
 fn of_machine(model: &Parameters, truth: &Parameters) -> Learned {
     let mut values = Learned::zeros();
     for i in MASSES {
@@ -125,17 +125,17 @@ struct Outcome {
     payload: [f64; 2],
     /// Error of the logarithm of the factor of dry friction, and its standard deviation.
     dry: [f64; 2],
-    /// Normalised error squared of the masses, per mass.
+    /// Normalised squared error of the masses, per mass.
     nees: f64,
-    /// Mean error of the logarithms of the masses, and the mean of their standard deviations.
+    /// Mean error of the logarithms of the masses, and mean standard deviation.
     common: f64,
     alarm: bool,
-    /// Error and radius of 95 %, m, of each forecast.
+    /// Error and 95 % radius of each forecast, m.
     forecasts: Vec<[f64; 2]>,
     tip: f64,
 }
 
-/// Error and radius of 95 %, m, of a forecast from here.
+/// Error and 95 % radius of a forecast from this instant, m.
 pub(crate) fn forecast(twin: &Following, machine: &Simulation, scenario: &Scenario, step: u64) -> Option<[f64; 2]> {
     let (mut twin, mut machine) = (twin.clone(), machine.clone());
     let steps = (FORECASTS.1 / H).round() as u64;
@@ -189,8 +189,8 @@ fn outcome(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Optio
     Some(outcome)
 }
 
-/// An hour at rest, held by servos against gravity, with a sample every 5 ms: the largest change of what is learned after the first minute, and the
-/// largest error at the end, each in standard deviations.
+/// An hour at rest, supported by servos against gravity, with a sample every 5 ms: largest change of the learned values after the first
+/// minute, and largest error at the end, both in standard deviations.
 fn at_rest(encoder: &Encoder, random: &mut Random) -> Option<[f64; 2]> {
     let mut scenario = scenario(random, (false, Unknown::Viscous), true);
     for of in [&mut scenario.model, &mut scenario.truth] {
@@ -218,12 +218,12 @@ fn at_rest(encoder: &Encoder, random: &mut Random) -> Option<[f64; 2]> {
     Some([drift, in_sigmas(&(twin.estimator().learned()? - truth), &twin.estimator().learned_sigma())])
 }
 
-/// Largest of the errors of masses and viscous friction, in standard deviations.
+/// Largest error of masses and viscous friction, in standard deviations.
 fn in_sigmas(errors: &Learned, sigma: &Learned) -> f64 {
     MASSES.chain(VISCOUS).map(|i| errors[i].abs() / sigma[i]).fold(0.0, f64::max)
 }
 
-/// Part of errors within 1.96 standard deviations, %.
+/// Fraction of errors within 1.96 standard deviations, %.
 fn covered(of: impl Iterator<Item = [f64; 2]>) -> f64 {
     let (mut inside, mut all) = (0, 0);
     for [error, sigma] in of {
@@ -238,7 +238,7 @@ fn rms(of: impl Iterator<Item = f64>) -> f64 {
     f64::sqrt(sum / count)
 }
 
-/// Errors and bands of what is learned.
+/// Errors and bands of the learned values.
 pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("Masses and friction learned in falls, masses 5 % off: after 2 s, and forecasts 0.3 s ahead");
     let scenes = [
@@ -295,7 +295,7 @@ pub fn table(runs: u64, first: u64) -> Table {
                 table.push(Figure::between(inside, covered(of.into_iter()), [88.0, 100.0], String::new()));
             }
             let alarms = outcomes.iter().filter(|o| o.alarm).count() as f64;
-            // A payload that is a fifth off at once may be taken for a push.
+            // A sudden payload error of a fifth may be mistaken for a push.
             let demanding = learns && kind.1 != Unknown::Carrying;
             let note = format!("of {}", outcomes.len());
             table.push(match kind.0 {
@@ -321,7 +321,7 @@ pub fn table(runs: u64, first: u64) -> Table {
             }
             table.push(Figure::told(label("tip's error, mm"), 1e3 * median(outcomes.iter().map(|o| o.tip)), "median".into()));
             if kind.1 == Unknown::Foreign {
-                // Friction that a scene does not have is learned as something else: the docs say how far, and nothing is demanded.
+                // Friction missing in a scene is learned as something else: the docs state how much, and it has no target.
                 table.figures[before..].iter_mut().for_each(Figure::demand_nothing);
             }
         }

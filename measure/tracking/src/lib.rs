@@ -1,7 +1,7 @@
-//! Accuracy of the unit in following measured machines: the figures of its estimator, beside their targets.
+//! Accuracy of the unit in following measured machines: figures of its estimator, with their targets.
 //!
-//! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was
-//! chosen on.
+//! Machines are simulations with other parameters, pushes and encoders. All random values come from seeds that were not used to choose any
+//! setting.
 
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 

@@ -1,4 +1,4 @@
-//! A machine that is measured: a simulation with other parameters and a push that nobody tells the twin of, and its encoders.
+//! A measured machine: a simulation with other parameters and a push unknown to the twin, and its encoders.
 
 use std::collections::VecDeque;
 
@@ -11,17 +11,17 @@ use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation, Sta
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Random numbers that are the same everywhere.
+/// Random numbers that are the same on every platform.
 #[derive(Clone, Debug)]
 pub struct Random(ChaCha8Rng);
 
 impl Random {
-    /// Generator with a seed.
+    /// Generator from a seed.
     pub fn new(seed: u64) -> Self {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// In [0, 1).
+    /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -44,7 +44,7 @@ pub struct Encoder {
     pub name: &'static str,
     /// White noise, rad.
     pub sigma: f64,
-    /// Step, rad.
+    /// Resolution, rad.
     pub quantum: f64,
 }
 
@@ -62,7 +62,7 @@ impl Encoder {
         if self.quantum > 0.0 { (noisy / self.quantum).round() * self.quantum } else { noisy }
     }
 
-    /// Sets the encoder in a twin's parameters.
+    /// Configures the encoder in a twin's parameters.
     pub fn tell(&self, parameters: &mut Parameters) {
         parameters.estimator.enabled = true;
         parameters.estimator.sigma = [self.sigma; 2];
@@ -81,22 +81,22 @@ pub type Course = fn(f64, &Plan) -> Inputs;
 pub struct Systematic {
     /// Mounting angle, rad.
     pub offset: f64,
-    /// Amplitude, rad, and phase, rad, of the error by an eccentric disc.
+    /// Amplitude and phase of the error by an eccentric disc, rad.
     pub eccentricity: [f64; 2],
     /// Relative error of the scale.
     pub scale: f64,
 }
 
 impl Systematic {
-    /// Angle that an encoder without noise shows, rad.
+    /// Reading of an encoder without noise, rad.
     pub fn shown(&self, angle: f64) -> f64 {
         let [amplitude, phase] = self.eccentricity;
         (1.0 + self.scale) * angle + self.offset + amplitude * (angle + phase).sin()
     }
 
-    /// Angle at which an encoder without noise shows this one, rad.
+    /// Angle for a reading of an encoder without noise, rad.
     pub fn angle(&self, shown: f64) -> f64 {
-        // Each iteration makes the error smaller by the slope of the systematic error, 2e-3 at most.
+        // Each iteration reduces the error by the slope of the systematic error, 2e-3 at most.
         (0..4).fold(shown, |angle, _| angle + (shown - self.shown(angle)))
     }
 }
@@ -108,19 +108,19 @@ pub struct Plan {
     pub phase: [f64; 4],
     /// A push on the tip, N.
     pub push: [f64; 2],
-    /// Time from which the push acts, s.
+    /// Time at which the push starts, s.
     pub from: f64,
-    /// A hand as of `scenes/haptic.json`, again every 2 s, by how much stronger and how much faster; 0: none.
+    /// A hand as in `scenes/haptic.json`, repeated every 2 s: factors of force and speed; 0: none.
     pub hand: [f64; 2],
-    /// Systematic errors of the encoders that the twin does not know.
+    /// Systematic errors of the encoders, unknown to the twin.
     pub systematic: [Systematic; 2],
-    /// Both encoders are silent between these times, s.
+    /// Interval without samples of both encoders, s.
     pub silent: [f64; 2],
-    /// Time from taking a sample until it arrives, with the time at which it was taken, s.
+    /// Delay from taking a sample to its arrival, with the time of the sample, s.
     pub delay: f64,
 }
 
-/// A scene to follow.
+/// A scene of following.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// Model of the twin.
@@ -131,9 +131,9 @@ pub struct Scenario {
     pub course: Course,
     /// Random parts of the course.
     pub plan: Plan,
-    /// Length, s.
+    /// Duration, s.
     pub duration: f64,
-    /// Angles and rates of all links from which the machine starts, where they are not those of its parameters.
+    /// Angles and rates of all links at the machine's start, if different from its parameters.
     pub from: Option<(Links, Links)>,
 }
 
@@ -143,7 +143,7 @@ impl Scenario {
         (self.course)(time, &self.plan)
     }
 
-    /// Inputs and push that act on the machine, whose servos close on its encoders.
+    /// Inputs and push on the machine; its servos use its own encoders.
     pub fn acting(&self, time: f64) -> Inputs {
         let inputs = self.inputs(time);
         let [x, y] = if time >= self.plan.from { self.plan.push } else { [0.0; 2] };
@@ -156,7 +156,7 @@ impl Scenario {
         }
     }
 
-    /// The machine.
+    /// Simulation of the machine.
     pub fn machine(&self) -> Simulation {
         let made = match self.from {
             Some((theta, omega)) => Simulation::at(&self.truth, &self.acting(0.0), theta, omega),
@@ -173,14 +173,14 @@ impl Scenario {
     }
 }
 
-/// The unit's start values for a machine whose lengths and encoders are exact, and told so.
+/// The unit's start values, for a machine with exact lengths and encoders that are configured as exact.
 pub fn exact() -> Parameters {
     let mut parameters = default_parameters();
     parameters.estimator.take_geometry_as_exact();
     parameters
 }
 
-/// A scenario whose twin takes geometry for as uncertain as the unit's start values say.
+/// A scenario with geometry errors at the unit's start values.
 pub fn by_start_values(mut scenario: Scenario) -> Scenario {
     let (own, start) = (&mut scenario.model.estimator, default_parameters().estimator);
     (own.sigma0_length, own.sigma0_offset, own.sigma0_eccentricity) =
@@ -188,14 +188,14 @@ pub fn by_start_values(mut scenario: Scenario) -> Scenario {
     scenario
 }
 
-/// A scenario whose twin learns its machine by the unit's start values.
+/// A scenario with learning at the unit's start values.
 pub fn learned(scenario: Scenario) -> Scenario {
     let mut scenario = by_start_values(scenario);
     scenario.model.estimator.learn_enabled = true;
     scenario
 }
 
-/// The table-top machine with which prototypes were measured.
+/// The table-top machine of the prototypes' measurements.
 pub fn desk() -> Parameters {
     let mut parameters = exact();
     parameters.geometry.base_distance = 0.1;
@@ -203,7 +203,7 @@ pub fn desk() -> Parameters {
     parameters
 }
 
-/// Masses and inertias that are up to 5 % off, each link by itself.
+/// Masses and inertias up to 5 % off, independently for each link.
 pub fn five_percent(parameters: &Parameters, random: &mut Random) -> Parameters {
     let mut other = parameters.clone();
     for link in &mut other.geometry.links {
@@ -214,7 +214,7 @@ pub fn five_percent(parameters: &Parameters, random: &mut Random) -> Parameters 
     other
 }
 
-/// The twin starts a little off the machine.
+/// Adds a small error to the twin's start.
 pub fn start_off(model: &mut Parameters, random: &mut Random, [theta, omega]: [f64; 2]) {
     for i in 0..2 {
         model.start.theta[i] += theta * random.normal();
@@ -222,13 +222,13 @@ pub fn start_off(model: &mut Parameters, random: &mut Random, [theta, omega]: [f
     }
 }
 
-/// Minimum jerk from 0 to 1: value and slope.
+/// Minimum jerk from 0 to 1: value and derivative.
 pub fn minimum_jerk(part: f64) -> (f64, f64) {
     let s = part.clamp(0.0, 1.0);
     (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) * (1.0 - s))
 }
 
-/// Force of the hand of `scenes/haptic.json` along the wall and onto it, N.
+/// Force of the hand of `scenes/haptic.json`, along the wall and onto it, N.
 fn hand(time: f64) -> [f64; 2] {
     let along = [(0.8, 0.0), (0.9, 1.2), (1.0, 1.2), (1.1, 0.0)];
     let onto = [(0.0, 0.0), (0.2, -0.5), (0.6, -3.0), (1.2, -3.0), (1.4, 0.1), (1.8, 0.0)];
@@ -239,7 +239,7 @@ fn hand(time: f64) -> [f64; 2] {
     [between(&along), between(&onto)]
 }
 
-/// Nothing.
+/// Zero inputs.
 pub fn no_inputs(_: f64, _: &Plan) -> Inputs {
     default_inputs()
 }
@@ -249,7 +249,7 @@ pub fn motion(state: &State) -> (Links, Links) {
     (state.angles(), THETA.map(|i| state.core.v[i]))
 }
 
-/// The tip, m.
+/// Position of the tip, m.
 pub fn tip(simulation: &Simulation, state: &State) -> [f64; 2] {
     observers::motion(simulation.model(), state).tip.into()
 }
@@ -275,7 +275,7 @@ pub struct Instant<'a> {
     pub tip_error: f64,
 }
 
-/// Follows a machine in steps of h; `look` sees each sample after it has been used.
+/// Follows a machine in steps of h; calls `look` after each sample has been used.
 pub fn follow(
     scenario: &Scenario,
     encoder: &Encoder,
@@ -307,7 +307,7 @@ pub fn follow(
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
         let off = [x - v, y - w];
         look(&Instant { time, truth: &truth, estimate: &estimate, twin: &twin, off, tip_error: off[0].hypot(off[1]) });
-        // Machine and twin hold the inputs of the middle of the step.
+        // Machine and twin use the inputs at the middle of the step.
         let macro_steps = (h / 1e-3).round().max(1.0);
         let middle = time + h / 2.0;
         twin.advance_along(&Signal::held(scenario.inputs(middle)), h / macro_steps, macro_steps as u64)?;

@@ -1,4 +1,4 @@
-//! Prints the tables of figures; `cargo xtask estimator` builds and calls it.
+//! Prints the tables of figures; `cargo xtask estimator` builds and runs it.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -13,13 +13,13 @@ struct Arguments {
     /// Only tables whose name contains this
     #[arg(long, default_value = "")]
     only: String,
-    /// Part of the runs that are made
+    /// Fraction of the runs
     #[arg(long, default_value_t = 1.0)]
     part: f64,
-    /// Added to the seeds of all runs: others than those in the tables of the docs
+    /// Added to the seeds of all runs; 0 gives the tables in the docs
     #[arg(long, default_value_t = 0)]
     seeds: u64,
-    /// Writes the runs of the table `compare` to a folder, for other programs, and measures nothing else
+    /// Only write the runs of the table `compare` to a folder, for other programs
     #[arg(long)]
     compare: Option<PathBuf>,
 }

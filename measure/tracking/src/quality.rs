@@ -1,4 +1,4 @@
-//! How far the tip is off while a machine is followed, scene by scene.
+//! Error of the tip while following a machine, by scene.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::Status;
@@ -12,7 +12,7 @@ use crate::report::{Figure, Table, median};
 
 /// Errors of the twin's start, rad and rad/s.
 const START: [f64; 2] = [0.02, 0.2];
-/// Time left out at the beginning, s.
+/// Beginning left out, s.
 pub const SETTLED: f64 = 0.1;
 
 /// The pick of `scenes/pick_and_place.json`.
@@ -45,12 +45,12 @@ pub fn servos(parameters: &mut Parameters, kp: f64, kd: f64) {
     (servo.kp, servo.kd) = ([kp; 2], [kd; 2]);
 }
 
-/// Phases.
+/// Random phases.
 pub fn plan(random: &mut Random) -> Plan {
     Plan { phase: std::array::from_fn(|_| random.between(0.0, std::f64::consts::TAU)), from: f64::INFINITY, ..Plan::default() }
 }
 
-/// The pick with a payload that the twin does not know of.
+/// The pick with an unknown payload.
 pub fn pick(random: &mut Random) -> Scenario {
     let mut model = desk();
     model.effects.gravity.enabled = false;
@@ -63,10 +63,10 @@ pub fn pick(random: &mut Random) -> Scenario {
     Scenario { model, truth, course: pick_course, plan: plan(random), duration: 1.6, from: None }
 }
 
-/// A free fall from any posture, with masses 5 % off or not.
+/// A free fall from any posture; if `percent`, with masses 5 % off.
 pub fn fall(random: &mut Random, percent: bool) -> Scenario {
     let mut model = desk();
-    // Start angles whose elbows the distal links reach, errors of the start included.
+    // Start angles for which the distal links reach each other, including errors of the start.
     model.start.theta = loop {
         let theta = [random.between(1.6, 2.6), random.between(0.5, 1.5)];
         let apart = [0.1 + 0.21 * (theta[1].cos() - theta[0].cos()), 0.21 * (theta[1].sin() - theta[0].sin())];
@@ -97,7 +97,7 @@ pub fn sines(random: &mut Random, duration: f64) -> Scenario {
     Scenario { model, truth, course: sines_course, plan, duration, from: None }
 }
 
-/// Servos on sines, with friction that the twin does not know of.
+/// Servos on sines, with unknown friction.
 pub fn friction(random: &mut Random) -> Scenario {
     let mut scenario = sines(random, 2.0);
     scenario.truth = Parameters { geometry: scenario.model.geometry, ..scenario.truth };
@@ -106,7 +106,7 @@ pub fn friction(random: &mut Random) -> Scenario {
     scenario
 }
 
-/// A push of 0.5 N on the tip, in any direction, while servos follow sines.
+/// A push of 0.5 N on the tip in a random direction, while servos follow sines.
 pub fn push(random: &mut Random) -> Scenario {
     let mut scenario = sines(random, 1.5);
     let angle = random.between(0.0, std::f64::consts::TAU);
@@ -118,13 +118,13 @@ pub fn push(random: &mut Random) -> Scenario {
 /// Outcome of following a machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Outcome {
-    /// Root of the mean square of the tip's error, m.
+    /// Root mean square of the tip's error, m.
     pub rms: f64,
     /// Mean NEES.
     pub nees: f64,
-    /// Whether it ended more than 10 mm off or on the wrong side.
+    /// Whether the final error exceeds 10 mm, or the final side is wrong.
     pub lost: bool,
-    /// Whether it ended with several branches followed: the samples had not told.
+    /// Whether several branches were still followed at the end.
     pub open: bool,
 }
 

@@ -43,21 +43,21 @@ impl Figure {
     }
 }
 
-/// Figures that belong together.
+/// Related figures.
 #[derive(Clone, Debug)]
 pub struct Table {
     title: String,
-    /// Its rows.
+    /// Rows of the table.
     pub figures: Vec<Figure>,
 }
 
 impl Table {
-    /// Without rows.
+    /// A table without rows.
     pub fn new(title: &str) -> Self {
         Self { title: title.into(), figures: Vec::new() }
     }
 
-    /// One row more.
+    /// Adds a row.
     pub fn push(&mut self, figure: Figure) {
         self.figures.push(figure);
     }
@@ -80,7 +80,7 @@ impl Table {
     }
 }
 
-/// Three digits.
+/// A value with three digits.
 fn shown(value: f64) -> String {
     match value.abs() {
         0.0 => "0".into(),
@@ -91,19 +91,19 @@ fn shown(value: f64) -> String {
     }
 }
 
-/// The middle value.
+/// Median.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The value below which a part of them lies.
+/// Quantile at `part`.
 pub fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
     if sorted.is_empty() { f64::NAN } else { sorted[((sorted.len() - 1) as f64 * part).round() as usize] }
 }
 
-/// Largest number of events of a rate in so many runs: two standard deviations of their number above its mean (Poisson).
+/// Largest acceptable number of events at a rate in `runs` runs: two standard deviations above the mean (Poisson).
 pub fn most_of(rate: f64, runs: u64) -> f64 {
     let mean = rate * runs as f64;
     (mean + 2.0 * mean.sqrt()).floor()

@@ -1,4 +1,4 @@
-//! Machines that pass direct singularities and vertices while they are followed, and pushes on the tip.
+//! Following machines through direct singularities and vertices, and pushes on the tip.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::{LinkState, Linkage, Pair};
@@ -16,21 +16,21 @@ use crate::report::{Figure, Table};
 pub const FAST: [f64; 2] = [0.5, 4.0];
 /// Speeds of the tip in slow crossings, m/s.
 pub const SLOW: [f64; 2] = [0.02, 0.2];
-/// Before and after a singularity, s.
+/// Time before and after a singularity, s.
 const AROUND: [f64; 2] = [0.15, 0.25];
-/// At most this many times as long before, until |sin(θ₃ − θ₂)| is larger than this.
+/// Largest multiple of this time, until |sin(θ₃ − θ₂)| exceeds the next value.
 const LONGEST: u32 = 20;
 const CLEAR: f64 = 0.25;
 /// Time before and after a vertex, s.
 const AROUND_VERTEX: [f64; 2] = [0.2, 0.4];
-/// Interval in which both encoders are silent, s.
+/// Interval without samples of both encoders, s.
 const SILENT: [f64; 2] = [0.5, 2.0];
-/// Time within which the machine must be found again, s.
+/// Time within which the estimate must be right again, s.
 const FOUND: f64 = 1.0;
-/// Errors of the twin's start: small, so that it is the crossing that is judged.
+/// Errors of the twin's start: small, so that the crossing itself is judged.
 const START: [f64; 2] = [0.003, 0.03];
 
-/// The state some seconds before another, without gravity: time runs backwards.
+/// An earlier state by the given time, s, without gravity: time runs backwards.
 fn earlier(parameters: &Parameters, theta: Links, omega: Links, seconds: f64) -> Option<(Links, Links)> {
     let mut run = Simulation::at(parameters, &default_inputs(), theta, omega.map(|rate| -rate)).ok()?;
     run.advance(&default_inputs(), 1e-3, (seconds / 1e-3).round() as u64).ok()?;
@@ -38,7 +38,7 @@ fn earlier(parameters: &Parameters, theta: Links, omega: Links, seconds: f64) ->
     Some((theta, omega.map(|rate| -rate)))
 }
 
-/// How long after a state encoders can tell the assembly, not before some time, s; `None` where that takes longer than crossings may last.
+/// Time, s, after which encoders can show the assembly, at least `least`; `None` if it exceeds the limit for crossings.
 fn clear_after(parameters: &Parameters, (theta, omega): (Links, Links), least: f64) -> Option<f64> {
     let mut run = Simulation::at(parameters, &default_inputs(), theta, omega).ok()?;
     run.advance(&default_inputs(), 1e-3, (least / 1e-3).round() as u64).ok()?;
@@ -50,7 +50,7 @@ fn clear_after(parameters: &Parameters, (theta, omega): (Links, Links), least: f
     })
 }
 
-/// A scenario from a state of all links.
+/// A scenario starting at a state of all links.
 fn from_state(
     mut model: Parameters,
     truth: Parameters,
@@ -61,7 +61,7 @@ fn from_state(
     model.start.theta = [theta[0], theta[3]];
     model.start.omega = [omega[0], omega[3]];
     model.start.assembly = if side(&theta) > 0.0 { Assembly::Plus } else { Assembly::Minus };
-    // Start errors with which the twin cannot be assembled are drawn again.
+    // Start errors that cannot be assembled are drawn again.
     let exact = model.start;
     loop {
         start_off(&mut model, random, START);
@@ -78,7 +78,7 @@ fn without_gravity(mut parameters: Parameters) -> Parameters {
     parameters
 }
 
-/// The tip passes the line of the distal links at a speed between these, m/s, at least 0.3 of it across the line.
+/// The tip passes the line of the distal links at a speed in this range, m/s, with a component of at least 0.3 across the line.
 pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
     let model = without_gravity(desk());
     let linkage = Linkage::new(&model.geometry);
@@ -86,7 +86,7 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
         let truth = five_percent(&model, random);
         let (first, stretched) = (random.between(0.0, std::f64::consts::TAU), 0.42);
         let elbow = [0.21 * first.cos(), 0.21 * first.sin()];
-        // The right elbow on both circles.
+        // The right elbow is on both circles.
         let to = [elbow[0] - 0.1, elbow[1]];
         let distance = to[0].hypot(to[1]);
         let cosine = (0.21f64.powi(2) + distance * distance - stretched * stretched) / (2.0 * 0.21 * distance);
@@ -108,14 +108,14 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
         let speed = tip[0].hypot(tip[1]);
         let scale = random.between(slow, fast) / speed;
         let omega = omega.map(|rate| rate * scale);
-        // Transversal: a motion that only grazes the line may as well turn back, and encoders cannot tell.
+        // Transversal: a motion that only grazes the line may also turn back, which encoders cannot show.
         if across.abs() < 0.3 * speed
             || (omega[2] - omega[1]).abs() * 0.21 < 0.3 * scale * speed
             || omega.iter().any(|rate| rate.abs() > 30.0)
         {
             continue;
         }
-        // From where encoders can tell the assembly to where they can again.
+        // From an instant at which encoders can show the assembly until they can again.
         let before = (1..=LONGEST).find_map(|k| {
             let seconds = f64::from(k) * AROUND[0];
             let state = earlier(&truth, theta, omega, seconds)?;
@@ -128,8 +128,8 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
     }
 }
 
-/// A slow crossing during which a push of up to 0.05 N sets in that the twin does not know of: the side of the machine and the push
-/// explain the samples equally well.
+/// A slow crossing with an unknown push of up to 0.05 N that starts on the way: the side of the machine and the push explain the samples
+/// equally well.
 pub fn pushed_crossing(random: &mut Random) -> Scenario {
     let mut scenario = crossing(random, SLOW);
     let (angle, force) = (random.between(0.0, std::f64::consts::TAU), random.between(0.0, 0.05));
@@ -138,14 +138,14 @@ pub fn pushed_crossing(random: &mut Random) -> Scenario {
     scenario
 }
 
-/// All links pass through one line, but for an offset, rad.
+/// All links pass through one line, up to an offset, rad.
 pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
     let mut model = without_gravity(desk());
     model.geometry.base_distance = 0.42;
     let linkage = Linkage::new(&model.geometry);
     let pi = std::f64::consts::PI;
     loop {
-        // −w₀ + w₁ + w₂ + w₃ = 0, and so with squares.
+        // −w₀ + w₁ + w₂ + w₃ = 0, and the same for squares.
         let (second, fourth) = (random.between(-4.0, 4.0), random.between(-4.0, 4.0));
         if (second + fourth).abs() < 0.5 || second.abs() < 0.5 || fourth.abs() < 0.5 {
             continue;
@@ -172,7 +172,7 @@ pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
     }
 }
 
-/// The paper's torque test, whose links are whipped to 70 rad/s, from its direct singularity on; by the unit's own method.
+/// The paper's torque test with rates up to 70 rad/s, from its direct singularity on, with the unit's own method.
 pub fn whip(random: &mut Random) -> Scenario {
     let model = without_gravity(exact());
     let mut truth = five_percent(&model, random);
@@ -189,8 +189,8 @@ pub fn whip(random: &mut Random) -> Scenario {
     Scenario { model: twin, truth, course, plan: Plan::default(), duration: 2.5, from: None }
 }
 
-/// A fall of a machine with masses 5 % off, through whatever singularities, during which both encoders are silent for so long, s, that the twin
-/// knows nothing of where it is.
+/// A fall with masses 5 % off, through random singularities. Both encoders are silent for so long that the twin no longer knows the
+/// machine's posture.
 pub fn silenced(random: &mut Random) -> Scenario {
     let mut scenario = fall(random, true);
     scenario.plan.silent = SILENT;
@@ -198,7 +198,7 @@ pub fn silenced(random: &mut Random) -> Scenario {
     scenario
 }
 
-/// How many are lost, and how many of these with several branches open still.
+/// Number of lost runs, and how many of these still follow several branches.
 fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> [f64; 2] {
     let outcomes = (0..runs).map(|seed| {
         let mut random = Random::new(first + seed);
@@ -209,7 +209,7 @@ fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut
     [lost.len() as f64, lost.iter().filter(|outcome| outcome.open).count() as f64]
 }
 
-/// Runs that are lost.
+/// Lost runs.
 pub fn table(part: f64, first: u64) -> Table {
     let runs = |all: f64| (all * part).round().max(2.0) as u64;
     let mut table = Table::new("Runs lost: more than 10 mm off, or on the wrong branch, at the end");

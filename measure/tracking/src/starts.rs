@@ -1,4 +1,4 @@
-//! Starts in the right assembly and in the wrong one: how soon the doubt ends, and how often it errs.
+//! Starts in the right and in the wrong assembly: how soon the doubt ends, and how often it is wrong.
 
 use fivebar::estimator::Status;
 use fivebar::mechanism::Assembly;
@@ -10,17 +10,17 @@ use crate::quality::{driven, fall, friction, pick, push, sines};
 use crate::report::{Figure, Table, quantile};
 use crate::scores::half_width;
 
-/// Longest part of a run that counts, s.
+/// Longest judged part of a run, s.
 const LONGEST: f64 = 2.0;
-/// Time for which a right start has to be outside of its band, undoubted, to count as taken away, s.
+/// Time outside its band without doubt, s, after which a right start counts as abandoned.
 const ASTRAY: f64 = 0.02;
 
 /// Outcome of a run.
 #[derive(Default)]
 struct Outcome {
-    /// Whether the tip was off with a status and bands that do not tell it.
+    /// Whether the tip was off while status and bands gave no warning.
     silent: bool,
-    /// Whether the tip was off and outside of its 95 % ellipse while one assembly alone was followed.
+    /// Whether the tip was off and outside its 95 % ellipse while only one assembly was followed.
     astray: bool,
     /// Whether the tip is off at the end.
     lost: bool,
@@ -28,7 +28,7 @@ struct Outcome {
     doubted: f64,
 }
 
-/// A run of a machine that starts in an assembly, and of a twin that starts in the right or the wrong one.
+/// A run of a machine that starts in an assembly, with a twin that starts in the right or the wrong one.
 fn run(scenario: &Scenario, (encoder, h): (&Encoder, f64), (own, wrong): (Assembly, bool), random: &mut Random) -> Outcome {
     let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };
     let mut told = scenario.clone();
@@ -67,7 +67,7 @@ pub fn table(runs: u64, first: u64) -> Table {
         ("swing", swing, COARSE, 1e-3, &BOTH),
         ("stiff swing", stiff, FINE, 1e-3, &BOTH),
         ("stiff swing", stiff, MEDIUM, 1e-3, &BOTH),
-        // In the other assembly its machine starts behind the wall.
+        // In the other assembly its machine would start behind the wall.
         ("haptic", haptic, FINE, 1e-3, &[Assembly::Plus]),
         ("pick, as built", |random| as_built(pick, random), FINE, 1e-3, &BOTH),
         ("sines, as built", |random| as_built(|random| sines(random, LONGEST), random), FINE, 1e-3, &BOTH),

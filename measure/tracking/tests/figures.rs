@@ -1,4 +1,4 @@
-//! A sample of the figures, on seeds of its own; `cargo xtask estimator` measures them in full.
+//! A sample of the figures, with other seeds; `cargo xtask estimator` measures them in full.
 
 use fivebar::estimator::Status;
 use fivebar::simulation::Following;
@@ -6,7 +6,7 @@ use tracking::machine::{COARSE, FINE, Random, follow};
 use tracking::quality::{fall, outcome, pick, push};
 use tracking::{benchmark, causes, detection, faults, geometry, singular};
 
-/// Whether the estimate can be stored and read back.
+/// Checks that the estimate can be stored and read back.
 fn soundness(twin: &Following) -> Result<(), &'static str> {
     twin.estimator().check(twin.believed(), &twin.motion())
 }
@@ -18,71 +18,73 @@ fn the_benchmark_is_met() {
     assert!(table.figures.iter().all(tracking::report::Figure::is_reached), "{}", table.markdown());
 }
 
-/// Of 32 faults most are named: of 400 are 93 % by 16 bits and 83 % at 0.1°, with which fewer than 26 and 21 of 32 have a probability of 0.5 %.
+/// Most of 32 faults are named. Of 400 it is 93 % at 16 bits and 83 % at 0.1°; then fewer than 26 and 21 of 32 have a probability of 0.5 %.
 #[test]
 fn causes_are_named() {
     let named = causes::named(4, 0);
     assert!(named[0] >= 26 && named[1] >= 21, "{named:?} of 32");
 }
 
-/// A unit that learns lengths tells a push, within 12 ms by 16 bits (median), from what it has not learned yet. Where models are compared as if innovations that
-/// last were white noise, each of these falls raises a false alarm; where the motion takes samples for as noisy as learning does, pushes take 29 ms.
+/// A unit that learns lengths distinguishes a push from its remaining errors within 12 ms at 16 bits (median). If models are compared as if
+/// persistent innovations were white noise, each of these falls raises a false alarm. If the motion takes samples to be as noisy as
+/// learning does, pushes take 29 ms.
 #[test]
 fn learning_hides_no_push_and_raises_no_alarm() {
     assert_eq!(geometry::false_alarms_while_learning([0, 1, 2].map(|seed| 7_800_000 + seed)), 0);
     let mut delays = detection::delays_while_learning([0, 1, 2].map(|seed| 7_700_000 + seed));
     delays.sort_by(f64::total_cmp);
-    // A sample's period is added for round-off of times.
+    // One sampling interval is added for round-off of times.
     assert!(delays[1] <= 0.013, "{delays:?} s");
 }
 
-/// Late samples show the motion of an earlier instant, which moves under the inputs of then: a right start is not left for the other assembly. Where
-/// their rates and the estimate's are compared instead, these four are.
+/// Late samples show an earlier instant, which moved under its own inputs; a right start is not abandoned. These four are abandoned if
+/// rates of the samples are compared with the current estimate.
 #[test]
 fn late_samples_leave_a_right_start() {
     assert_eq!(faults::lost_by_late_samples([43, 58, 94, 110].map(|seed| 1_327_900_000 + seed)), 0);
 }
 
-/// A right start of a slow swing by stiff servos is not left: the first five are left where the doubt has all the process noise of the quietest model, two of the
-/// others where an axis that turns by nearly one quantisation interval per sample counts as passing an edge with each.
+/// A right start of a slow swing by stiff servos is not abandoned. The first five are if the doubt has only the process noise of the
+/// quietest model. Two of the others are if an axis that turns by nearly one quantisation interval per sample counts as passing an edge
+/// with each.
 #[test]
 fn stiff_swings_leave_a_right_start() {
     let [plus, minus] = [[7, 8, 24, 50, 93], [0, 1, 2, 3, 4]].map(|of| of.map(|seed| 1_457_900_000 + seed));
     assert_eq!(faults::lost_in_stiff_swings(plus, minus), [0, 0]);
 }
 
-/// A good encoder whose stamps jitter is not called stuck: these five are called so where a rate is taken from the change of a reading as if its time were exact.
+/// A good encoder with jittering time stamps is not reported stuck. These five are if a rate comes from changes of readings at exact times.
 #[test]
 fn jitter_makes_no_encoder_stuck() {
     assert_eq!(faults::stuck_by_jitter([4, 5, 7, 13, 35].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
-/// An encoder that freezes in a fall as its axis turns back is told: these three are believed where the rate before the first repeated reading is taken for the
-/// rate at it.
+/// An encoder that freezes in a fall as its axis turns back is reported. In these three it is not if the rate before the first repeated
+/// reading is used in place of the rate at it.
 #[test]
 fn encoders_that_freeze_as_an_axis_turns_back_are_told() {
     assert_eq!(faults::silent_in_falls([11, 38, 149].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
-/// One encoder alone keeps the tip within its band: these end beyond where its readings count as if the model had no errors.
+/// One encoder alone keeps the tip within its band. These end outside if its readings are weighted as if the model had no errors.
 #[test]
 fn bands_of_one_encoder_hold() {
     assert_eq!(faults::beyond_by_one_encoder([3, 5].map(|seed| 1_497_900_000 + seed)), 0);
 }
 
-/// Encoders that freeze at once are told where the machine turns too fast to be blocked so.
+/// Encoders that freeze at once are reported if the machine turns too fast for a real stop.
 #[test]
 fn encoders_that_freeze_at_once_are_told() {
     assert_eq!(faults::silent_where_both_freeze((0..3).map(|seed| 1_497_900_000 + seed)), 0);
 }
 
-/// A reading that jumps is told where single samples are lost on the way: these are believed where one lost sample counts as a silence.
+/// A jump of a reading is reported although single samples are lost. It is not if one lost sample counts as silence.
 #[test]
 fn lost_samples_hide_no_jump() {
     assert_eq!(faults::silent_with_lost_samples((0..4).map(|seed| 1_477_900_000 + seed)), 0);
 }
 
-/// Machines whose masses are 5 % off, that carry an unknown payload or are pushed, are not lost.
+/// Machines with masses 5 % off, an unknown payload or pushes are not lost.
 #[test]
 fn machines_are_not_lost() {
     for (encoder, most) in [(COARSE, 6e-4), (FINE, 1e-4)] {
@@ -108,11 +110,11 @@ fn direct_singularities_are_crossed() {
     }
 }
 
-/// Slow crossings that only graze the line of the distal links, and cross it again: the estimate leaves it on the wrong side, and finds the
-/// machine's own by how the motion goes on.
+/// Slow crossings that only graze the line of the distal links, and cross it again: the estimate leaves the line on the wrong side, and
+/// finds the right one from the later motion.
 #[test]
 fn grazed_singularities_are_found_out() {
-    // The last crosses the line, comes back and crosses it again while both assemblies are followed.
+    // The last one crosses the line, returns and crosses again while both assemblies are followed.
     for (seed, encoder) in [(20_000_260, COARSE), (20_010_076, FINE), (759_300_583, COARSE)] {
         let mut random = Random::new(seed);
         let scenario = singular::crossing(&mut random, [0.02, 0.2]);
@@ -127,7 +129,7 @@ fn grazed_singularities_are_found_out() {
         assert!(both && wrong, "seed {seed}: no branch was in doubt");
         assert!(!outcome(&scenario, &encoder, 1e-3, &mut random).lost, "seed {seed}");
     }
-    // These were left on the wrong side by earlier settings.
+    // Regression cases of an estimate on the wrong side.
     for (seed, encoder) in [(20_000_319, COARSE), (20_000_318, FINE)] {
         let mut random = Random::new(seed);
         let scenario = singular::crossing(&mut random, [0.02, 0.2]);
@@ -135,7 +137,7 @@ fn grazed_singularities_are_found_out() {
     }
 }
 
-/// Vertices are passed on the machine's branch, exactly and nearly; on the way the estimate is one that can be stored and read back.
+/// The estimate takes the machine's branch in exact and near passes of vertices; on the way it can be stored and read back.
 #[test]
 fn vertices_are_passed() {
     for (seed, aside) in [(0, 0.0), (1, 0.0), (2, 1e-4), (3, 1e-4), (4, 1e-3), (5, 5e-3)] {
@@ -152,8 +154,8 @@ fn vertices_are_passed() {
     }
 }
 
-/// Samples that arrive 2 ms after they were taken choose the machine's branch behind a vertex: all of these are lost where the angle of then is compared
-/// with the branches of now.
+/// Samples that arrive 2 ms late select the machine's branch after a vertex. All of these are lost if the old angle is compared with the
+/// current branches.
 #[test]
 fn delayed_samples_choose_the_branch_behind_a_vertex() {
     for seed in [3, 43, 58, 61, 72, 81, 91] {
@@ -164,8 +166,8 @@ fn delayed_samples_choose_the_branch_behind_a_vertex() {
     }
 }
 
-/// Machines of which the encoders have said nothing for 1.5 s of a fall, through singularities, are found again: the estimate begins anew, is
-/// sound at every step, and is back on the machine within 1 s. (Without a new beginning 9 of 10 are lost.)
+/// After 1.5 s of a fall without samples, through singularities, the estimate finds the machine again: it restarts, is sound at every
+/// step, and is right within 1 s. (Without a restart 9 of 10 are lost.)
 #[test]
 fn lost_machines_are_found_again() {
     let mut begun = 0;

@@ -1,4 +1,4 @@
-//! The price of effects: the fall with one effect changed, with all of them, and with other parameters of effects that are off.
+//! The cost of effects: the fall with one effect changed, with all effects, and with other parameters of disabled effects.
 
 use anyhow::Result;
 use fivebar::variables::Value;
@@ -7,10 +7,10 @@ use super::{STEPS, bare};
 use crate::case::Case;
 use crate::scene::{ESTIMATOR, Scene, effects, other_values};
 
-/// The table of scenes in which parameters of effects that are off have other values.
+/// The table of scenes with other parameters of disabled effects.
 pub(crate) const OFF: &str = "off";
 
-/// Gravity alone, which is the fall; it with each effect changed; all on; and for each effect that is off other values.
+/// The fall under gravity alone; with each effect changed; with all effects; and with other values of each disabled effect.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let fall = || Scene::fall().with("solver.adaptive", Value::Boolean(false));
     let mut cases = vec![bare("effects", "gravity only", fall()?, STEPS)];
@@ -18,7 +18,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     for effect in effects() {
         together = together.effect(effect, true)?;
         if effect == "gravity" {
-            // From rest without any force nothing would move.
+            // At rest and without forces nothing would move.
             let scene = fall()?.effect(effect, false)?.with("init.omega[1]", Value::Real(5.0))?;
             cases.push(bare("effects", "none", scene, STEPS));
         } else {
@@ -33,7 +33,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     Ok(cases)
 }
 
-/// A fall under gravity with each effect, and with all.
+/// A fall under gravity with each effect, and with all of them.
 pub(super) fn each_effect(table: &'static str, fall: &Scene) -> Result<Vec<Case>> {
     let mut together = fall.clone();
     let mut cases = Vec::new();
@@ -45,7 +45,7 @@ pub(super) fn each_effect(table: &'static str, fall: &Scene) -> Result<Vec<Case>
     Ok(cases)
 }
 
-/// The fall with other values of an effect that is off.
+/// The fall with other values of a disabled effect.
 pub(crate) fn off(effect: &str) -> Result<Scene> {
     other_values(effect).try_fold(Scene::fall(), |scene, (name, value)| scene.with(name, value))
 }

@@ -1,4 +1,4 @@
-//! Through the C functions: a communication step against the bare step, the cost of reading, and a life from instantiation on.
+//! The C functions: a communication step compared with the bare step, the cost of reading, and a life cycle from instantiation.
 
 use std::hint::black_box;
 
@@ -10,7 +10,7 @@ use crate::case::{Case, Work};
 use crate::host::{Host, reference};
 use crate::scene::{ESTIMATOR, Scene, other_values};
 
-/// The fall, as values of variables.
+/// Values of variables for the fall.
 fn fall() -> Result<Vec<(u32, Value)>> {
     Ok(vec![
         (reference("init.theta[2]")?, Value::Real(120f64.to_radians())),
@@ -18,22 +18,22 @@ fn fall() -> Result<Vec<(u32, Value)>> {
     ])
 }
 
-/// The fall with another value.
+/// The fall with one value changed.
 fn fall_with(name: &str, value: Value) -> Result<Vec<(u32, Value)>> {
     Ok([fall()?, vec![(reference(name)?, value)]].concat())
 }
 
-/// Communication steps of the fall, and of it with other values of the estimator, which is off.
+/// Table of communication steps of the fall, with default and other values of the disabled estimator.
 pub(crate) const OFF_CALLS: &str = "off, fmi2DoStep";
 
-/// The fall with other values of the estimator, and samples that nobody uses.
+/// The fall with other values of the disabled estimator, and unused samples.
 fn with_other_estimator() -> Result<Vec<(u32, Value)>> {
     let samples = ["measured.theta[1]", "measured.time[1]"].map(|name| (name, Value::Real(0.0)));
     let others = other_values(ESTIMATOR).chain(samples).map(|(name, value)| Ok((reference(name)?, value)));
     fall()?.into_iter().map(Ok).chain(others).collect()
 }
 
-/// Communication steps of one macro step each along the fall; `also` is done after each.
+/// Communication steps of one macro step each along the fall; `also` runs after each.
 fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Host) + Clone + 'static) -> Case {
     calls_along(table, name, fall, also)
 }
@@ -90,7 +90,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         calls_along(OFF_CALLS, ESTIMATOR, with_other_estimator, |_| ()),
     ];
     let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealComputed(_)));
-    // Groups by the first part of the name; theta[1] and the like are one of their own.
+    // Groups by the first part of the name; names without a dot, such as theta[1], form a group.
     let group = |name: &'static str| name.split_once('.').map_or("joints", |(group, _)| group.split('[').next().unwrap_or(group));
     let mut groups: Vec<&str> = Vec::new();
     for output in outputs() {

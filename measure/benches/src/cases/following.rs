@@ -1,5 +1,5 @@
-//! A machine that is followed, beside the bare step: with samples of both encoders at every step, also while masses and friction are learned,
-//! without, and while both assemblies are followed, from the start on or behind a direct singularity.
+//! Cost of following a machine, compared with the bare step: with samples of both encoders at every step, also while learning masses and
+//! friction; without samples; and while following both assemblies, from the start or after a direct singularity.
 
 use std::hint::black_box;
 
@@ -14,21 +14,20 @@ use super::{H, STEPS};
 use crate::case::{Case, Work};
 use crate::scene::Scene;
 
-/// The table of machines that are followed.
 pub(crate) const FOLLOWING: &str = "following";
 
-/// Steps of the encoders, rad: 16 bits.
+/// Resolution of the encoders, rad: 16 bits.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
-/// Steps after which the start is no longer doubted.
+/// Steps until the start is no longer in doubt.
 const RUN_UP: u64 = 400;
 
-/// Steps that are counted while both assemblies are followed.
+/// Steps counted while both assemblies are followed.
 const DOUBTFUL: u64 = 100;
-/// Step after the last of them.
+/// Limit of the step after the last of them.
 const LATEST: u64 = 1600;
 
-/// Samples of the encoders of a machine at a range of steps.
+/// Encoder samples of a machine at a range of steps.
 fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64>) -> Result<Vec<(Measured, f64)>> {
     let mut samples = Vec::new();
     for step in steps {
@@ -40,7 +39,7 @@ fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64
     Ok(samples)
 }
 
-/// A twin of a machine with these parameters, whose lengths and mounting angles are uncertain or exact.
+/// A twin of a machine with these parameters. Its lengths and mounting angles are uncertain if `geometry`, otherwise exact.
 fn twin(mut parameters: Parameters, inputs: &Inputs, geometry: bool) -> Result<Following> {
     parameters.estimator.enabled = true;
     parameters.estimator.quantum = [QUANTUM; 2];
@@ -52,7 +51,7 @@ fn twin(mut parameters: Parameters, inputs: &Inputs, geometry: bool) -> Result<F
     Ok(Following::new(&parameters, inputs)?)
 }
 
-/// Parameters that are learned.
+/// Learned parameters.
 #[derive(Clone, Copy, PartialEq)]
 enum Learned {
     None,
@@ -62,7 +61,7 @@ enum Learned {
     All,
 }
 
-/// The fall, followed: `speak` says whether the encoders do.
+/// The followed fall; `speak`: whether the encoders deliver samples.
 fn followed(name: &'static str, speak: bool, learned: Learned) -> Case {
     Case::new(FOLLOWING, name, STEPS, move || {
         let Scene { mut parameters, inputs, .. } = Scene::fall();
@@ -90,33 +89,33 @@ fn followed(name: &'static str, speak: bool, learned: Learned) -> Case {
     })
 }
 
-/// A twin, and the samples of its encoders with their times, s.
+/// A twin, and its encoder samples with their times, s.
 type Sampled = (Following, Vec<(Measured, f64)>);
 
-/// A fall, whose start is doubted until the machine has moved.
+/// A fall; its start is in doubt until the machine has moved.
 fn start() -> Result<Sampled> {
     let Scene { parameters, inputs, .. } = Scene::fall();
     let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..LATEST)?;
     Ok((twin(parameters, &inputs, false)?, samples))
 }
 
-/// A free machine that crosses the line of its distal links slowly, so that samples do not tell for some time whether it has.
+/// A free machine that slowly crosses the singularity with its distal links in line, so that for some time samples cannot tell the side.
 fn crossing() -> Result<Sampled> {
-    /// The crossing takes place at this step.
+    /// Step of the crossing.
     const CROSSING: u64 = 1000;
-    /// Rate along the first direction of the tangent basis, rad/s.
+    /// Rate at the crossing, along the first direction of the tangent basis, rad/s.
     const SLOW: f64 = 0.2;
     let Scene { mut parameters, inputs, .. } = Scene::fall();
     parameters.effects.gravity.enabled = false;
     parameters.geometry.base_distance = 0.1;
-    // Distal links in line above the base: elbows as far apart as both are long.
+    // Distal links in line above the base: the distance between the elbows is the sum of both lengths.
     let [left, right] = [0, 1].map(|leg| parameters.geometry.links[1 + leg].length);
     let reach = (left + right - parameters.geometry.base_distance) / 2.0 / parameters.geometry.links[0].length;
     let pi = std::f64::consts::PI;
     let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
     let frame = Linkage::new(&parameters.geometry).frame(&crossing.into());
     let omega: [f64; 4] = (frame.basis * Pair::new(SLOW, 0.0)).into();
-    // Start of the crossing, found by a run with reversed rates.
+    // A run with reversed rates finds the start of the crossing.
     let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
     back.advance(&inputs, H, CROSSING)?;
     let state = back.state();
@@ -129,7 +128,7 @@ fn crossing() -> Result<Sampled> {
     Ok((twin(parameters, &inputs, false)?, samples))
 }
 
-/// A machine of which both assemblies are followed.
+/// A machine followed in both assemblies.
 fn doubtful(name: &'static str, machine: fn() -> Result<Sampled>) -> Case {
     Case::new(FOLLOWING, name, DOUBTFUL, move || {
         let (mut twin, samples) = machine()?;
@@ -159,7 +158,6 @@ fn doubtful(name: &'static str, machine: fn() -> Result<Sampled>) -> Case {
     })
 }
 
-/// Table `following`.
 pub(super) fn cases() -> Vec<Case> {
     vec![
         followed("a step with a sample of both encoders", true, Learned::None),

@@ -1,4 +1,4 @@
-//! Cost per step against the size of the mechanism: N four-bars in a row, with the block-banded solve that their test uses.
+//! Cost per step against the size of the mechanism: N four-bars in a row, with the block-banded solve of their test.
 
 use std::hint::black_box;
 
@@ -7,7 +7,7 @@ use problems::{Method, four_bars};
 
 use crate::case::{Case, Work};
 
-/// Steps of 1 ms: the row falls from upright and is not yet flat, where it is singular.
+/// Steps of 1 ms. The row falls from upright and does not yet lie flat, which would be singular.
 const STEPS: u64 = 200;
 
 fn row<const N: usize, const M: usize>() -> Case {

@@ -24,10 +24,10 @@ pub(crate) use following::FOLLOWING;
 
 /// Macro step of all cases, s.
 const H: f64 = 1e-3;
-/// Steps of the fall that a case takes: 1 s, with every posture between hanging and folded.
+/// Steps of the fall in a case: 1 s, with every posture between hanging and folded.
 const STEPS: u64 = 1000;
 
-/// All cases, in the order in which they are counted.
+/// All cases, in the order of counting.
 pub(crate) fn all() -> Result<Vec<Case>> {
     let mut cases = steps::cases()?;
     cases.extend(steps::evaluations()?);
@@ -43,7 +43,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     Ok(cases)
 }
 
-/// The bare step along a scene: `steps` macro steps in calls of `each`.
+/// The bare step along a scene: `steps` macro steps, `each` per call.
 fn bare(table: &'static str, name: impl Into<String>, scene: Scene, each: u64) -> Case {
     Case::new(table, name, STEPS, move || {
         let (mut simulation, inputs) = (scene.simulation()?, scene.inputs);
@@ -56,7 +56,7 @@ fn bare(table: &'static str, name: impl Into<String>, scene: Scene, each: u64) -
     })
 }
 
-/// A torque that changes before each step, by one jump up six times and then back.
+/// A torque that changes before each step: six jumps up, then back.
 fn held(table: &'static str, scene: Scene, jump: f64) -> Case {
     Case::new(table, "inputs held for 1 ms each", STEPS, move || {
         let (mut simulation, mut inputs) = (scene.simulation()?, scene.inputs);

@@ -1,7 +1,7 @@
-//! The phases of the i3-ALP step, each on its own over recorded states.
+//! The phases of the i3-ALP step, each alone over recorded states.
 //!
-//! In a step they are woven into one another, and have their operands in registers; on its own a phase reads them from memory. So
-//! their sum is not the step's, and says where its cost lies only. The predictor is a matter of a few sums and has no function.
+//! Within a step phases are interleaved and keep their operands in registers; alone, a phase reads them from memory. So their sum differs
+//! from the step's cost and only shows how it is distributed. The predictor is a few sums and has no function of its own.
 
 use std::hint::black_box;
 
@@ -40,7 +40,6 @@ fn phase(name: &str, run: impl Fn(&FiveBar<'_>, &Core, f64) + Copy + 'static) ->
     })
 }
 
-/// One case per phase.
 pub(super) fn cases() -> Result<Vec<Case>> {
     Ok(vec![
         phase("assemble: pose, constraints, forces, inertia", |system, state, _| {

@@ -1,4 +1,4 @@
-//! Calls of a twin's pipeline between steps: stored states, derivatives, a new start from measured values.
+//! Calls of a twin between steps: stored states, derivatives, restart from measured values.
 
 use std::hint::black_box;
 
@@ -9,10 +9,9 @@ use super::H;
 use crate::case::{Case, Work};
 use crate::host::{Host, Stored, reference};
 
-/// How often each call is repeated.
+/// Repeats of each call.
 const CALLS: u64 = 1000;
 
-/// Table `state`.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let references = |names: &[&str]| names.iter().map(|name| reference(name)).collect::<Result<Vec<u32>>>();
     let accelerations = references(&["alpha[1]", "alpha[2]", "tip.ax", "tip.ay"])?;
@@ -47,7 +46,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     ])
 }
 
-/// A call 1000 times in the middle of the fall.
+/// Repeats a call in the middle of the fall.
 fn calls(name: &'static str, call: impl FnMut(&mut Host) + Clone + 'static) -> Case {
     Case::new("state", name, CALLS, move || {
         let (mut host, mut call) = (falling()?, call.clone());
@@ -56,7 +55,7 @@ fn calls(name: &'static str, call: impl FnMut(&mut Host) + Clone + 'static) -> C
     })
 }
 
-/// A case with a state stored there, and its bytes.
+/// A case with a stored state, and its bytes.
 fn with_stored(name: &'static str, call: fn(&Host, &mut Stored, &mut [u8])) -> Case {
     Case::new("state", name, CALLS, move || {
         let (host, mut stored) = (falling()?, Stored::NONE);

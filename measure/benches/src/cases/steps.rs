@@ -8,16 +8,15 @@ use super::{STEPS, advance, bare};
 use crate::case::Case;
 use crate::scene::Scene;
 
-/// Tolerances at which the error of the fall after 1 s is below 1e-5, 2e-9 and 1e-12 m (test `the_goals_of_accuracy_are_met`), rad.
+/// Tolerances, rad, at which the error of the fall after 1 s is below 1e-5, 2e-9 and 1e-12 m (test `the_goals_of_accuracy_are_met`).
 const TOLERANCES: [f64; 3] = [1e-6, 1e-9, 1e-14];
 
-/// Evaluations of the equations that `dop853` takes: the stages of a try, the end of a step, and the further stages of an interpolant.
+/// Evaluations in a step of `dop853`: the stages of a trial, the end of the step, and the further stages of an interpolant.
 const STAGES: u64 = 11;
 const AT_END: u64 = 1;
 const FURTHER: u64 = 3;
 
-/// Cost of an evaluation within steps of `dop853`, everything included: 1 s of the fall at 1e-9 rad in one call, bare and with
-/// loads.
+/// Full cost of an evaluation within steps of `dop853`: 1 s of the fall at 1e-9 rad in one call, bare and with loads.
 pub(super) fn evaluations() -> Result<Vec<Case>> {
     let effects: [(&str, &[&str]); 3] = [("bare", &[]), ("with servos", &["servo"]), ("with friction", &["friction"])];
     let case = |(name, effects): (&str, &[&str])| {
@@ -26,7 +25,8 @@ pub(super) fn evaluations() -> Result<Vec<Case>> {
         let scene = effects.iter().try_fold(scene, |scene, effect| scene.effect(effect, true))?;
         let mut simulation = scene.simulation()?;
         advance(&mut simulation, &scene.inputs, STEPS);
-        // The step that runs past the end of the call has been made in it, and is interpolated there; it counts once time has passed it.
+        // The last step runs past the end of the call and is interpolated. It was computed in this call, but counts only after time has
+        // passed it.
         let passed = simulation.counters().substeps;
         while simulation.counters().substeps == passed {
             advance(&mut simulation, &scene.inputs, 1);
@@ -39,7 +39,7 @@ pub(super) fn evaluations() -> Result<Vec<Case>> {
     effects.into_iter().map(case).collect()
 }
 
-/// One case per item of `solver.method`, and the default with its sub-steps.
+/// One case per item of `solver.method`, and the default method with sub-steps.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let methods = Variable::named("solver.method").context("solver.method")?.items();
     let mut cases = Vec::new();

@@ -1,4 +1,4 @@
-//! Dry friction that sticks against the smooth law, while all moves: a fall against friction in all joints, by each method that takes both.
+//! Dry friction that sticks compared with the smooth law during motion: a fall with friction in all joints, by each method for both.
 
 use anyhow::Result;
 use fivebar::variables::{Method, Value};
@@ -7,10 +7,9 @@ use super::{STEPS, bare};
 use crate::case::Case;
 use crate::scene::Scene;
 
-/// The table.
 const TABLE: &str = "friction";
 
-/// The fall by either law, by each method.
+/// The fall with either law, by each method.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let methods = [("i3alp", Method::I3alp), ("dop853", Method::Dop853), ("automatic", Method::Automatic)];
     let laws = [("smooth", 1), ("sticks", 2)];

@@ -11,7 +11,7 @@ use crate::report::{Row, Verdict};
 use crate::setting::Setting;
 use crate::trial::{Outcome, Trial};
 
-/// The bits of an outcome: how it ended, the last state, the figures.
+/// The bits of an outcome: ending, last state, figures.
 fn bits(outcome: &Outcome) -> u64 {
     let mut hasher = DefaultHasher::new();
     format!("{:?}", outcome.ending).hash(&mut hasher);
@@ -42,7 +42,7 @@ fn sample() -> Vec<(Trial, Setting)> {
     sample
 }
 
-/// One line per run of a sample of the battery: its bits and its name.
+/// One line per run of a sample of the battery: bits and name.
 pub fn fingerprint() -> String {
     let lines: Vec<String> = sample()
         .par_iter()
@@ -57,7 +57,7 @@ pub fn fingerprint() -> String {
     })
 }
 
-/// Compares the fingerprint of this process with others: (where from, fingerprint).
+/// Compares the fingerprint of this process with others: (origin, fingerprint).
 pub fn bits_row(others: &[(&str, String)]) -> Row {
     let begin = Instant::now();
     let own = fingerprint();

@@ -9,19 +9,19 @@ use crate::random::Random;
 use crate::setting::Setting;
 use crate::trial::Trial;
 
-/// The seed of the starts.
+/// Seed of the starts.
 const SEED: u64 = 20_090_417;
-/// How many of the falls are run for comparison.
+/// Number of falls run for comparison.
 const COMPARED: usize = 100;
 
-/// A communication step that shows the energy without costing more than the fall, s.
+/// Communication step, s, that is long enough to cost less than the fall and still shows the energy.
 const SELDOM: f64 = 50e-3;
 
-/// Energy error allowed to the explicit method at its tolerance of 1e-10 rad, mgL: 50 s with some thousand fast passages.
+/// Allowed energy error of the explicit method at its tolerance of 1e-10 rad, mgL: 50 s with some thousand fast passages.
 const EXPLICIT_ENERGY: f64 = 1e-7;
 
-/// Falls of 50 s from about 90°/90° at rest: both proximal angles off by 1e-3 to 0.3 rad, uniform in the logarithm and of either
-/// sign, drawn anew where the elbows would be out of reach; the tip in turn above and below.
+/// Falls of 50 s from about 90°/90° at rest. Both proximal angles are off by 1e-3 to 0.3 rad, log-uniform with either sign, drawn again
+/// if the elbows would be out of reach; the tip is alternately above and below.
 pub(super) fn falls(extent: Extent) -> Case {
     let (count, duration) = extent.pick((1000, 50.0), (20, 5.0));
     Case {
@@ -33,8 +33,8 @@ pub(super) fn falls(extent: Extent) -> Case {
     }
 }
 
-/// More of them by the explicit method, in communication steps of 50 ms: of another seed, after two that pass a vertex at 2e-7 rad and
-/// once lost 1.2e-6 and 7.5e-6 mgL there.
+/// More falls by the explicit method, in communication steps of 50 ms, with another seed. The first two pass a vertex at 2e-7 rad; they
+/// are regression cases for energy losses of 1.2e-6 and 7.5e-6 mgL.
 pub(super) fn more_falls(extent: Extent) -> Case {
     let (count, duration) = extent.pick((200, 50.0), (5, 5.0));
     let grazing = [([1.568397992942559, 1.5759849709417502], 20.0), ([1.5959007574745574, 1.7996878630689361], 6.0)];
@@ -44,7 +44,7 @@ pub(super) fn more_falls(extent: Extent) -> Case {
     by_the_explicit_method("more falls", trials)
 }
 
-/// Falls of 50 s of any seed by the explicit method, in communication steps of 50 ms.
+/// Falls of 50 s by the explicit method, with any seed, in communication steps of 50 ms.
 pub fn falls_of_seed(seed: u64, count: usize) -> Case {
     let mut trials = of_seed(seed, count, 50.0);
     seldom_observed(&mut trials);

@@ -1,5 +1,4 @@
-//! Item 10 of the battery: machines that are followed through singularities: the corrector on, with encoders
-//! of 16 bits, and started where the machine is.
+//! Item 10 of the battery: following machines through singularities with encoders of 16 bits. The twin starts at the machine's posture.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -18,11 +17,11 @@ use crate::trial::Trial;
 
 /// Sampling interval, s.
 const SAMPLE: f64 = 1e-3;
-/// Steps of the encoders, rad.
+/// Resolution of the encoders, rad.
 const QUANTUM: f64 = TAU / 65536.0;
-/// A tip that ends further off, m, is lost.
+/// Error of the tip at the end, m, above which it counts as lost.
 const LOST: f64 = 0.01;
-/// Methods that integrate the followed machines; the last two for comparison.
+/// Methods of the twin; the last two are for comparison.
 const SETTINGS: [Setting; 6] =
     [Setting::Default, Setting::EXPLICIT, Setting::AUTOMATIC, Setting::CONSERVING, Setting::Printed(1e-3), Setting::Rk4(1e-3)];
 const JUDGED: usize = 4;
@@ -30,7 +29,7 @@ const JUDGED: usize = 4;
 /// Machines of a kind.
 struct Machines {
     case: &'static str,
-    /// Whether none may be lost: behind a vertex encoders do not tell the branch for a while.
+    /// Whether none may be lost. After a vertex encoders do not show the branch for a while.
     kept: bool,
     trials: Vec<Trial>,
 }
@@ -38,7 +37,7 @@ struct Machines {
 fn machines(extent: Extent) -> Vec<Machines> {
     let duration = extent.pick(5.0, 0.5);
     let mut direct = postures::direct(duration);
-    // Folded starts are left out: with coincident elbows the motor angles do not determine the distal links.
+    // Without folded starts: if elbows coincide, the motor angles do not determine the distal links.
     direct.retain(|trial| trial.label.contains("stretched"));
     direct.push(Trial::free("fall from 90/120 deg", fall_90_120(), duration));
     let mut coaxial = postures::coaxial(duration);
@@ -51,7 +50,7 @@ fn machines(extent: Extent) -> Vec<Machines> {
     ]
 }
 
-/// Every kind by every setting; `done` is told each row, of a case whose name contains `only`.
+/// Every kind with every setting, for cases with `only` in their names; passes each row to `done`.
 pub fn followed(extent: Extent, only: &str, mut done: impl FnMut(Row)) {
     for Machines { case, kept, trials } in machines(extent).iter().filter(|machines| machines.case.contains(only)) {
         for (i, setting) in SETTINGS.into_iter().enumerate() {
@@ -60,7 +59,7 @@ pub fn followed(extent: Extent, only: &str, mut done: impl FnMut(Row)) {
     }
 }
 
-/// How many rows that are.
+/// Number of these rows.
 pub fn followed_count(only: &str) -> usize {
     SETTINGS.len() * machines(Extent::Quick).iter().filter(|machines| machines.case.contains(only)).count()
 }
@@ -115,14 +114,14 @@ fn measure(case: &'static str, trials: &[Trial], kept: bool, setting: Setting, j
     row
 }
 
-/// Result for a followed machine: largest violations for a machine of the paper's size, and error of the tip at the end, m.
+/// Result for a followed machine: largest violations, scaled to the paper's machine, and error of the tip at the end, m.
 struct Followed {
     position: f64,
     velocity: f64,
     tip: f64,
 }
 
-/// The machine goes by the explicit method, its twin by the setting.
+/// Simulates the machine by the explicit method and follows it by the setting.
 fn follow(trial: &Trial, setting: Setting) -> Result<Followed, String> {
     let mut machine = trial.start(Setting::EXPLICIT).map_err(|refusal| refusal.to_string())?;
     let mut parameters = trial.parameters.clone();

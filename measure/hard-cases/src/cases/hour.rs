@@ -14,8 +14,8 @@ use crate::setting::Setting;
 /// Macro step, s.
 const STEP: f64 = 1e-3;
 
-/// Free fall for an hour in communication steps of 1 ms: the clock, the counters and memory must not drift, and a copy made half
-/// way must arrive at the same bits.
+/// Free fall for an hour in communication steps of 1 ms. The clock, the counters and memory must not drift, and a copy made half way must
+/// end with the same bits.
 pub fn hour(extent: Extent) -> Row {
     let begin = Instant::now();
     let steps: u64 = extent.pick(3_600_000, 20_000);
@@ -71,7 +71,7 @@ fn run(steps: u64, row: &mut Row) -> Result<(), String> {
     Ok(())
 }
 
-/// Steps like a master that counts: communication point n H.
+/// Steps like a master that counts: communication point n is n H.
 fn advance(
     simulation: &mut Simulation,
     clock: &mut Clock,

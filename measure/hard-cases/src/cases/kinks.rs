@@ -1,6 +1,5 @@
-//! Item 9 of the battery: loads with kinks, random: slow and fast touches, stops, drives that saturate,
-//! friction, all of it together, and friction that sticks.
-//! Judged by a program of its own, `independent.rs` with `sticking.rs`.
+//! Item 9 of the battery: random scenes with kinks in their loads: slow and fast impacts, stops, saturating drives, friction, all of them
+//! together, and friction that sticks. Judged by a separate program, `independent.rs` with `sticking.rs`.
 
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
@@ -18,7 +17,7 @@ use crate::setting::Setting;
 use crate::trial::{Span, Trial};
 use crate::watch::Watch;
 
-/// How a random scene is made: its parameters, its inputs, and how long it is followed, s.
+/// Generator of a random scene: parameters, inputs, and duration, s.
 pub(crate) type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
 
 /// The kinds of scenes, by name.
@@ -39,7 +38,7 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
     trials(&Vec::from_iter(0..extent.pick(200, 3))).into_iter().map(|(name, trials)| case(name, trials)).collect()
 }
 
-/// The scenes of every kind with these numbers.
+/// Scenes of every kind with these numbers.
 pub(crate) fn trials(numbers: &[u64]) -> Vec<(&'static str, Vec<Trial>)> {
     let of_kind = |(kind, (name, scene)): (usize, (&'static str, Scene))| {
         let trials = numbers.iter().map(|&number| trial(scene, 1000 * (kind as u64 + 1) + number, number));
@@ -51,7 +50,7 @@ pub(crate) fn trials(numbers: &[u64]) -> Vec<(&'static str, Vec<Trial>)> {
 /// A scene of a kind by its seed and number.
 fn trial(scene: Scene, seed: u64, number: u64) -> Trial {
     let (parameters, inputs, duration) = scene(&mut Random::new(seed));
-    // Some 200 communication steps of whole milliseconds.
+    // Some 200 communication steps, each a whole number of milliseconds.
     let size = 1e-3 * (duration / 0.2).ceil();
     let span = Span { inputs, size, count: (duration / size).ceil() as u64 };
     let duration = span.duration();
@@ -67,7 +66,7 @@ fn case(name: &'static str, trials: Vec<Trial>) -> Case {
         also: "the end is that of an independent program",
         explicit_energy: 1e-6,
         settings: vec![Setting::Default, Setting::TIGHT, Setting::EXPLICIT, Setting::AUTOMATIC],
-        // 1 µJ, and a third of it.
+        // 1 µJ and a third of it.
         ..Case::new(9, name, [2.85e-5, 9.5e-6], trials)
     }
 }
@@ -81,7 +80,7 @@ fn machine(random: &mut Random, fastest: f64) -> Parameters {
     parameters
 }
 
-/// A plane that the free motion reaches some way beyond.
+/// A plane that the free motion would pass by some distance.
 fn plane(random: &mut Random, parameters: &mut Parameters, inputs: &Inputs, duration: f64, [shallow, deep]: [f64; 2]) {
     let angle = random.uniform(0.0, TAU);
     let normal = [angle.cos(), angle.sin()];
@@ -97,7 +96,7 @@ fn plane(random: &mut Random, parameters: &mut Parameters, inputs: &Inputs, dura
     }
     let contact = &mut parameters.effects.contact;
     contact.enabled = true;
-    // Rounded: round-off of the library is not to make it another scene.
+    // Rounded, so that round-off of the library does not change the scene.
     let reach = 1e-6 * (1e6 * reach).ceil();
     (contact.nx, contact.ny, contact.offset) = (normal[0], normal[1], reach + random.log_uniform(shallow, deep));
     contact.k = random.log_uniform(1e3, 1e7);
@@ -183,7 +182,7 @@ fn loaded(random: &mut Random, mut parameters: Parameters) -> (Parameters, Input
     (parameters, inputs, duration)
 }
 
-/// A soft servo pulls against friction that falls when it lets go.
+/// A soft servo pulls against friction that drops when it starts to slip.
 fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 0.0);
     coaxial(random, &mut parameters);
@@ -199,7 +198,7 @@ fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
     (parameters, inputs, random.uniform(0.2, 0.6))
 }
 
-/// Motors whose friction holds the machine, or nearly: links come to rest or slide down.
+/// Friction of the motors holds the machine, or nearly: links come to rest or slide down.
 fn holding(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 1.0);
     coaxial(random, &mut parameters);
@@ -222,14 +221,14 @@ fn drives_that_stick(random: &mut Random) -> (Parameters, Inputs, f64) {
     (parameters, inputs, random.uniform(0.1, 0.4))
 }
 
-/// Half of the machines have coaxial motors: the inner joints then turn, stop and hold together.
+/// Half of the machines have coaxial motors: their inner joints turn, stop and stick together.
 fn coaxial(random: &mut Random, parameters: &mut Parameters) {
     if random.sign() > 0.0 {
         parameters.geometry.base_distance = 0.0;
     }
 }
 
-/// A hand presses the tip onto a plane and pushes it along: it sticks there, or slips.
+/// A hand presses the tip onto a plane and pushes it along; the tip sticks or slips.
 fn sticking_on_a_plane(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 1.0);
     coaxial(random, &mut parameters);

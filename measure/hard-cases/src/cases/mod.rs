@@ -25,17 +25,17 @@ use crate::report::{Row, Verdict};
 use crate::setting::Setting;
 use crate::trial::{Ending, Outcome, Trial};
 
-/// How much of a case is run.
+/// Extent of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
-    /// All of it.
+    /// The full case.
     Full,
-    /// A sample of it, in seconds.
+    /// A sample that takes seconds.
     Quick,
 }
 
 impl Extent {
-    /// One of two numbers.
+    /// Selects one of two values.
     pub(crate) fn pick<T>(self, full: T, quick: T) -> T {
         match self {
             Self::Full => full,
@@ -44,57 +44,57 @@ impl Extent {
     }
 }
 
-/// Demand of a case on every run.
+/// Requirements on every run of a case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Demand {
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
     /// Largest constraint violation at position level, m, and at velocity level, m/s, for a machine of the paper's size.
     pub constraints: [f64; 2],
-    /// Whether the way that the motion takes is judged.
+    /// Whether the path of the motion is judged.
     pub path: bool,
-    /// Whether a run may end with a status instead.
+    /// Whether a run may end with a status.
     pub status_allowed: bool,
 }
 
-/// Largest constraint violation at position level for a machine of the paper's size, m, and at velocity level, m/s.
+/// Largest constraint violation, scaled to the paper's machine: at position level, m, and at velocity level, m/s.
 const CONSTRAINTS: [f64; 2] = [1e-12, 1e-9];
 
-/// Largest fall of the dissipated energy, in parts of the largest energy: round-off.
+/// Largest decrease of dissipated energy, relative to the largest energy: round-off.
 pub const TAKEN_BACK: f64 = 1e-12;
 
-/// Demand of a case on the conserving step at 1 ms.
+/// Requirements on the conserving step at 1 ms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conserving {
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
     /// Largest constraint violations, as in [`Demand`].
     pub constraints: [f64; 2],
-    /// Whether the way that the motion takes is judged.
+    /// Whether the path of the motion is judged.
     pub path: bool,
-    /// Whether its other steps are judged as well.
+    /// Whether other step lengths are also judged.
     pub all_steps: bool,
 }
 
 impl Conserving {
-    /// Demand of most cases.
+    /// Requirements of most cases.
     const USUAL: Self = Self { energy: 1e-7, constraints: CONSTRAINTS, path: true, all_steps: false };
 }
 
-/// A case: data.
+/// A case, as data.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// Its number in the list.
+    /// Number in the list.
     pub item: u8,
-    /// Its name.
+    /// Name in the tables.
     pub name: &'static str,
-    /// Demand beyond energy and constraints, in words.
+    /// Description of a requirement beyond energy and constraints.
     pub also: &'static str,
-    /// Energy demanded at the default tolerance and at the tighter one.
+    /// Required energy at the default tolerance and at the tighter one.
     pub energy: [f64; 2],
-    /// Energy demanded of the explicit method.
+    /// Required energy for the explicit method.
     pub explicit_energy: f64,
-    /// Demand on the conserving step.
+    /// Requirements on the conserving step.
     pub conserving: Conserving,
     /// Whether a run may end with a status.
     pub status_allowed: bool,
@@ -102,12 +102,12 @@ pub struct Case {
     pub settings: Vec<Setting>,
     /// The runs.
     pub trials: Vec<Trial>,
-    /// How many of them are run for comparison.
+    /// Number of trials that are also run for comparison.
     pub compared: usize,
 }
 
 impl Case {
-    /// A case that is run by all settings and may not end early.
+    /// A case that runs with all settings and may not end early.
     fn new(item: u8, name: &'static str, energy: [f64; 2], trials: Vec<Trial>) -> Self {
         Self {
             item,
@@ -123,7 +123,7 @@ impl Case {
         }
     }
 
-    /// All cases but those of the list that are not judged by trials alone: [`hour`], [`bits_row`] and [`followed()`].
+    /// All cases judged by trials. The list also has [`hour`], [`bits_row`] and [`followed()`].
     pub fn all(extent: Extent) -> Vec<Self> {
         [1, 2, 3, 4, 5, 6, 9].into_iter().flat_map(|item| Self::of_item(extent, item)).collect()
     }
@@ -142,7 +142,7 @@ impl Case {
         }
     }
 
-    /// Demand on a setting. Settings shown for comparison are held against the demand at the default tolerance.
+    /// Requirements on a setting. Settings for comparison use the requirement at the default tolerance.
     pub fn demand(&self, setting: Setting) -> Demand {
         let [default, tight] = self.energy;
         let energy = match setting {
@@ -150,7 +150,7 @@ impl Case {
             Setting::EXPLICIT | Setting::AUTOMATIC => self.explicit_energy,
             Setting::Conserving(step) => {
                 let Conserving { energy, constraints, path, .. } = self.conserving;
-                // Paths are watched at times that longer steps do not meet.
+                // Paths are judged at times that longer steps do not meet.
                 let path = path && Setting::Conserving(step) == Setting::CONSERVING;
                 return Demand { energy, constraints, path, status_allowed: false };
             }
@@ -159,7 +159,7 @@ impl Case {
         Demand { energy, constraints: CONSTRAINTS, path: true, status_allowed: self.status_allowed }
     }
 
-    /// Whether the battery judges the result by a setting; the others are shown for comparison.
+    /// Whether the battery judges a setting; others are for comparison.
     pub fn is_judged(&self, setting: Setting) -> bool {
         match setting {
             Setting::Default | Setting::Tolerance(_) | Setting::Dop853(_) | Setting::Automatic(_) | Setting::CONSERVING => true,
@@ -168,7 +168,7 @@ impl Case {
         }
     }
 
-    /// Runs the case by one setting, on all processors.
+    /// Runs the case with one setting on all processors.
     pub fn measure(&self, setting: Setting) -> Row {
         let begin = Instant::now();
         let trials = if self.is_judged(setting) { &self.trials[..] } else { &self.trials[..self.compared] };
@@ -262,7 +262,7 @@ impl Case {
 }
 
 impl Demand {
-    /// Violation of the demand by an outcome.
+    /// Violated requirement of an outcome, if any.
     pub fn objection(&self, outcome: &Outcome) -> Option<String> {
         let mut objections = Vec::new();
         match &outcome.ending {
@@ -287,12 +287,12 @@ impl Demand {
     }
 }
 
-/// Steps of a fall that the conserving method may make by its fallback: one in a million, or two where they are longer than 1 ms.
+/// Steps of a fall that the conserving method may make by its fallback: one in a million, or two in a million if longer than 1 ms.
 fn allowed_last_resorts(step: f64, steps: u64) -> u64 {
     (if step > 1e-3 { 2 * steps } else { steps }).div_ceil(1_000_000)
 }
 
-/// A status without the figures in it, so that equal reasons are counted together.
+/// A status without its numbers, so that equal reasons are counted together.
 fn without_figures(text: &str) -> String {
     text.split(':').next().unwrap_or(text).to_owned()
 }

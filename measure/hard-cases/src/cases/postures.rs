@@ -26,7 +26,7 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
     ]
 }
 
-/// The trials, which must pass through singularities of these configuration signs.
+/// The trials, with the requirement to pass through singularities of these configuration signs.
 fn passing(passes: &'static [usize], mut trials: Vec<Trial>) -> Vec<Trial> {
     for trial in &mut trials {
         trial.passes = passes;
@@ -34,7 +34,7 @@ fn passing(passes: &'static [usize], mut trials: Vec<Trial>) -> Vec<Trial> {
     trials
 }
 
-/// Distal links in line: stretched as in the paper, with and without rates, and lying on each other.
+/// Distal links in line: stretched as in the paper, with and without rates, and folded onto each other.
 pub(super) fn direct(duration: f64) -> Vec<Trial> {
     let mut trials = Vec::new();
     for (omega, assembly) in [
@@ -47,7 +47,7 @@ pub(super) fn direct(duration: f64) -> Vec<Trial> {
         (parameters.start.omega, parameters.start.assembly) = (omega, assembly);
         trials.push(Trial::free(format!("distal links stretched, 90/90 deg, omega {omega:?}"), parameters, duration));
     }
-    // Elbows on the same point, half way between the motors: the distal links turn together about it, at any angle.
+    // Coincident elbows, half way between the motors: the distal links can turn together about this point, to any angle.
     for (distal, rate) in [(FRAC_PI_2, 0.0), (0.3, 0.0), (2.0, 5.0), (-2.5, -20.0)] {
         let (theta, omega) = ([0.0, distal, distal, PI], [0.0, rate, rate, 0.0]);
         let label = format!("distal links on each other, theta {theta:?}, omega {omega:?}");
@@ -56,7 +56,7 @@ pub(super) fn direct(duration: f64) -> Vec<Trial> {
     trials
 }
 
-/// A leg stretched, a leg folded, both stretched; passed through with rates.
+/// One leg stretched, one folded, both stretched; passed with nonzero rates.
 pub(super) fn inverse(duration: f64) -> Vec<Trial> {
     let geometry = default_parameters().geometry;
     let (length, base) = (geometry.links[0].length, geometry.base_distance);
@@ -79,7 +79,7 @@ pub(super) fn inverse(duration: f64) -> Vec<Trial> {
         let label = format!("both legs stretched, theta {theta:?}, at rest");
         trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, [0.0; 4]));
     }
-    // Folded: with equal links the tip would lie on the motor. A shorter distal link keeps it off the vertices.
+    // Folded: with equal links the tip would be on the motor. A shorter distal link avoids the vertices.
     for angle in [0.5_f64, -1.0] {
         let mut parameters = default_parameters();
         let distal = &mut parameters.geometry.links[1];
@@ -100,7 +100,7 @@ pub(super) fn inverse(duration: f64) -> Vec<Trial> {
     trials
 }
 
-/// Base distance 0 and equal links: legs on each other and rhombi meet in a continuum of singular postures.
+/// Base distance 0 and equal links: legs that coincide and rhombi meet in a continuum of singular postures.
 pub(super) fn coaxial(duration: f64) -> Vec<Trial> {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;
@@ -119,7 +119,7 @@ pub(super) fn coaxial(duration: f64) -> Vec<Trial> {
     trials
 }
 
-/// The coaxial machine with all links on one line, at rest under gravity: a vertex at every angle of the line.
+/// The coaxial machine with all links on one line, at rest under gravity; every angle of the line is a vertex.
 fn rest_in_line(duration: f64) -> Vec<Trial> {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;

@@ -1,4 +1,4 @@
-//! Item 6 of the battery: scales: steps, tolerances, lengths, masses, loads, communication steps.
+//! Item 6 of the battery: extreme scales of steps, tolerances, lengths, masses, loads and communication steps.
 
 use fivebar::simulation::Inputs;
 
@@ -8,7 +8,7 @@ use crate::random::Random;
 use crate::setting::Setting;
 use crate::trial::{Span, Trial};
 
-/// The seed of the loads and of the irregular steps.
+/// Seed of loads and irregular steps.
 const SEED: u64 = 6;
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
@@ -26,13 +26,12 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
     ]
 }
 
-/// Macro steps.
 fn steps(extent: Extent) -> Vec<Trial> {
     let steps: &[f64] = extent.pick(&[1e-6, 1e-5, 1e-4, 1e-3, 5e-3, 20e-3], &[1e-5, 1e-3, 20e-3]);
     let trial = |&step: &f64| {
         let mut parameters = fall_90_120();
         parameters.settings.step_size = step;
-        // The tolerance is that of the column.
+        // The setting determines the tolerance.
         let mut trial = Trial::free(format!("step {step:e} s"), parameters, 0.0);
         trial.schedule = vec![Span { size: step, count: (2.0 / step).round() as u64, ..trial.schedule[0] }];
         trial
@@ -40,7 +39,7 @@ fn steps(extent: Extent) -> Vec<Trial> {
     steps.iter().map(trial).collect()
 }
 
-/// Local errors allowed, as powers of ten.
+/// Error tolerances, as powers of ten.
 fn tolerances(powers: impl Iterator<Item = i32>, extent: Extent) -> Vec<Trial> {
     let trial = |power: i32| {
         let mut parameters = fall_90_120();
@@ -52,13 +51,13 @@ fn tolerances(powers: impl Iterator<Item = i32>, extent: Extent) -> Vec<Trial> {
     powers.map(trial).collect()
 }
 
-/// Machines of all sizes, the masses those of the paper.
+/// Machines of all sizes with the masses of the paper.
 fn lengths(extent: Extent) -> Vec<Trial> {
     let trial = |length: f64| Trial::free(format!("links of {length} m"), scaled(length / 0.21), extent.pick(10.0, 1.0));
     [0.02, 0.06, 0.21, 0.7, 2.0].into_iter().map(trial).collect()
 }
 
-/// One link far lighter or heavier than the others.
+/// One link much lighter or heavier than the others.
 fn masses(extent: Extent) -> Vec<Trial> {
     let mut trials = Vec::new();
     for link in [0, 1] {
@@ -108,7 +107,7 @@ fn loads(extent: Extent) -> Vec<Trial> {
         .collect()
 }
 
-/// Communication steps that are far shorter and far longer than the macro step, and irregular ones.
+/// Communication steps much shorter and much longer than the macro step, and irregular ones.
 fn communication(extent: Extent) -> Vec<Trial> {
     let mut random = Random::new(SEED + 1);
     let seconds: f64 = extent.pick(2.0, 0.1);

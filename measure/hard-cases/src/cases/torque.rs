@@ -1,5 +1,5 @@
-//! Item 5 of the battery: the paper's tests: 0.25 N·m on the left motor, with and without gravity, whips of 70 rad/s. The conserving step
-//! is run for 50 s, throughout which the torque acts, and over the free fall as well.
+//! Item 5 of the battery: the paper's tests: 0.25 N·m on the left motor, with and without gravity, rates up to 70 rad/s. The conserving
+//! step runs for 50 s, with the torque all the time, and also for the free fall.
 
 use fivebar::simulation::Inputs;
 use fivebar::simulation::bindings::default_parameters;

@@ -44,7 +44,7 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
             } else {
                 Watch::Leaves { vertex, branches: branches.iter().map(|branch| branch.acceleration).collect() }
             };
-            // A whirling leg reaches thousands of mgL.
+            // A fast rotating leg reaches thousands of mgL.
             trial.kinetic_part = 1e-2;
             trial.vertex_outputs = true;
             loaded.push(trial.from_links(vertex.theta, [0.0; 4]));

@@ -1,4 +1,4 @@
-//! Item 2 of the battery: the four vertices: exact crossings, near misses, the branch with one degree of freedom. No gravity.
+//! Item 2 of the battery: the four vertices: exact crossings, near misses, and the branch with one degree of freedom. No gravity.
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,14 +15,14 @@ use crate::watch::Watch;
 /// Time from the start to the vertex, s.
 const APPROACH: f64 = 0.05;
 
-/// Witness for near misses: another method, without error control, without a gate.
+/// Independent check of near misses: another method, without error control and without special treatment of vertices.
 const INDEPENDENT: Setting = Setting::Rk4(1e-6);
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
     vec![crossings(extent), near_misses(extent), close_misses(extent), one_degree_of_freedom()]
 }
 
-/// Angles and rates from which the vertex is met after [`APPROACH`] at `rates`: the motion away from it, turned round.
+/// Angles and rates that lead to the vertex after [`APPROACH`], arriving with `rates`: the reversed motion from the vertex.
 fn approach(vertex: Vertex, rates: [f64; 4]) -> ([f64; 4], [f64; 4]) {
     let away = Trial::free("", weightless(), APPROACH).from_links(vertex.theta, rates.map(|rate| -rate));
     let outcome = away.run(Setting::REFERENCE);
@@ -31,8 +31,8 @@ fn approach(vertex: Vertex, rates: [f64; 4]) -> ([f64; 4], [f64; 4]) {
     (THETA.map(|i| core.q[i]), THETA.map(|i| -core.v[i]))
 }
 
-/// 4 vertices, 20 directions on the cone, 3 rates of the odd link: from the vertex 50 ms back, velocity reversed, 100 ms forward,
-/// all by one setting. So the vertex is met exactly, but for round-off and irreversibility of the method.
+/// 4 vertices, 20 directions on the cone, 3 rates of the odd link: 50 ms back from the vertex, velocity reversed, 100 ms forward, all with
+/// one setting. The vertex is thus met exactly, up to round-off and irreversibility of the method.
 pub(super) fn crossings(extent: Extent) -> Case {
     let directions = extent.pick(20_u32, 2);
     let mut trials = Vec::new();
@@ -45,7 +45,7 @@ pub(super) fn crossings(extent: Extent) -> Case {
                 let mut trial = Trial::free(label, weightless(), 2.0 * APPROACH).from_links(vertex.theta, away);
                 trial.turned_after = APPROACH;
                 trial.vertex_outputs = true;
-                // About 0.03 rad before and after.
+                // About 0.03 rad on each side.
                 let margin = f64::max(1e-3, 0.02 / rate);
                 trial.watch = Watch::Crosses { vertex, direction, between: [APPROACH - margin, APPROACH + margin] };
                 trials.push(trial);
@@ -59,8 +59,8 @@ pub(super) fn crossings(extent: Extent) -> Case {
     }
 }
 
-/// Near misses, aside by 1e-2 or 1e-3 rad: the motion turns before the vertex and follows the solution of the same method at 1e-11
-/// rad; at 2 and 10 rad/s Runge-Kutta steps of 1 us are the witness at the end (at 40 rad/s their own energy is not good enough).
+/// Near misses by 1e-2 or 1e-3 rad: the motion turns back before the vertex and follows the same method's solution at 1e-11 rad. At 2 and
+/// 10 rad/s Runge-Kutta steps of 1 µs check the end; at 40 rad/s their own energy error is too large.
 fn near_misses(extent: Extent) -> Case {
     let directions = extent.pick(5_u32, 1);
     let mut places = Vec::new();
@@ -82,7 +82,7 @@ fn near_misses(extent: Extent) -> Case {
 fn near_miss(vertex: Vertex, f: f64, rate: f64, miss: f64) -> Trial {
     let mut trial = beside(vertex, f, rate, miss);
     let within = 1e-2;
-    // About half a radian before and after.
+    // About half a radian on each side.
     let margin = f64::min(0.5 / rate, APPROACH);
     let between = [APPROACH - margin, APPROACH + margin];
     trial.watch = Watch::Turns { vertex, between, reference: Vec::new(), witness: None, within };
@@ -100,7 +100,7 @@ fn near_miss(vertex: Vertex, f: f64, rate: f64, miss: f64) -> Trial {
     trial
 }
 
-/// 50 ms towards the vertex, but aside of the straight line through it by `miss` rad, and 50 ms on.
+/// 50 ms towards the vertex, offset by `miss` rad from the straight line through it, and 50 ms beyond.
 fn beside(vertex: Vertex, f: f64, rate: f64, miss: f64) -> Trial {
     let (direction, across) = (vertex.direction(f), vertex.across(f));
     let (exact, omega) = approach(vertex, direction.map(|part| part * rate));
@@ -113,7 +113,7 @@ fn beside(vertex: Vertex, f: f64, rate: f64, miss: f64) -> Trial {
     Trial::free(label, weightless(), 2.0 * APPROACH).from_links(theta, omega)
 }
 
-/// Between a near miss and an exact crossing, aside by 1e-4 to 1e-7 rad: whichever way it goes, it must not be silently wrong.
+/// Misses by 1e-4 to 1e-7 rad, between a near miss and an exact crossing: either branch is acceptable, but no silent error.
 fn close_misses(extent: Extent) -> Case {
     let directions = extent.pick(5_u32, 1);
     let mut trials = Vec::new();
@@ -131,7 +131,7 @@ fn close_misses(extent: Extent) -> Case {
     Case { status_allowed: true, ..Case::new(2, "close misses", [1e-2, 1e-2], trials) }
 }
 
-/// A folded leg turns about its motor while the other leg is stretched and still: a vertex at every half turn.
+/// A folded leg turns about its motor while the other leg is stretched and at rest: a vertex at every half turn.
 fn one_degree_of_freedom() -> Case {
     let mut trials = Vec::new();
     for vertex in POSTURES {

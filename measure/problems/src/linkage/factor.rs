@@ -1,4 +1,4 @@
-//! The factorised saddle-point matrix: bodies eliminated one by one, then the banded dual matrix S = Φ_q A⁻¹ Φ_qᵀ + e.
+//! The factorised saddle-point matrix: eliminates bodies one by one, then the banded dual matrix S = Φ_q A⁻¹ Φ_qᵀ + e.
 
 use fivebar::integrator::Kkt;
 
@@ -9,19 +9,19 @@ use fivebar::vector::Vector;
 /// [A Φ_qᵀ; Φ_q −e] with A of one 3×3 block per body.
 pub struct Factor<const N: usize, const M: usize, const W: usize> {
     pose: Pose<M>,
-    /// Rows of the inverse of A, without the zeros: row i is that of coordinate i, its columns x, y, θ of the same body.
+    /// Rows of the inverse of A without zeros: row i belongs to coordinate i, its columns to x, y, θ of the same body.
     inverses: [[f64; 3]; N],
-    /// S = L D Lᵀ: row i holds L from column i − W + 1 to i − 1, and 1/D.
+    /// S = L D Lᵀ: row i contains L from column i − W + 1 to i − 1, and 1/D.
     rows: [[f64; W]; M],
 }
 
-/// Inverse of a symmetric block, or None if x and y eliminated leave less than `least` of its inertia.
+/// Inverse of a symmetric block; None if eliminating x and y leaves less than `least` of its inertia.
 pub(super) fn inverse(a: &Block, least: f64) -> Option<Block> {
     let determinant = a[0][0] * a[1][1] - a[0][1] * a[0][1];
     if !(a[0][0] > 0.0 && determinant > 0.0) {
         return None;
     }
-    // Upper left block P, its inverse, and P⁻¹ times the column above the inertia.
+    // Inverse of the upper left block P, and P⁻¹ times the column above the inertia.
     let (xx, xy, yy) = (a[1][1] / determinant, -a[0][1] / determinant, a[0][0] / determinant);
     let column = [xx * a[0][2] + xy * a[1][2], xy * a[0][2] + yy * a[1][2]];
     let inertia = a[2][2] - column[0] * a[0][2] - column[1] * a[1][2];
@@ -45,7 +45,7 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
         factor
     }
 
-    /// An entry of Φ_q A⁻¹ Φ_qᵀ: a sum over the bodies that both rows know.
+    /// An entry of Φ_q A⁻¹ Φ_qᵀ: a sum over the bodies that both rows share.
     fn dual(&self, row: usize, column: usize) -> f64 {
         let mut sum = 0.0;
         for (first, first_sign) in self.pose.rows[row].iter().zip(SIGN) {
@@ -69,7 +69,7 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
         translation + side.turn * rotation
     }
 
-    /// S to L D Lᵀ in place, without pivoting: S is positive.
+    /// Factorises S as L D Lᵀ in place, without pivoting: S is positive.
     fn eliminate(&mut self) {
         for i in 0..M {
             let first = i.saturating_sub(W - 1);

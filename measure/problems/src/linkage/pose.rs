@@ -3,8 +3,8 @@
 use super::{End, Planar};
 use fivebar::vector::Vector;
 
-/// Part of a row of Φ_q that one of the two ends of a joint contributes, if it is a body's: ±1 at x or y of the body, ±`turn` at
-/// its θ. The sign is + for the first end, − for the second.
+/// Contribution of one end of a joint to a row of Φ_q, if the end is on a body: ±1 at x or y of the body, ±`turn` at its θ. The sign is +
+/// for the first end, − for the second.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
     pub(super) body: usize,
@@ -75,7 +75,7 @@ impl<const M: usize> Pose<M> {
         product
     }
 
-    /// The diagonal of ∂(Φ_qᵀλ)/∂q, which is all of it: ∓ arm · λ at θ, N m.
+    /// The diagonal of ∂(Φ_qᵀλ)/∂q, its only nonzero entries: ∓ arm · λ at θ, N m.
     pub(super) fn geometric_stiffness<const N: usize>(&self, lambda: &Vector<M>) -> Vector<N> {
         let mut diagonal = Vector::ZERO;
         for (mode, lambda) in self.rows.iter().zip(lambda) {
@@ -89,7 +89,7 @@ impl<const M: usize> Pose<M> {
     }
 }
 
-/// A vector of a body at angle θ, in the axes of the ground.
+/// A vector in body axes at angle θ, converted to ground axes.
 pub(crate) fn rotated([x, y]: Planar, theta: f64) -> Planar {
     let (sin, cos) = theta.sin_cos();
     [cos * x - sin * y, sin * x + cos * y]

@@ -1,7 +1,7 @@
-//! Derivatives that a problem gives the integrator, against finite differences along its own motion.
+//! Derivatives that a problem provides to the integrator, against finite differences along its own motion.
 //!
-//! A wrong tangent still converges, only slower, and a wrong velocity term is an error of the method's order: results need not show
-//! either.
+//! Results may not reveal errors: a wrong tangent still converges, only slower, and a wrong velocity term looks like an error of the
+//! method's order.
 
 use fivebar::integrator::{Events, Implicit, Kkt, Passage, TangentPoint};
 use fivebar::vector::Vector;
@@ -17,12 +17,12 @@ fn along<const N: usize, const K: usize>(x: &Vector<N>, direction: &Vector<N>, f
     scale * ((moved(STEP) - moved(-STEP)) / (2.0 * STEP))
 }
 
-/// Some vector without symmetry, the same in every run.
+/// An arbitrary vector without symmetry, the same in every run.
 fn any<const K: usize>(seed: f64) -> Vector<K> {
     Vector::from_fn(|i| (seed + 1.7 * i as f64).sin())
 }
 
-/// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as it may be, so that stiffnesses weigh.
+/// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as possible, so that stiffnesses have weight.
 fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     mut problem: Problem<S, N, M>,
     duration: f64,
@@ -38,7 +38,7 @@ fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: us
     for (q, v, lambda) in points {
         let pose = system.pose(&q);
 
-        // Φ_q is the derivative of Φ, and its transpose the same matrix.
+        // Φ_q is the derivative of Φ; the transposed product uses the same matrix.
         let some = any::<N>(0.3);
         let product = system.phi_q_times(&pose, &some);
         assert!((product - along(&q, &some, |q| system.phi(q, &system.pose(q)))).max_norm() < 1e-8);
@@ -60,7 +60,7 @@ fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: us
         let weight = system.effective_mass_times(&at, &some);
         assert!((weight - weighed(&some)).max_norm() < 1e-8 * weight.max_norm());
 
-        // Results of both linear solves, put into their own equations.
+        // Solutions of both linear systems satisfy their equations.
         let (b, c) = (any::<N>(0.9), any::<M>(1.4));
         let residual = |(x, y): (Vector<N>, Vector<M>), geometric: f64, weight: &dyn Fn(&Vector<N>) -> Vector<N>| {
             let transposed = system.phi_q_transposed_times(&pose, &y);

@@ -1,4 +1,4 @@
-//! N four-bars in a row (IFToMM benchmark A02), singular twice per turn at 5 rad/s, against the pendulum that they equal.
+//! N four-bars in a row (IFToMM benchmark A02), singular twice per turn at 5 rad/s, against the equivalent pendulum.
 
 use fivebar::integrator::{Events, Implicit, Passage, State};
 use problems::{Outcome, Problem, four_bars};
@@ -20,7 +20,7 @@ fn two_loops_keep_their_energy_at_fixed_steps() {
     assert!(fine.energy_drift <= 1e-3 && fine.error <= 1e-4, "{fine:?}");
 }
 
-/// Largest distance of any link's angle from that of the pendulum, in each second; and the outcome of the run.
+/// Largest difference of any link's angle from the pendulum's, for each second; and the outcome of the run.
 fn against_the_pendulum<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     problem: &Problem<S, N, M>,
     error_tolerance: f64,
@@ -51,7 +51,7 @@ fn forty_loops_are_the_pendulum() {
     assert!(largest <= 3e-3 && outcome.error <= 1e-3 && outcome.violation <= 1e-11, "{largest:e} {outcome:?}");
 }
 
-/// Step ends fall at other distances from the singular posture with every macro step.
+/// Each macro step length places the step ends at different distances from the singular posture.
 #[test]
 fn sub_steps_pass_the_singularities_wherever_steps_end() {
     let problem = four_bars::two();

@@ -1,4 +1,4 @@
-//! The published problems: one binary, whose index this is.
+//! Tests of the published problems as one binary; this file is the index.
 
 mod derivatives; // Φ_q, Φ̇_q q̇, stiffnesses and linear solves of every problem against finite differences along its motion
 mod four_bars; // A02: energy, tip, the exact pendulum, singular passes at many step sizes

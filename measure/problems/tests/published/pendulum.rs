@@ -1,4 +1,4 @@
-//! The integrator knows only its `System`: a pendulum in x, y runs through the very same code.
+//! The integrator knows only its `System`, so the same code also runs a pendulum in x, y.
 
 use fivebar::integrator::State;
 use problems::pendulum;
@@ -14,10 +14,10 @@ fn the_pendulum_benchmark_is_met_by_every_method() {
     assert!((slope(&points) - 2.0).abs() < 0.05, "{points:?}");
     let points = [4e-3, 2e-3, 1e-3].map(|h| (h, error(problem.rk4(), h)));
     assert!((slope(&points) - 4.0).abs() < 0.3, "{points:?}");
-    // A local error of 1e-13 m in each of some 4e5 sub-steps.
+    // Local errors of 1e-13 m in some 4e5 sub-steps.
     let adaptive = error(problem.adaptive(1e-13), 1e-2);
     assert!(adaptive < 1e-7, "{adaptive:e}");
-    // A local error of 1e-12 m in each of some 400 steps, most of which cancel: 1.2e-11 m.
+    // Local errors of 1e-12 m in some 400 steps; most cancel: 1.2e-11 m.
     let explicit = error(problem.dop853(1e-12), 1e-2);
     assert!(explicit < 1e-10, "{explicit:e}");
 }

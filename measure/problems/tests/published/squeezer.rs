@@ -5,7 +5,7 @@ use problems::squeezer::{self, AT_30_MS, NAMES, START, START_ACCELERATIONS, publ
 
 use crate::slope;
 
-/// The geometry is that of the test set: its angles close the loops, and the accelerations at the start are its own.
+/// The geometry is the test set's: its angles close the loops, and the accelerations at the start agree.
 #[test]
 fn the_start_is_the_published_one() {
     let problem = squeezer::problem();
@@ -14,7 +14,7 @@ fn the_start_is_the_published_one() {
     assert!(phi.iter().all(|phi| phi.abs() < 1e-16), "{phi:?}");
     assert!(published(&problem.q).iter().zip(START).all(|(angle, start)| (angle - start).abs() < 1e-15));
 
-    // Without regularization, whose part in the accelerations is 3e-11.
+    // Without regularization, which would change the accelerations by 3e-11.
     let accelerations = published(&State::start(system, problem.q, problem.v, 0.0).a);
     for (i, name) in NAMES.iter().enumerate() {
         let expected = START_ACCELERATIONS.get(i).copied().unwrap_or(0.0);
@@ -43,11 +43,11 @@ fn fixed_steps_are_second_order() {
     assert!((slope(&points) - 2.0).abs() < 0.1, "{points:?}");
 }
 
-/// At a tight tolerance DOP853 is where Runge-Kutta is at 1 µs, as exact as the published angles are known, in 0.7 % of the steps.
+/// At a tight tolerance DOP853 is as accurate as Runge-Kutta at 1 µs, up to the precision of the published angles, in 0.7 % of the steps.
 #[test]
 fn dop853_is_as_exact_as_the_values() {
     let problem = squeezer::problem();
     let outcome = problem.run(problem.dop853(1e-12), 1e-4).expect("steps");
-    // The published values have errors of 2.7e-10 (docs/notes/problems.md); the energy error is the method's.
+    // The published values have errors of 2.7e-10 (docs/notes/problems.md); the energy error is the method's own.
     assert!(outcome.error < 3e-10 && outcome.energy_drift < 3e-12 && outcome.substeps < 300, "{outcome:?}");
 }
