@@ -1,4 +1,4 @@
-//! Orders and reference values: fall-90-120 and the torque test in quadruple precision, by means other than ours.
+//! Orders and reference values: fall-90-120 and the torque test in quadruple precision, from other programs.
 
 use fivebar::integrator::{self, System, rk4};
 use fivebar::mechanism::Coordinates;
@@ -9,7 +9,7 @@ use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{Reference, angle_error, fall_90_120, run, slope, tip_error, torque};
 
-/// The reference at t = 1 s, with the accelerations that belong to it.
+/// The reference at t = 1 s, with accelerations.
 fn fall_at_1s() -> (Reference, [Coordinates; 3]) {
     let reference = Reference::read("fall-90-120").pop().expect("rows");
     assert_eq!(reference.t, 1.0);
@@ -40,7 +40,7 @@ fn i3alp_is_of_second_order_in_positions_velocities_and_accelerations() {
     }
 }
 
-/// At 2 µs second order alone leaves 2.0e-8 m; round-off must not be seen beside it.
+/// At 2 µs the second-order error alone is 2.0e-8 m; round-off must be negligible in comparison.
 #[test]
 fn i3alp_has_no_round_off_floor() {
     let (reference, _) = fall_at_1s();
@@ -67,12 +67,13 @@ fn rk4_is_of_fourth_order() {
         points.push((h, angle_error(&state.q, &reference.coordinates(&model.mechanism.geometry).0)));
     }
     let order = slope(&points);
-    // A step of 1 ms is better than its order.
+    // At 1 ms the error is smaller than its order predicts.
     assert!(order > 3.7 && order < 5.0, "order {order:.3}, {points:?}");
 }
 
-/// A motor torque that is a sinusoid, held over each communication step at its value in the middle: still second order in q and q̇,
-/// because q̈ and λ are found anew when the input changes. (q̈ at a point belongs to the input held there, half a step away.) Reference: the same with h = 5 µs, whose own error is 1/400 of the finest.
+/// A sinusoidal motor torque, constant over each communication step at its mid-step value, still gives second order in q and q̇, because q̈
+/// and λ are recomputed when the input changes. (q̈ at a point uses the input of its step, half a step away.) Reference: the same with
+/// h = 5 µs, whose own error is 1/400 of the finest.
 #[test]
 fn i3alp_is_of_second_order_under_inputs_that_change() {
     let mut parameters = default_parameters();
@@ -122,13 +123,13 @@ fn constraints_hold_at_every_step() {
     }
 }
 
-/// Every row of the quadruple-precision files, by the default method with a tight local error.
+/// Every row of the quadruple-precision files, by the default method with a small local error.
 #[test]
 fn reference_solutions_are_met() {
     let mut fall = fall_90_120(Method::I3alp);
     fall.settings.adaptive = true;
     let (torque, pull) = torque();
-    // Local errors of 1e-13 rad add up to 1e-6 (fall) and, amplified by the whips of the torque test, 1e-5.
+    // Local errors of 1e-13 rad add up to 1e-6 (fall) and, amplified by the fast passages of the torque test, 1e-5.
     for (name, mut parameters, inputs, bound) in [("fall-90-120", fall, Inputs::default(), 1e-6), ("torque", torque, pull, 1e-5)] {
         parameters.settings.error_tolerance = 1e-13;
         let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");

@@ -19,16 +19,16 @@ thread_local! {
 }
 
 #[allow(unsafe_code)] // the allocator interface is unsafe by definition
-// SAFETY: every call is passed on to the system's allocator; counting touches a thread-local cell without a destructor only.
+// SAFETY: every call is forwarded to the system's allocator; counting only touches a thread-local cell without a destructor.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller's guarantees are forwarded.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller's guarantees are forwarded.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -46,7 +46,7 @@ pub(crate) fn allocations(work: impl FnOnce()) -> u64 {
 #[test]
 fn a_step_allocates_nothing() {
     assert!(allocations(|| drop(vec![1, 2, 3])) > 0, "the counter counts");
-    // Links next to without inertia take the general solve.
+    // Nearly massless links need the general solve.
     for (method, inertia) in [
         (Method::I3alp, 6.23e-5),
         (Method::I3alp, 1e-9),
@@ -88,7 +88,7 @@ fn a_call_of_do_step_allocates_nothing() {
     assert_eq!(count, 0);
 }
 
-/// Nor a step of a machine that is followed, also where the state of one that learns, and is larger, has replaced its own.
+/// A step of a followed machine allocates nothing, also after the larger state of a learning one has replaced its own.
 #[test]
 fn a_step_of_a_followed_machine_allocates_nothing() {
     let host = Host::instantiate(Instantiation::default()).unwrap_or_else(|lines| panic!("{lines:?}"));
@@ -112,7 +112,7 @@ fn a_step_of_a_followed_machine_allocates_nothing() {
     assert_eq!(host.free_state(&mut learning), fmi2OK);
 }
 
-/// Links with next to no inertia lose no digits: accelerations meet the constraints.
+/// Links with almost no inertia lose no digits: accelerations meet the constraints.
 #[test]
 fn light_links_are_solved_accurately() {
     for inertia in [1e-5, 1e-8, 1e-10, 1e-12, 1e-14] {
@@ -125,7 +125,7 @@ fn light_links_are_solved_accurately() {
         let simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
         let norms = observers::constraint_norms(simulation.model(), &simulation.state());
         let alpha = observers::motion(simulation.model(), &simulation.state()).alpha[0];
-        // The limit of vanishing inertia, from the dense solve of an independent program: 19.0695.
+        // The limit of vanishing inertia is 19.0695, from the dense solve of an independent program.
         assert!(norms.acceleration < 1e-8, "inertia {inertia}: {norms:?}");
         assert!(inertia > 1e-9 || (alpha - 19.0695).abs() < 1e-3, "inertia {inertia}: {alpha}");
     }

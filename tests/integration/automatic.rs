@@ -14,7 +14,7 @@ use fivebar::vector::Vector;
 
 use crate::support::{MGL, Reference, angle_error, enable, fall_90_120, run, tip_error, unequal};
 
-/// e of the explicit method, in the link angles: smaller than the round-off of a regular matrix.
+/// e of the explicit method in the link angles, below the round-off of a regular matrix.
 const REGULARIZATION: f64 = 1e-18;
 
 fn automatic(mut parameters: Parameters, tolerance: f64) -> Parameters {
@@ -22,7 +22,7 @@ fn automatic(mut parameters: Parameters, tolerance: f64) -> Parameters {
     parameters
 }
 
-/// Both motors clamped by servos so stiff that stability bounds explicit steps to 0.1 ms.
+/// Servos on both motors, so stiff that stability limits explicit steps to 0.1 ms.
 fn clamped() -> (Parameters, Inputs) {
     let mut parameters = fall_90_120(Method::Automatic);
     enable(&mut parameters, "servo");
@@ -36,7 +36,7 @@ fn counters(simulation: &Simulation) -> Counters {
     simulation.state().core.counters
 }
 
-/// ∂q̈/∂q and ∂q̈/∂q̇ against central differences, with every effect alone and with all of them.
+/// ∂q̈/∂q and ∂q̈/∂q̇ against central differences, with each effect alone and with all of them.
 #[test]
 fn tangents_of_accelerations_are_derivatives() {
     let loads = Inputs { tau: [0.02, -0.01], tip_force: [0.1, 0.05], servo_theta: [1.4, 1.9], ..default_inputs() };
@@ -47,7 +47,7 @@ fn tangents_of_accelerations_are_derivatives() {
         for name in &effects {
             enable(&mut parameters, name);
         }
-        // Stop and plane where the links are, the latter from the side on which the tip is; friction where it is no step.
+        // Stop and plane at the current posture, the plane on the tip's side; smooth friction.
         parameters.effects.stop.upper = [1.5, 1.5];
         parameters.effects.contact.offset = 0.4;
         parameters.effects.friction.breakaway_velocity = 1.0;
@@ -67,7 +67,7 @@ fn tangents_of_accelerations_are_derivatives() {
                 let by_q = (0.5 / step) * (acceleration(q + shift, v) - acceleration(q - shift, v));
                 let by_v = (0.5 / step) * (acceleration(q, v + shift) - acceleration(q, v - shift));
                 for (what, exact, difference) in [("angle", tangents.by_q[i], by_q), ("rate", tangents.by_v[i], by_v)] {
-                    // Differences are off by the third derivative times 1e-12, and by round-off of some 1e3/s² over 1e-6.
+                    // Errors of differences: 1e-12 times the third derivative, and round-off of some 1e3/s² over 1e-6.
                     let error = (exact - difference).max_norm();
                     assert!(
                         error < 2e-6 * (1.0 + exact.max_norm() + at.a.max_norm()),
@@ -92,7 +92,7 @@ fn on_a_free_road_it_is_dop853() {
     assert_eq!(end(Method::Automatic), end(Method::Dop853));
 }
 
-/// A clamp: a hundredth of the steps of dop853, within the tolerance of where that leads; and energy is known as well.
+/// A stiff servo: a hundredth of dop853's steps, within the tolerance at the end; the energy is also accurate.
 #[test]
 fn stiff_loads_take_implicit_steps() {
     let end = |method: Method, tolerance: f64| {
@@ -116,8 +116,8 @@ fn stiff_loads_take_implicit_steps() {
     }
 }
 
-/// Back on the constraints, a machine in stiff hands is still in balance: on `stiff_servo` loose tolerances give five digits in few steps.
-/// Along the shortest way errors were a hundred times as large, and steps twice as many.
+/// After projection onto the constraints a machine under stiff servos stays in equilibrium: on `stiff_servo` loose tolerances give five
+/// digits in few steps. Projection along the shortest way gives errors a hundred times as large and twice as many steps.
 #[test]
 fn implicit_steps_end_in_balance() {
     let mut parameters = fall_90_120(Method::Automatic);
@@ -136,7 +136,7 @@ fn implicit_steps_end_in_balance() {
     }
 }
 
-/// Inputs held for one macro step each: as many steps, and half the evaluations of order 8, with an error far below the tolerance.
+/// Inputs that change every macro step: as many steps as order 8 and half its evaluations, with an error far below the tolerance.
 #[test]
 fn short_holds_take_steps_of_order_5() {
     let end = |method: Method, tolerance: f64| {
@@ -161,7 +161,7 @@ fn short_holds_take_steps_of_order_5() {
     }
 }
 
-/// Communication points leave no trace, whichever kinds the steps are of.
+/// Communication points do not change the result, with steps of any kind.
 #[test]
 fn communication_points_leave_no_trace() {
     let (parameters, inputs) = clamped();
@@ -180,7 +180,7 @@ fn communication_points_leave_no_trace() {
     assert!(ends[0].core.counters.substeps < 500, "{:?}", ends[0].core.counters);
 }
 
-/// Interpolated states of implicit steps meet the constraints, and follow the motion as their ends do.
+/// Interpolated states of implicit steps meet the constraints and are as accurate as the step ends.
 #[test]
 fn interpolated_outputs_are_as_good_as_steps() {
     let (parameters, inputs) = clamped();
@@ -201,7 +201,7 @@ fn interpolated_outputs_are_as_good_as_steps() {
     }
 }
 
-/// A copy goes on to the same bits, also between steps of other kinds.
+/// A copy continues with the same bits, also between steps of different kinds.
 #[test]
 fn a_copy_goes_on_to_the_same_bits() {
     let (parameters, inputs) = clamped();
@@ -217,8 +217,8 @@ fn a_copy_goes_on_to_the_same_bits() {
     assert_eq!(default_parameters().settings.method, Method::I3alp, "what the unit starts with");
 }
 
-/// From a clamp to a free fall and back, three times: implicit steps there, explicit ones here, and an error like that of the explicit
-/// method, whose steps are of one kind throughout.
+/// From stiff servos to a free fall and back, three times: implicit steps in the first, explicit ones in the second, and an error like that
+/// of the purely explicit method.
 #[test]
 fn switching_loses_no_digit() {
     let end = |method: Method, tolerance: f64| {
@@ -243,15 +243,15 @@ fn switching_loses_no_digit() {
         let [(own, [few, free]), (explicit, [many, as_many])] =
             [Method::Automatic, Method::Dop853].map(|method| end(method, tolerance));
         let errors = [own, explicit].map(|q| angle_error(&q, &exact));
-        // Both errors are below 0.2 tolerances: the clamp damps earlier errors.
+        // Both errors are below 0.2 tolerances, because the stiff servos damp earlier errors.
         assert!(errors[0] < tolerance, "{tolerance:e}: {errors:?} rad");
         assert!(few < many, "{tolerance:e}: {few} steps in the clamp, {many} by dop853");
         assert!(free < 3 * as_many, "{tolerance:e}: {free} free steps, {as_many} by dop853");
     }
 }
 
-/// A machine that friction brings to rest comes there in some ten steps and stays there at no price, also where its law is ten thousand
-/// times as steep as the tolerance on rates can tell; dop853 takes 40,000 steps and more a second.
+/// A machine that friction stops comes to rest in some ten steps and then costs nothing, even if the law is ten thousand times as steep as
+/// the tolerance on rates resolves; dop853 takes 40,000 steps and more per second.
 #[test]
 fn rest_under_steep_friction_takes_no_steps() {
     for (breakaway_velocity, tolerance) in [(1e-2, 1e-4), (1e-4, 1e-4), (1e-5, 1e-4), (1e-5, 1e-6), (1e-5, 3e-9), (1e-6, 1e-3)] {
@@ -267,7 +267,7 @@ fn rest_under_steep_friction_takes_no_steps() {
         let come = counters(&simulation);
         run(&mut simulation, &default_inputs(), 1e-3, 2.0);
         let rest = counters(&simulation);
-        // The joint creeps at a part of the breakaway velocity.
+        // The joint creeps at a fraction of the breakaway velocity.
         assert!(simulation.state().core.v.max_norm() < breakaway_velocity, "{breakaway_velocity:e}, {tolerance:e}");
         assert!(come.substeps < 150, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
         assert!(rest.substeps - come.substeps < 5, "{breakaway_velocity:e}, {tolerance:e}: {come:?}, {rest:?}");

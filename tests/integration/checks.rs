@@ -1,5 +1,5 @@
-//! What a unit checks in each of its steps: faults of every kind are found by every kind of step, in the step in which they happen; right
-//! steps pass (`measure/hard-cases`, command `checks`, runs thousands of random scenes).
+//! Checks of every step: every kind of step finds every kind of fault in the step in which it happens; correct steps pass
+//! (`measure/hard-cases`, command `checks`, runs thousands of random scenes).
 
 use std::f64::consts::PI;
 
@@ -19,19 +19,19 @@ use fivebar::vector::Vector;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     None,
-    /// Half a joule that is lost on the way from one side to the other.
+    /// Half a joule is lost between the two sides.
     Loss,
-    /// A sign that changes where its determinant is not near 0.
+    /// A sign changes although its determinant is not near 0.
     Sign,
-    /// Another branch from one side to the other.
+    /// The branch changes between the two sides.
     Branch,
 }
 
-/// A point of unit mass in the plane on a spring of 1 N/m, which starts to the right of the origin and passes it.
+/// A point of unit mass in the plane on a spring of 1 N/m, which starts right of the origin and passes it.
 #[derive(Clone, Copy, Debug)]
 struct Oscillator(Fault);
 
-/// Factor of a mass matrix that is a number: no constraints.
+/// Scalar mass matrix factor; no constraints.
 struct Scaled(f64);
 
 impl Kkt<2, 0> for Scaled {
@@ -128,7 +128,7 @@ impl Events<2> for Oscillator {
     fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }
 
-/// Motion of 2 s, by a way of taking steps, at an error tolerance, rad.
+/// A motion of 2 s with one kind of step, at an error tolerance, rad.
 type Taken = fn(Oscillator, f64) -> Result<(), StepError>;
 
 fn by_schemes(system: Oscillator, schemes: Schemes, error_tolerance: f64) -> Result<(), StepError> {
@@ -186,7 +186,7 @@ fn every_fault_is_found_by_every_kind_of_step() {
     }
 }
 
-/// A run whose state stores its energy with `more` J than it has, as a program would leave it that has lost them.
+/// A run with `more` J of energy in its stored state than it has, as after a program error that loses energy.
 fn robbed(simulation: &Simulation, more: f64) -> Simulation {
     let Energies { kinetic, potential, .. } = observers::energies(simulation.model(), &simulation.state());
     let energy = kinetic + potential;
@@ -194,7 +194,7 @@ fn robbed(simulation: &Simulation, more: f64) -> Simulation {
     let mut replaced = 0;
     for at in 0..bytes.len() - 8 {
         let value = f64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
-        // Steps of 3e-9 rad keep the energy to some 1e-8 of it.
+        // Steps of 3e-9 rad keep the energy to some 1e-8.
         if (value / energy - 1.0).abs() < 1e-6 {
             bytes[at..at + 8].copy_from_slice(&(energy + more).to_le_bytes());
             replaced += 1;
@@ -212,7 +212,7 @@ fn falling(method: Method, checks: bool) -> Simulation {
     simulation
 }
 
-/// A step that loses 2 mJ, a hundredth of the energy, is refused with its sentence, and nothing has changed.
+/// A step that loses 2 mJ, a hundredth of the energy, is refused with a message, and nothing changes.
 #[test]
 fn a_five_bar_that_loses_energy_is_stopped() {
     for method in [Method::I3alp, Method::Dop853, Method::Automatic, Method::I3alpConserving] {
@@ -229,7 +229,7 @@ fn a_five_bar_that_loses_energy_is_stopped() {
     }
 }
 
-/// Without checks the state stores no energy, and the motion is the same to the bit.
+/// Without checks the state stores no energy, and the motion has the same bits.
 #[test]
 fn checks_change_no_motion() {
     let methods = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::Automatic, Method::I3alpConserving];
@@ -240,7 +240,7 @@ fn checks_change_no_motion() {
     }
 }
 
-/// Steps of fixed length are counted where they fail: links turn by a tenth of a turn in each.
+/// Failing checks of fixed steps are counted: links turn by a tenth of a turn in each step.
 #[test]
 fn steps_of_fixed_length_are_counted() {
     for (method, adaptive) in [(Method::I3alp, false), (Method::I3alpPrinted, false), (Method::Rk4, false)] {
@@ -263,7 +263,7 @@ fn steps_of_fixed_length_are_counted() {
     }
 }
 
-/// Folded legs are singular all along, so that the signs of their bends are those of round-off, also while friction holds everything.
+/// Folded legs remain singular, so that the signs of their bends are round-off, also while friction holds everything.
 #[test]
 fn folded_legs_that_come_to_rest_are_not_stopped() {
     for method in [Method::I3alp, Method::Dop853, Method::Automatic] {

@@ -21,7 +21,7 @@ fn refusal(change: impl FnOnce(&mut Parameters)) -> String {
     Simulation::new(&parameters, &default_inputs()).expect_err("must be refused").to_string()
 }
 
-/// Positions, velocities and accelerations meet the constraints, and the tip lies on the side asked for.
+/// Positions, velocities and accelerations meet the constraints, and the tip is on the requested side.
 #[test]
 fn starts_are_consistent() {
     let mut coaxial = default_parameters();
@@ -34,7 +34,7 @@ fn starts_are_consistent() {
             parameters.start.assembly = assembly;
             let simulation = started(&parameters);
             let norms = observers::constraint_norms(simulation.model(), &simulation.state());
-            // Round-off of sums of lengths below 1 m, and of rates below 10 rad/s; e λ with e = 6e-11 1/kg at acceleration level.
+            // Bounds: round-off of sums of lengths below 1 m and rates below 10 rad/s; for accelerations e λ with e = 6e-11 1/kg.
             assert!(norms.position < 1e-15 && norms.velocity < 1e-14 && norms.acceleration < 1e-9, "{norms:?}");
             let singularity = observers::singularity(simulation.model(), &simulation.state());
             if singularity.kind == SingularityKind::None {
@@ -69,7 +69,7 @@ fn singular_postures_are_told_apart() {
         let singularity = observers::singularity(simulation.model(), &simulation.state());
         assert_eq!(singularity.kind, kind, "{theta:?}: {singularity:?}");
     }
-    // Inverse: the left leg folded back on itself, the tip on the left motor; the right leg closes 0.42 m from its motor.
+    // Inverse: the left leg folded back, the tip on the left motor; the right leg closes 0.42 m from its motor.
     let mut folded = default_parameters();
     folded.geometry.base_distance = 0.3;
     let half = (0.15f64 / 0.21).acos();
@@ -113,7 +113,7 @@ fn starts_that_cannot_be_closed_are_refused_with_a_sentence() {
         p.start.theta = [1.0, 1.0];
     });
     assert!(text.contains("init.theta") && text.contains("same point"), "{text}");
-    // Elbows that coincide are out of reach where the distal links differ.
+    // Coincident elbows are out of reach if the distal links differ.
     let text = refusal(|p| {
         p.geometry.base_distance = 0.0;
         p.geometry.links[1].length = 0.3;
@@ -149,13 +149,12 @@ fn geometry(lengths: [f64; 4], base_distance: f64) -> Geometry {
     geometry
 }
 
-/// Rates at a direct singularity: those that would tear the elbows apart are refused, the others leave the tip's rate across the
-/// line at 0.
+/// Rates at a direct singularity: rates that would tear the elbows apart are refused; with others the tip's rate across the line is 0.
 #[test]
 fn rates_at_a_direct_singularity() {
     let paper = default_parameters().geometry;
     let start = |theta, omega| Start { theta, omega, assembly: Assembly::Plus };
-    // Parallel cranks turning alike: the elbows keep their distance.
+    // Parallel cranks with equal rates keep the distance between the elbows.
     let (_, v) = close(&paper, &start([FRAC_PI_2, FRAC_PI_2], [2.0, 2.0])).expect("rates that closure can meet");
     assert!(THETA[1..3].iter().all(|&i| v[i].abs() < 1e-14), "{v:?}");
     let text = close(&paper, &start([FRAC_PI_2, FRAC_PI_2], [1.0, -1.0])).expect_err("elbows part").to_string();
@@ -165,7 +164,7 @@ fn rates_at_a_direct_singularity() {
     );
 }
 
-/// Rates at a vertex lie on the tangent cone, also for coaxial motors on any line, and move the tip to the side asked for.
+/// Rates at a vertex lie on the tangent cone, also for coaxial motors on any line, and move the tip to the requested side.
 #[test]
 fn rates_at_a_vertex_lie_on_the_cone() {
     for (lengths, base_distance, theta, omega, possible) in [
@@ -173,7 +172,7 @@ fn rates_at_a_vertex_lie_on_the_cone() {
         ([0.21; 4], 0.42, [PI, PI], [1.5, 1.0], true),
         ([0.20, 0.18, 0.12, 0.10], 0.0, [FRAC_PI_2 / 2.0, FRAC_PI_2 / 2.0 + PI], [1.0, 0.0], true),
         ([0.20, 0.18, 0.12, 0.10], 0.0, [0.0, PI], [1.0, 0.0], true),
-        // Decimal lengths: the elbows' distance is not exactly that of the distal links.
+        // In binary the distance between the elbows differs slightly from the distal links.
         ([0.10, 0.11, 0.12, 0.09], 0.24, [0.0, 0.0], [1.0, 0.3], false),
         ([0.10, 0.11, 0.12, 0.09], 0.24, [0.0, 0.0], [0.3, 1.0], true),
         ([0.13, 0.17, 0.11, 0.19], 0.60, [0.0, PI], [0.7, -1.3], false),
@@ -189,7 +188,7 @@ fn rates_at_a_vertex_lie_on_the_cone() {
                     let first: f64 = (0..4).map(|i| arm[i] * v[THETA[i]]).sum();
                     let second: f64 = (0..4).map(|i| arm[i] * v[THETA[i]].powi(2)).sum();
                     assert!(first.abs() < 1e-12 && second.abs() < 1e-10, "{theta:?}: {first:e} {second:e}");
-                    // A moment later the tip is on the side asked for.
+                    // A moment later the tip is on the requested side.
                     let (ahead, _) = assemble(&geometry, THETA.map(|i| q[i] + 1e-4 * v[i]), [0.0; 4]);
                     let (sin, cos) = ((ahead[THETA[2]] - ahead[THETA[1]]).sin(), 1.0);
                     mode.push((assembly, (sin * cos > 0.0) == (assembly == Assembly::Plus)));
@@ -202,7 +201,7 @@ fn rates_at_a_vertex_lie_on_the_cone() {
     }
 }
 
-/// Just off a direct singularity the rates still close the loop: no gap between the two ways of finding them.
+/// Near a direct singularity the rates still close the loop: both ways of computing them agree in between.
 #[test]
 fn rates_just_off_a_direct_singularity_close_the_loop() {
     for offset in [1e-15, 1e-13, 1e-12, 1e-10, 8e-10, 1.5e-9, 3e-9, 1e-7] {
@@ -211,13 +210,13 @@ fn rates_just_off_a_direct_singularity_close_the_loop() {
             parameters.start = Start { theta, omega: [1.0, 1.0], assembly: Assembly::Plus };
             let Ok(simulation) = Simulation::new(&parameters, &default_inputs()) else { continue };
             let norms = observers::constraint_norms(simulation.model(), &simulation.state());
-            // Rates that miss the closure by 1e-9 are accepted where it has lost its rank.
+            // Near the loss of rank, rates that violate the closure by 1e-9 are accepted.
             assert!(norms.position < 1e-14 && norms.velocity < 1e-9, "{theta:?}: {norms:?}");
         }
     }
 }
 
-/// Angles of any number of turns start and run like those within one.
+/// Angles with any number of turns start and run like angles within one turn.
 #[test]
 fn a_start_many_turns_away_is_the_same_motion() {
     let end = |turns: f64| {
@@ -228,12 +227,12 @@ fn a_start_many_turns_away_is_the_same_motion() {
         simulation.state().angles()
     };
     let (near, far) = (end(0.0), end(200.0));
-    // 1256 rad carry a round-off of 2e-13, which the motion amplifies.
+    // 1256 rad have a round-off of 2e-13, amplified by the motion.
     assert!((far[0] - near[0] - 200.0 * std::f64::consts::TAU).abs() < 1e-9, "{near:?} {far:?}");
     assert!((far[3] - near[3]).abs() < 1e-9, "{near:?} {far:?}");
 }
 
-/// det J_q and σ(J_q) by J_q's own definition, σ(Φ_q) by the eigenvalues of Φ_q Φ_qᵀ, and the combined kind.
+/// det J_q and σ(J_q) from J_q's definition, σ(Φ_q) from the eigenvalues of Φ_q Φ_qᵀ, and the combined kind.
 #[test]
 fn singularity_observers_agree_with_their_definitions() {
     let mut simulation = started(&unequal());
@@ -250,17 +249,17 @@ fn singularity_observers_agree_with_their_definitions() {
         );
         let phi_q = simulation.model().mechanism.pose(&simulation.state().core.q).phi_q();
         let least = (phi_q * phi_q.transpose()).symmetric_eigenvalues().min();
-        // The square root of round-off in the smallest eigenvalue.
+        // Round-off of the smallest eigenvalue, before the square root.
         assert!((s.sigma_phi * s.sigma_phi - least).abs() < 1e-14, "{} {}", s.sigma_phi, least.sqrt());
         assert_eq!(s.jacobians.working, legs.map(|leg| leg >= 0.0));
     }
-    // Direct and inverse at once, away from the line of the motors: the elbows stretched, the left leg in line with them.
+    // Direct and inverse at once, off the line of the motors: the elbows stretched, the left leg in line with them.
     let mut parameters = default_parameters();
     for (link, length) in parameters.geometry.links.iter_mut().zip([0.2, 0.15, 0.15, 0.45]) {
         link.length = length;
     }
     let (sin, cos) = 1.0f64.sin_cos();
-    // The right elbow lies 0.5 m from the left motor on the line at 1 rad, and 0.45 m from its own motor.
+    // The right elbow is 0.5 m from the left motor, on the line at 1 rad, and 0.45 m from its own motor.
     let elbow = [0.5 * cos, 0.5 * sin];
     let aside = (0.45f64.powi(2) - elbow[1].powi(2)).sqrt();
     parameters.geometry.base_distance = elbow[0] + aside;

@@ -1,5 +1,5 @@
-//! Coaxial motors: a motion stays on its branch of the closure, judged by two coordinates for each branch and by the energy; machines
-//! whose links come close to being in line go on as well.
+//! Coaxial motors: a motion stays on its branch of the closure, checked by two coordinates for each branch and by the energy. Machines
+//! with links close to being in line also continue.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,14 +13,14 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::enable;
 
-/// Pairs of links 1 to 4, from 0, that may have equal lengths.
+/// Pairs of links, numbered from 0, that may have equal lengths.
 const PAIRINGS: [[[usize; 2]; 2]; 3] = [[[0, 3], [1, 2]], [[0, 2], [1, 3]], [[0, 1], [3, 2]]];
 /// Proximal and distal link of each leg, from 0.
 const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 /// Acceleration of gravity along −y, m/s².
 const G: f64 = 9.81;
 
-/// A branch in two coordinates. The links are vectors with the sum zero, those of the right leg pointing from the tip to the motors.
+/// A branch in two coordinates. The links are vectors with sum zero; vectors of the right leg point from the tip to the motors.
 #[derive(Clone, Copy)]
 struct Branch<'a> {
     geometry: &'a Geometry,
@@ -30,7 +30,7 @@ struct Branch<'a> {
     mirrored: bool,
 }
 
-/// Per link: angle, rate, derivatives of the angle by both coordinates, and its second derivative by time at uniform coordinates.
+/// Per link: angle, rate, derivatives of the angle by both coordinates, and its second time derivative at constant coordinate rates.
 type Chain = [([f64; 2], [f64; 2], f64); 4];
 
 impl<'a> Branch<'a> {
@@ -39,8 +39,8 @@ impl<'a> Branch<'a> {
         Self { geometry, pairs: if longer { [one, other] } else { [other, one] }, mirrored }
     }
 
-    /// Coordinates: directions of the first vectors of both pairs; if mirrored, direction of the axis and angle from it to the first of
-    /// the shorter vectors.
+    /// Coordinates: directions of the first vector of each pair; if mirrored, direction of the axis and angle from it to the first of the
+    /// shorter vectors.
     fn chain(&self, [x, v]: [[f64; 2]; 2]) -> Chain {
         let [long, short] = self.pairs;
         let mut chain = Chain::default();
@@ -115,7 +115,7 @@ impl<'a> Branch<'a> {
     }
 }
 
-/// Difference of angles without whole turns, the largest, rad.
+/// Largest difference of angles, without whole turns, rad.
 fn largest_difference(one: [f64; 4], other: [f64; 4]) -> f64 {
     let apart = |i: usize| one[i] - other[i] - ((one[i] - other[i]) / TAU).round() * TAU;
     (0..4).map(|i| apart(i).abs()).fold(0.0, f64::max)
@@ -125,7 +125,7 @@ fn energy_error(simulation: &Simulation) -> f64 {
     observers::energies(simulation.model(), &simulation.state()).error.abs()
 }
 
-/// Switches on nothing, a plane or stops out of reach, or joints that may stick: all but the first are located events.
+/// Enables nothing, a plane or stops out of reach, or joints that may stick; all but the first add located events.
 fn switch_on(parameters: &mut Parameters, effect: &str) {
     match effect {
         "nothing" => {}
@@ -147,7 +147,7 @@ fn switch_on(parameters: &mut Parameters, effect: &str) {
     }
 }
 
-/// A machine on one of its branches, with a start there.
+/// A machine on one of its branches, with its start.
 struct Case {
     parameters: Parameters,
     pairs: [[usize; 2]; 2],
@@ -177,7 +177,7 @@ impl Case {
         Branch::new(&self.parameters.geometry, self.pairs, self.mirrored)
     }
 
-    /// Angles of the links after `duration` seconds under gravity.
+    /// Link angles after `duration` seconds under gravity.
     fn expected(&self, duration: f64) -> [f64; 4] {
         let steps = (duration / 2e-4).round() as usize;
         self.branch().chain(self.branch().follow(self.start, 2e-4, steps)).map(|link| link.0[0])
@@ -200,7 +200,7 @@ impl Case {
     }
 }
 
-/// Kinds of branches: opposite pairs or mirrored ones of different lengths, opposite pairs of links that are all equal.
+/// Kinds of branches: opposite or mirrored pairs of different lengths; opposite pairs of equal links.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Kind {
     Opposite,
@@ -213,7 +213,7 @@ const KINDS: [Kind; 3] = [Kind::Opposite, Kind::Mirrored, Kind::Equal];
 const EFFECTS: [&str; 4] = ["nothing", "contact", "stop", "friction"];
 const METHODS: [Method; 2] = [Method::Dop853, Method::Automatic];
 
-/// Runs a second in calls of 1 ms; returns the largest energy error, J.
+/// Runs one second in calls of 1 ms; returns the largest energy error, J.
 fn largest_energy_error(simulation: &mut Simulation, case: &str) -> f64 {
     (0..1000).fold(0.0, |largest: f64, call| {
         let done = simulation.advance(&default_inputs(), 1e-3, 1);
@@ -222,8 +222,8 @@ fn largest_energy_error(simulation: &mut Simulation, case: &str) -> f64 {
     })
 }
 
-/// Random machines of every pattern on each of their branches, by the coordinates of the branch, through straight postures. Local errors of
-/// 3e-9 rad grow some hundred times in a second; the energy errors that show another branch are 1e-4 J and more.
+/// Random machines of every pattern on each of their branches pass straight postures; the reference uses the branch's own coordinates.
+/// Local errors of 3e-9 rad grow some hundred times in a second; a wrong branch would give energy errors of 1e-4 J and more.
 #[test]
 fn random_machines_stay_on_their_branch() {
     let mut random = ChaCha8Rng::seed_from_u64(64);
@@ -238,7 +238,7 @@ fn random_machines_stay_on_their_branch() {
                     let mut simulation = case.simulation(method, 3e-9, effect);
                     let energy = largest_energy_error(&mut simulation, &name);
                     let theta = simulation.state().angles();
-                    // Each turn that is taken off rounds.
+                    // Removing a whole turn causes round-off.
                     assert!(energy < 1e-7 && case.strays(theta) < 1e-12, "{name}: {energy:e} J, {:e} rad off", case.strays(theta));
                     if effect != "friction" {
                         let error = largest_difference(theta, expected);
@@ -252,8 +252,8 @@ fn random_machines_stay_on_their_branch() {
     assert_eq!(runs, 144);
 }
 
-/// A kite that comes as close to its straight posture as a step happens to end there: at every tolerance it stays a kite, whatever has to
-/// be located besides.
+/// A kite that approaches its straight posture as closely as a step happens to end: at every tolerance it stays a kite, with any other
+/// event to locate.
 #[test]
 fn a_kite_stays_a_kite() {
     let mut kite = default_parameters();
@@ -281,7 +281,7 @@ fn a_kite_stays_a_kite() {
     assert!(largest_difference(ends[0], ends[1]) < 1e-6, "{ends:?}");
 }
 
-/// At rest 10 µrad beside a straight posture, the posture alone tells the branches apart.
+/// At rest 10 µrad from a straight posture, only the posture distinguishes the branches.
 #[test]
 fn a_start_beside_a_straight_posture_is_on_its_branch() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
@@ -300,13 +300,13 @@ fn a_start_beside_a_straight_posture_is_on_its_branch() {
             moved += u32::from(before.iter().zip(after).any(|(before, after)| (after - before).abs() > 0.1));
         }
     }
-    // Friction may hold a machine that is nearly balanced.
+    // Friction may hold a nearly balanced machine.
     assert!(moved > 4, "only {moved} machines moved");
 }
 
-/// Machines that miss a straight posture, by lengths that are not quite equal or motors not quite on one axis, turn from one branch to the
-/// other beside it; machines of any lengths are far from all of it. The energy tells a jump: an admissible error of 3e-9 rad in each of some
-/// hundred steps is below 1e-6 J, which a jump exceeds by a hundred times.
+/// Machines that pass near a straight posture, because lengths are not quite equal or motors not quite coaxial, turn from one branch to
+/// another beside it; machines of other lengths stay far away. The energy reveals a jump: an admissible error of 3e-9 rad in each of some
+/// hundred steps is below 1e-6 J, which a jump exceeds a hundredfold.
 #[test]
 fn machines_that_miss_the_straight_posture_go_on() {
     let mut random = ChaCha8Rng::seed_from_u64(5);

@@ -1,4 +1,4 @@
-//! The conserving step: energy and both levels of the constraints at strictly fixed steps, whatever the motion and the loads.
+//! The conserving step: energy and both levels of the constraints at fixed steps, for any motion and load.
 
 use fivebar::effects::JOINTS;
 use fivebar::observers::{self, Energies};
@@ -7,15 +7,15 @@ use fivebar::simulation::{Inputs, Method, Parameters, Signal, Simulation};
 
 use crate::support::{MGL, Reference, enable, fall_90_120, slope, tip_error, unequal};
 
-/// A scene by this method, with its own posture and effects, at steps of h.
+/// A scene with this method, its own posture and effects, and steps of h.
 fn conserving(mut parameters: Parameters, h: f64) -> Parameters {
     parameters.settings.method = Method::I3alpConserving;
     parameters.settings.step_size = h;
     parameters
 }
 
-/// Largest balance residual in parts of the largest energy or in those of mgL, largest constraint violations (m, m/s, and m/s² in
-/// parts of the largest acceleration), and most iterations of a step.
+/// Largest balance residual relative to the largest energy or mgL, largest constraint violations (m, m/s, and m/s² relative to the largest
+/// acceleration), and most iterations of a step.
 struct Worst {
     balance: f64,
     in_mgl: f64,
@@ -25,13 +25,13 @@ struct Worst {
     iterations: u64,
 }
 
-/// The largest part of a balance, J.
+/// The largest term of a balance, J.
 fn largest_of(energies: &Energies) -> f64 {
     let parts = [energies.kinetic, energies.potential, energies.input, energies.dissipated];
     parts.into_iter().fold(0.0, |largest: f64, part| largest.max(part.abs()))
 }
 
-/// Follows a motion step by step: each macro step is one step.
+/// Runs a motion step by step; each macro step is one step.
 fn followed(simulation: &mut Simulation, inputs: &Inputs, h: f64, duration: f64) -> Worst {
     let steps = (duration / h).round() as u64;
     let (mut error, mut largest) = (0.0f64, MGL);
@@ -54,7 +54,7 @@ fn followed(simulation: &mut Simulation, inputs: &Inputs, h: f64, duration: f64)
     Worst { balance: error / largest, in_mgl: error / MGL, ..worst }
 }
 
-/// Against the solution to 15 digits, one second into the fall: of second order, and no farther off at 1 ms than the prototype.
+/// Against the solution to 15 digits, one second into the fall: second order, and at 1 ms no larger error than the prototype.
 #[test]
 fn it_is_of_second_order() {
     let reference = Reference::read("fall_90_120");
@@ -69,7 +69,7 @@ fn it_is_of_second_order() {
     assert!((slope(&errors) - 2.0).abs() <= 0.1, "{errors:?}");
 }
 
-/// Falls that whip through singularities: 5 s of each.
+/// Falls with fast passages of singularities: 5 s each.
 #[test]
 fn falls_keep_energy_and_constraints() {
     for (theta, h) in [([1.4973, 1.55439], 1e-3), ([1.3698, 1.6889], 4e-3), ([1.5425, 1.5784], 2.5e-4), ([1.2, 1.9], 1e-3)] {
@@ -78,12 +78,12 @@ fn falls_keep_energy_and_constraints() {
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
         let worst = followed(&mut simulation, &default_inputs(), h, 5.0);
         assert!(worst.in_mgl <= 1e-8 && worst.position <= 1e-14 && worst.velocity <= 1e-11, "{theta:?} at {h} s: {}", worst.in_mgl);
-        // Equilibrium next to vertices: measured 1.4e-11.
+        // Equilibrium near vertices: measured 1.4e-11.
         assert!(worst.acceleration <= 1e-10, "{theta:?} at {h} s: {:e}", worst.acceleration);
     }
 }
 
-/// Any machine: nothing equal, centres of mass outside of the links, payload and rotors; links next to without inertia; coaxial motors.
+/// Any machine: all links different, centres of mass outside the links, payload and rotors; nearly massless links; coaxial motors.
 #[test]
 fn any_machine_keeps_its_energy() {
     let mut loaded = unequal();
@@ -98,12 +98,12 @@ fn any_machine_keeps_its_energy() {
     for (name, parameters) in [("unequal", unequal()), ("loaded", loaded), ("light", light), ("coaxial", coaxial)] {
         let mut simulation = Simulation::new(&conserving(parameters, 1e-3), &default_inputs()).expect("scene");
         let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
-        // The battery's demand on any machine, 1e-9 m/s; energy error after 2 s with links almost without inertia.
+        // The battery's bound for any machine, 1e-9 m/s; energy error after 2 s with nearly massless links.
         assert!(worst.balance <= 1e-9 && worst.velocity <= 1e-9, "{name}: {:e} {:e}", worst.balance, worst.velocity);
     }
 }
 
-/// Held loads put in exactly their force times displacement.
+/// Constant loads do exactly the work of force times displacement.
 #[test]
 fn held_loads_balance() {
     let inputs = Inputs { tau: [0.05, -0.02], tip_force: [0.1, 0.3], ..default_inputs() };
@@ -112,7 +112,7 @@ fn held_loads_balance() {
     assert!(worst.balance <= 1e-12, "{:e}", worst.balance);
 }
 
-/// Every effect, from soft to far stiffer than the step: the balance of the energy.
+/// Every effect, from soft to far stiffer than the step: the energy balance.
 #[test]
 fn every_effect_balances() {
     type Change = Box<dyn Fn(&mut Parameters)>;
@@ -191,7 +191,7 @@ fn every_effect_balances() {
         let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
         let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
         let counters = simulation.counters();
-        // A fall against the stiffest friction comes to a posture without a root.
+        // A fall against the stiffest friction reaches a posture without a root.
         if worst.balance > *allowed || worst.velocity > 1e-9 || counters.fallbacks > 1 {
             wrong.push((name, worst.balance, worst.velocity, counters));
         }
@@ -199,7 +199,7 @@ fn every_effect_balances() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Dry friction without a peak in all joints, of which w_c is the rate of its turn.
+/// Dry friction without a Stribeck peak in all joints; `turn` is w_c, the rate at which the law turns.
 fn dry(parameters: &mut Parameters, torque: f64, turn: f64) {
     enable(parameters, "friction");
     let friction = &mut parameters.effects.friction;
@@ -207,8 +207,8 @@ fn dry(parameters: &mut Parameters, torque: f64, turn: f64) {
     friction.breakaway_velocity = 10.0 * turn;
 }
 
-/// Friction that holds the mechanism up: it creeps at a small part of the rate at which the law turns. And
-/// friction that brakes a motion stops it.
+/// Friction that supports the mechanism lets it creep at a small fraction of the law's turning rate. Friction that brakes a motion stops
+/// it.
 #[test]
 fn friction_holds_and_brakes() {
     for turn in [1e-2, 1e-3, 1e-5] {
@@ -226,7 +226,7 @@ fn friction_holds_and_brakes() {
     }
 }
 
-/// Each step holds the values that changing torques have in its middle, and the whole stays of second order. So does the work.
+/// Each step uses the mid-step values of changing torques; the motion is of second order, and so is the work.
 #[test]
 fn inputs_that_change_are_of_second_order() {
     let run = |h: f64| {
@@ -249,14 +249,14 @@ fn inputs_that_change_are_of_second_order() {
     assert!((slope(&errors) - 2.0).abs() <= 0.15, "{errors:?}");
 }
 
-/// The work of a step can be bounded: by a status, with everything as before, or by the fallback, which is counted.
+/// The work of a step can be bounded: it ends with a status and everything unchanged, or by the fallback, which is counted.
 #[test]
 fn the_work_of_a_step_is_bounded() {
     let mut parameters = conserving(default_parameters(), 4e-3);
-    // Falls that come as close to vertices as they will: which of them meet a step without a root, round-off decides.
+    // Falls that come arbitrarily close to vertices; round-off decides which of them meet a step without a root.
     let starts = (0..20).map(|i| 1.36 + 1e-3 * f64::from(i));
     let mut outcomes = Vec::new();
-    // Iterations past the bound: two attempts of ten and, without a fallback, a better first guess; the projection of the last
+    // Iterations beyond the bound: two attempts of ten and, without the fallback, a better first guess; the projection of the last
     // stage.
     for (most, iterations) in [(0, 30), (25, 55), (1000, 1030)] {
         parameters.settings.max_work = most;
@@ -288,9 +288,9 @@ fn the_work_of_a_step_is_bounded() {
     assert!(free.0.is_empty(), "{free:?}");
 }
 
-/// Loads end no run and bend no balance, however little a step may work: friction that sticks from rest, and servos far stiffer
-/// than the step, of which most steps then use the last fallback stage. Past its bound and the first two attempts a step adds the
-/// iterations of that projection.
+/// Loads cannot end a run or violate the balance with however small a bound on work: friction that sticks from rest, and servos much
+/// stiffer than the step. With these most steps use the last fallback stage. A step may exceed its bound and the first two attempts by the
+/// iterations of this stage's projection.
 #[test]
 fn bounded_steps_go_on_under_stiff_loads() {
     let inputs = Inputs { servo_theta: [std::f64::consts::FRAC_PI_2 + 0.2, 2.0], ..default_inputs() };
@@ -314,10 +314,10 @@ fn bounded_steps_go_on_under_stiff_loads() {
     }
 }
 
-/// All effects on at once, against steps of order 8 with an error of 1e-11 rad: of second order, the work of each kind too.
+/// All effects at once, compared with steps of order 8 with an error of 1e-11 rad: second order, also for the work of each kind.
 ///
-/// The order shows where no load has a kink: tip and axes stay pressed into plane and stops, the drives do not saturate, and friction
-/// changes over 1 rad/s or 1 m/s. The error of a quantity is the largest of ten instants, so that none is small by chance.
+/// The order is visible because no load has a kink: tip and axes stay pressed into plane and stops, the drives do not saturate, and
+/// friction changes over 1 rad/s or 1 m/s. The error of a quantity is the largest of ten instants, so that none is small by chance.
 #[test]
 fn effects_are_of_second_order() {
     let course = |method: Method, h: f64| {
@@ -347,7 +347,7 @@ fn effects_are_of_second_order() {
         let largest = |deviation: &dyn Fn(usize) -> f64| (0..10).map(|k| deviation(k).abs()).fold(0.0, f64::max);
         let errors = runs.map(|(h, run)| (h, largest(&|k| run[k][i] - exact[k][i])));
         let size = largest(&|k| exact[k][i]);
-        // Three halvings of an error of second order scatter by less than a tenth around 2.
+        // With three halvings the order of a second-order error scatters by less than a tenth around 2.
         assert!((slope(&errors) - 2.0).abs() < 0.1 && errors[0].1 < 1e-2 * size, "{i}: {errors:?} of {size}");
     }
 }

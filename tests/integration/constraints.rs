@@ -16,13 +16,13 @@ fn along<const K: usize>(q: &Coordinates, direction: &Coordinates, f: impl Fn(&C
     (moved(step) - moved(-step)) / (2.0 * step)
 }
 
-/// NaN, which the norm passes over, counts as infinite.
+/// Counts NaN, which the norm ignores, as infinite.
 fn largest_difference<const K: usize>(x: Vector<K>, y: Vector<K>) -> f64 {
     let difference = x - y;
     if difference.is_finite() { difference.max_norm() } else { f64::INFINITY }
 }
 
-/// Calls `check` with (mechanism, q, q̇, λ) every 20 ms of two motions, one with nothing equal.
+/// Calls `check` with (mechanism, q, q̇, λ) every 20 ms of two motions, one with all links different.
 fn along_motions(check: impl Fn(&Mechanism, &Coordinates, &Coordinates, &Multipliers)) {
     for parameters in [fall_90_120(Method::I3alp), unequal()] {
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
@@ -43,7 +43,7 @@ fn the_jacobian_is_the_derivative_of_phi() {
         let phi = |q: &Coordinates| mechanism.phi(q, &mechanism.pose(q));
         let scale = v.max_norm().max(1.0);
         assert!(largest_difference(scale * along(q, &(*v / scale), phi), pose.phi_q_times(v)) < 1e-7);
-        // The transposed product is the same matrix.
+        // The transposed product uses the same matrix.
         let powers = [pose.phi_q_times(v).dot(lambda), pose.phi_q_transposed_times(lambda).dot(v)];
         assert!((powers[0] - powers[1]).abs() <= 1e-12 * (1.0 + powers[0].abs()), "{powers:?}");
     });

@@ -1,4 +1,4 @@
-//! The error-controlled explicit method on the five-bar: accuracy, communication points, inputs and parameters that change.
+//! The error-controlled explicit method on the five-bar: accuracy, communication points, changing inputs and parameters.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -25,7 +25,7 @@ fn balance(simulation: &Simulation) -> f64 {
     observers::energies(simulation.model(), &simulation.state()).error.abs()
 }
 
-/// The errors that `docs/scope.md` states for 1 s of fall-90-120; the report measures their cost.
+/// The errors stated in `docs/scope.md` for 1 s of fall-90-120; the report measures their cost.
 #[test]
 fn the_goals_of_accuracy_are_met() {
     let reference = Reference::read("fall-90-120").pop().expect("rows");
@@ -37,7 +37,7 @@ fn the_goals_of_accuracy_are_met() {
     }
 }
 
-/// Every row of the quadruple-precision files, by a run that never stops at one.
+/// Every row of the quadruple-precision files, in a run without intermediate stops.
 #[test]
 fn reference_solutions_are_met() {
     let (pulled, pull) = torque();
@@ -51,14 +51,14 @@ fn reference_solutions_are_met() {
             let (q, v) = row.coordinates(&simulation.model().mechanism.geometry);
             let core = &simulation.state().core;
             let (angle, rate) = (angle_error(&core.q, &q), angle_error(&core.v, &v));
-            // Local errors of 1e-13 rad, which the whips amplify some hundred times.
+            // Local errors of 1e-13 rad, amplified some hundred times by fast passages.
             assert!(tip_error(&simulation, row.tip) < 1e-10, "{name}, t = {}: tip", row.t);
             assert!(angle < 1e-9 && rate < 1e-7, "{name}, t = {}: {angle:e} rad, {rate:e} rad/s", row.t);
         }
     }
 }
 
-/// In other coordinates, by another method: the same motion, also with unequal links, offset masses and coaxial motors.
+/// The same motion as another method in other coordinates, also with unequal links, offset masses and coaxial motors.
 #[test]
 fn it_agrees_with_i3alp() {
     let loads = Inputs { tau: [0.02, -0.01], tip_force: [0.1, 0.05], ..default_inputs() };
@@ -79,15 +79,14 @@ fn it_agrees_with_i3alp() {
         // Bound: the error of i3-ALP at a local error of 1e-13 rad (`accuracy.rs`).
         let error = (0..4).map(|i| (a.angles()[i] - b.angles()[i]).abs()).fold(0.0, f64::max);
         assert!(error < 1e-5, "{name}: {error:e} rad");
-        // Reactions belong to accelerations, which whips of some 1e3 /s² make of the error in the angles.
+        // Reactions follow from accelerations; in fast passages of some 1e3 /s² these amplify errors of the angles.
         for (f, g) in observers::reactions(implicit.model(), &a).into_iter().zip(observers::reactions(explicit.model(), &b)) {
             assert!((f - g).norm() < 1e-3 * (1.0 + f.norm()), "{name}: {f} {g}");
         }
     }
 }
 
-/// Communication points leave no trace: a master that looks every millisecond sees, to the bit, the states of one that looks every
-/// 50.
+/// Communication points do not change the result: a master that reads every millisecond sees the same bits as one that reads every 50 ms.
 #[test]
 fn communication_points_on_the_grid_leave_no_trace() {
     let inputs = Inputs { tau: [0.05, 0.0], ..default_inputs() };
@@ -100,12 +99,12 @@ fn communication_points_on_the_grid_leave_no_trace() {
         (simulation.state().core, simulation.state().turns)
     });
     assert!(ends.iter().all(|end| *end == ends[0]));
-    // The steps are those that the error asks for, not a thousand.
+    // The error determines the number of steps, which is far below a thousand.
     let counters = ends[0].0.counters;
     assert!(counters.substeps < 300 && counters.steps == 1000, "{counters:?}");
 }
 
-/// Off the grid of macro steps only the rounding of the time differs.
+/// Off the grid of macro steps only the rounding of times differs.
 #[test]
 fn communication_points_off_the_grid_leave_rounding_only() {
     let inputs = default_inputs();
@@ -119,7 +118,7 @@ fn communication_points_off_the_grid_leave_rounding_only() {
     assert!(error < 1e-11, "{error:e} rad");
 }
 
-/// Outputs inside a step meet the constraints as its ends do, with accelerations and the energy that belong to them.
+/// Outputs inside a step meet the constraints like its ends, with matching accelerations and energy.
 #[test]
 fn interpolated_outputs_are_on_the_constraints() {
     for tolerance in [1e-6, 1e-10] {
@@ -127,16 +126,16 @@ fn interpolated_outputs_are_on_the_constraints() {
         for _ in 0..1000 {
             simulation.advance(&default_inputs(), 1e-3, 1).expect("step");
             let norms = observers::constraint_norms(simulation.model(), &simulation.state());
-            // Round-off of positions of 0.4 m and velocities of some m/s; accelerations of 1e3 m/s² relax e = 1e-12 of themselves.
+            // Round-off of positions of 0.4 m and velocities of some m/s; e relaxes accelerations of 1e3 m/s² by a relative 1e-12.
             assert!(norms.position < 1e-14 && norms.velocity < 1e-13 && norms.acceleration < 1e-8, "{norms:?}");
-            // The interpolant has one order less than the step.
+            // The interpolant is one order lower than the step.
             assert!(balance(&simulation) < 1e3 * tolerance * MGL, "{:e} J", balance(&simulation));
         }
     }
 }
 
-/// If one iteration does not bring the interpolant of a long step onto the constraints, outputs show the interpolant itself,
-/// whose error is the method's, and the norms say so; the run continues undisturbed.
+/// If one iteration does not project the interpolant of a long step onto the constraints, outputs show the interpolant itself. Its error is
+/// the method's, the norms report it, and the run continues undisturbed.
 #[test]
 fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
     let seen = |iterations: u32| {
@@ -151,13 +150,13 @@ fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
         }
         worst
     };
-    // Round-off; some hundred times the tolerance of 1e-4 rad, on links of 0.21 m.
+    // Round-off; then some hundred times the tolerance of 1e-4 rad, on links of 0.21 m.
     assert!(seen(10) < 1e-14, "{:e} m", seen(10));
     let interpolated = seen(1);
     assert!(1e-12 < interpolated && interpolated < 2e-3, "{interpolated:e} m");
 }
 
-/// A copy in the middle of a step goes on bit for bit.
+/// A copy in the middle of a step continues with the same bits.
 #[test]
 fn a_copy_goes_on_to_the_same_bits() {
     let inputs = default_inputs();
@@ -172,8 +171,8 @@ fn a_copy_goes_on_to_the_same_bits() {
     }
 }
 
-/// Inputs that change at every communication point: each step then ends there, and the run is as exact as one with a far tighter
-/// tolerance; work and energy balance.
+/// Inputs that change at every communication point: each step then ends there, and the run is as accurate as with a much smaller tolerance;
+/// work and energy balance.
 #[test]
 fn changing_inputs_are_met_exactly() {
     let mut parameters = default_parameters();
@@ -200,8 +199,8 @@ fn changing_inputs_are_met_exactly() {
     assert!(energies.input.abs() > 0.01 * MGL && energies.error.abs() < 1e-6 * MGL, "{energies:?}");
 }
 
-/// Inputs that change every so many macro steps: after the first changes no step is made in vain, however the calls divide the time,
-/// and the motion is exact.
+/// Inputs that change every few macro steps: after the first changes no step is wasted, however calls divide the time, and the motion is
+/// accurate.
 #[test]
 fn inputs_that_change_again_and_again_waste_no_steps() {
     let end = |tolerance: f64, every: u64, calls: u64| {
@@ -217,7 +216,7 @@ fn inputs_that_change_again_and_again_waste_no_steps() {
     for every in [1, 10] {
         let simulation = end(1e-9, every, 1);
         let counters = simulation.state().core.counters;
-        // The first change finds a step that runs past it, and every start a first step that may be too long.
+        // The first change interrupts a step that passes it; every restart may try a first step that is too long.
         assert!(counters.substeps >= 200 / every && counters.rejected < 10, "every {every}: {counters:?}");
         // Steps of 1e-9 rad, amplified by the motion.
         let error = angle_error(&simulation.state().core.q, &end(1e-13, every, 1).state().core.q);
@@ -226,7 +225,7 @@ fn inputs_that_change_again_and_again_waste_no_steps() {
     assert_eq!(end(1e-9, 10, 1).state().core, end(1e-9, 10, 10).state().core);
 }
 
-/// A ramp of inputs: steps end where the held value changes, and none is made in vain.
+/// A ramp of inputs: steps end at each change of the input, and none is wasted.
 #[test]
 fn ramps_waste_no_steps() {
     let mut simulation = fall(1e-9);
@@ -238,20 +237,20 @@ fn ramps_waste_no_steps() {
     assert!(balance(&simulation) < 1e-7 * MGL, "{:e} J", balance(&simulation));
 }
 
-/// The work of a constant torque, by the method's own weights and its interpolant: the balance is as good as the motion.
+/// The work of a constant torque, by the method's own weights and interpolant: the balance is as accurate as the motion.
 #[test]
 fn work_is_of_the_methods_order() {
     let (parameters, pull) = torque();
     let mut simulation = ready(parameters, 1e-11, &pull);
     for _ in 0..1000 {
         simulation.advance(&pull, 1e-3, 1).expect("step");
-        // Energies reach 40 mgL, and are as exact as the interpolated rates, some 100 times the tolerance.
+        // Energies reach 40 mgL, with the accuracy of the interpolated rates, some 100 times the tolerance.
         assert!(balance(&simulation) < 1e-7 * MGL, "{:e} J", balance(&simulation));
     }
     assert!(simulation.state().core.work.input > MGL);
 }
 
-/// A parameter that is tuned inside a step acts from there on, and the energy that it adds counts.
+/// A parameter tuned inside a step acts from then on, and the energy that it adds is counted.
 #[test]
 fn tuning_is_met_exactly() {
     let end = |tolerance: f64| {
@@ -271,7 +270,7 @@ fn tuning_is_met_exactly() {
     assert!(error < 1e-7 && balance(&coarse) < 1e-6 * MGL, "{error:e} rad, {:e} J", balance(&coarse));
 }
 
-/// Perturbed falls of 50 s: the goal for 200 of them, on a few; the battery of hard cases runs a thousand. Not stiff.
+/// Perturbed falls of 50 s: the target for 200 of them, on a few; the battery of hard cases runs a thousand. Not stiff.
 #[test]
 fn perturbed_falls_keep_their_energy() {
     for (left, right) in [(-0.03, 0.1), (-0.004, 0.2), (0.001, 0.002), (-0.25, -0.11)] {
@@ -286,25 +285,25 @@ fn perturbed_falls_keep_their_energy() {
     }
 }
 
-/// Whole turns leave the angles' digits: a folded leg that whirls stays as exact as it began.
+/// Whole turns do not cost digits of the angles: a rotating folded leg keeps its initial accuracy.
 #[test]
 fn many_turns_lose_no_digits() {
     let mut parameters = default_parameters();
     parameters.effects.gravity.enabled = false;
-    // Left elbow out, tip back on the left motor, right leg stretched: one degree of freedom, without loads uniform.
+    // Left elbow out, tip back on the left motor, right leg stretched: one degree of freedom, uniform motion without loads.
     let [theta, omega] = [[0.3, 0.3 + std::f64::consts::PI, std::f64::consts::PI, std::f64::consts::PI], [20.0, 20.0, 0.0, 0.0]];
     let parameters = explicit(parameters, 1e-10);
     let mut simulation = Simulation::at(&parameters, &default_inputs(), theta, omega).expect("scene");
     run(&mut simulation, &default_inputs(), 1e-3, 5.0);
     let turned = simulation.state().angles()[0] - theta[0];
-    // Without round-off 100 rad. The branch is unstable: some 30 passes through vertices let round-off grow.
+    // Without round-off exactly 100 rad. The branch is unstable: some 30 passages of vertices amplify round-off.
     assert!((turned - 100.0).abs() < 1e-9, "{turned}");
     let norms = observers::constraint_norms(simulation.model(), &simulation.state());
     assert!(norms.position < 1e-14 && simulation.state().turns[0] >= 12, "{norms:?}");
 }
 
-/// A rhombus with both motors on one axis that whips through its straight postures, where the closure of the tip loses rank and three
-/// branches of it meet.
+/// A rhombus with coaxial motors that moves fast through its straight postures, at which the closure of the tip loses rank and its three
+/// branches meet.
 fn rhombus() -> Parameters {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;
@@ -313,14 +312,14 @@ fn rhombus() -> Parameters {
     parameters
 }
 
-/// How far opposite links are from being parallel, rad.
+/// Deviation of opposite links from being parallel, rad.
 fn opposite(simulation: &Simulation) -> f64 {
     let [left, distal_left, distal_right, right] = simulation.state().angles();
     f64::max((left - distal_right).sin().abs(), (right - distal_left).sin().abs())
 }
 
-/// A motion stays on its branch, where nothing is singular. With the closure of the tip and a larger e, the same second lost 1.6e-7 J at
-/// 1e-10 rad, 4.4e-5 J at 1e-12 and 1.7e-3 J at 1e-13 rad, in 27,078 sub-steps.
+/// A motion stays on its branch, on which nothing is singular. With the closure of the tip and a larger e the same second would lose
+/// 1.6e-7 J at 1e-10 rad, 4.4e-5 J at 1e-12 and 1.7e-3 J at 1e-13 rad, in 27,078 sub-steps.
 #[test]
 fn coaxial_machines_pass_their_straight_postures() {
     for (tolerance, energy) in [(1e-8, 2e-7), (1e-10, 1e-9), (1e-12, 2e-11), (1e-13, 1e-11)] {
@@ -330,7 +329,7 @@ fn coaxial_machines_pass_their_straight_postures() {
         for _ in 0..1000 {
             simulation.advance(&default_inputs(), 1e-3, 1).expect("a step");
             assert!(balance(&simulation) < energy, "{tolerance:e} rad: {:e} J", balance(&simulation));
-            // Some turns, which round off.
+            // Round-off of some turns.
             assert!(opposite(&simulation) < 1e-12, "{:e} rad", opposite(&simulation));
             let [left, distal_left, ..] = simulation.state().angles();
             let now = (left - distal_left).sin().signum();
@@ -342,7 +341,7 @@ fn coaxial_machines_pass_their_straight_postures() {
     }
 }
 
-/// The legs on each other, and both folded with the tip on the motors: the other branches of the same closure are kept as well.
+/// Coincident legs, and both legs folded with the tip on the motors: motions also stay on these branches of the same closure.
 #[test]
 fn coaxial_machines_stay_on_their_branch() {
     use std::f64::consts::PI;
@@ -364,8 +363,8 @@ fn coaxial_machines_stay_on_their_branch() {
     }
 }
 
-/// i3-ALP steps over the straight posture, unless a macro step ends there: in its twelve coordinates the closure is next to singular then.
-/// Calls that end at the very instant, and up to 10 µs beside it, go on, and the energy is kept.
+/// i3-ALP steps over the straight posture unless a macro step ends there; then the closure in its twelve coordinates is nearly singular.
+/// Calls that end exactly at this instant, and up to 10 µs beside it, continue and conserve the energy.
 #[test]
 fn i3alp_may_end_where_coaxial_links_are_in_line() {
     let mut scene = rhombus();
@@ -376,7 +375,7 @@ fn i3alp_may_end_where_coaxial_links_are_in_line() {
         simulation.advance(&default_inputs(), time, 1).expect("a step");
         side(&simulation)
     };
-    // The first time that the leg is straight.
+    // The first time at which the leg is straight.
     let first = follow(1e-3);
     let mut after = 1e-3;
     while follow(after) * first > 0.0 {

@@ -1,4 +1,4 @@
-//! The dual form is the paper's penalty step: the same numbers, by dense matrices written down from the paper's equations.
+//! The dual form equals the paper's penalty step, written as dense matrices from the paper's equations.
 
 use fivebar::effects::Mode;
 use fivebar::integrator::{self, Kkt, System, i3alp};
@@ -15,11 +15,11 @@ use crate::support::{fall_90_120, unequal};
 type Vector<const K: usize> = SVector<f64, K>;
 type Matrix<const R: usize, const C: usize> = SMatrix<f64, R, C>;
 
-/// κ at which the penalty form is still well conditioned: αβ/m̄ = 1e6.
+/// κ with a well-conditioned penalty form: αβ/m̄ = 1e6.
 const KAPPA: f64 = 1e6;
 
-/// One step of the paper (`docs/method.md`, section 2): penalty α, exact tangent, λ* ← λ* + αΦ, two passes of each projection, all in dense matrices.
-/// Loads here do not depend on q or q̇, so that K = C = 0 but for the geometric stiffness.
+/// One step of the paper (`docs/method.md`, section 2): penalty α, exact tangent, λ* ← λ* + αΦ, two passes of each projection, all with
+/// dense matrices. The loads do not depend on q or q̇, so that K = C = 0 apart from the geometric stiffness.
 fn penalty_step(
     model: &Model,
     inputs: &Inputs,
@@ -47,7 +47,7 @@ fn penalty_step(
         let residual = (mass * a + jacobian.transpose() * (phi * alpha + multipliers) - force) * beta;
         let mut tangent = mass + jacobian.transpose() * jacobian * (alpha * beta);
         let total = Multipliers::from(<[f64; MULTIPLIERS]>::from(phi * alpha + multipliers));
-        // ∂(Φ_qᵀλ)/∂q by central differences: independent of the formula under test.
+        // ∂(Φ_qᵀλ)/∂q by central differences, independent of the tested formula.
         for j in 0..COORDINATES {
             let moved = |step: f64| {
                 let mut q = Coordinates::from(<[f64; COORDINATES]>::from(q));
@@ -60,7 +60,7 @@ fn penalty_step(
         multipliers += at(&q).1 * alpha;
     }
 
-    // Projections in the mass metric, twice each, on the corrections.
+    // Projections in the mass metric, two passes each, on the corrections.
     let (jacobian, _, force, pose) = at(&q);
     let projector = (mass + jacobian.transpose() * jacobian * (alpha * beta)).lu();
     let mut v = (q - q0) * (2.0 / h) - v0;
@@ -89,7 +89,7 @@ fn penalty_and_dual_steps_agree() {
             simulation.advance(&inputs, 1e-3, 40).expect("steps");
             let model = simulation.model();
             let mut dual = simulation.state().core;
-            // The penalty step starts from q + h q̇ + h²/2 q̈: no extrapolated increment.
+            // The penalty step starts from q + h q̇ + h²/2 q̈, without extrapolation of the increment.
             dual.jerk = Coordinates::ZERO;
             let penalty = penalty_step(model, &inputs, &dual, h);
             let settings = i3alp::Settings {
@@ -104,8 +104,8 @@ fn penalty_and_dual_steps_agree() {
             };
             let system = FiveBar::new(model, &inputs, &[0; 4]).in_form::<true>();
             i3alp::MacroStep::of(h).advance(&system, &settings, &mut dual, &mut { Mode::OF_STATE }).expect("step");
-            // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6 leaves
-            // 1e-6 of the violation, itself below 1e-6 of the velocity.
+            // Round-off of the penalty form is κ ε = 2e-10 of velocities and accelerations. One projection at κ = 1e6 leaves 1e-6 of the
+            // violation, which is itself below 1e-6 of the velocity.
             for ((what, bound), (dual, penalty)) in
                 [("q", 1e-12), ("q̇", 1e-8), ("q̈", 1e-4)].into_iter().zip([dual.q, dual.v, dual.a].into_iter().zip(penalty))
             {

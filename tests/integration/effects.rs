@@ -1,4 +1,4 @@
-//! Every effect: its tangents and its power against finite differences, its energy along the path, and its absence.
+//! Every effect: tangents and power against finite differences, energy along the path, and absence.
 
 use std::f64::consts::PI;
 
@@ -18,7 +18,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::{MGL, angle_error, enable, run, slope, unequal};
 
-/// A scene whose effects all act and are smooth over some 0.1 s: wide ramps, a plane and stops that are reached, servos in their
+/// A scene in which all effects, once enabled, act and are smooth for some 0.1 s: wide ramps, contact with plane and stops, servos in their
 /// linear range. Nothing is enabled yet.
 fn acting() -> Parameters {
     let mut parameters = unequal();
@@ -42,7 +42,7 @@ fn references() -> Inputs {
     Inputs { servo_theta: [1.0, 2.0], servo_omega: [0.5, -0.5], tip_force: [0.1, -0.2], tau: [0.01, 0.02] }
 }
 
-/// The scene with each effect alone, and with all at once.
+/// The scene with each effect alone, and with all of them.
 fn each_and_all() -> Vec<(String, Parameters)> {
     let mut scenes: Vec<(String, Parameters)> = NAMES
         .iter()
@@ -58,7 +58,7 @@ fn each_and_all() -> Vec<(String, Parameters)> {
     scenes
 }
 
-/// States scattered over angles of ±3 rad, positions of ±0.5 m, rates of ±4 rad/s and ±1 m/s.
+/// Random states with angles of ±3 rad, positions of ±0.5 m, rates of ±4 rad/s and ±1 m/s.
 fn random_states(count: usize) -> Vec<(Coordinates, Coordinates)> {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let mut scattered = |angle: f64, length: f64| -> Coordinates {
@@ -77,7 +77,7 @@ fn difference(x: &Coordinates, j: usize, f: impl Fn(&Coordinates) -> Coordinates
     (moved(step) - moved(-step)) / (2.0 * step)
 }
 
-/// K = −∂Q/∂q and C = −∂Q/∂q̇ against central differences. They are taken out of the weight W(h) = M + h/2 C + h²/4 K.
+/// K = −∂Q/∂q and C = −∂Q/∂q̇ against central differences; both are extracted from the weight W(h) = M + h/2 C + h²/4 K.
 #[test]
 fn tangents_are_derivatives_of_forces() {
     for (name, parameters) in each_and_all() {
@@ -107,8 +107,8 @@ fn tangents_are_derivatives_of_forces() {
     }
 }
 
-/// The power of all forces, Q·q̇, is the input power minus the dissipated power minus the growth of the potential; and the
-/// dissipated power is never negative.
+/// The power of all forces, Q·q̇, equals input power minus dissipated power minus the growth of the potential; the dissipated power is
+/// never negative.
 #[test]
 fn powers_and_potentials_account_for_every_force() {
     for (name, parameters) in each_and_all() {
@@ -133,7 +133,7 @@ fn powers_and_potentials_account_for_every_force() {
     }
 }
 
-/// Kinetic + potential + dissipated − input closes with the order of the method, two, for every effect and for all at once.
+/// Kinetic + potential + dissipated − input is constant to the method's order, two, for each effect and for all at once.
 #[test]
 fn the_energy_balance_closes_with_the_order_of_the_method() {
     for (name, mut parameters) in each_and_all() {
@@ -151,7 +151,7 @@ fn the_energy_balance_closes_with_the_order_of_the_method() {
     }
 }
 
-/// Methods that share nothing but the forces find the same motion: tangents and effects fit together along the path.
+/// Methods that share only the forces find the same motion: tangents and effects are consistent along the path.
 #[test]
 fn methods_agree_with_all_effects_on() {
     let end = |method: Method, h: f64| {
@@ -165,7 +165,7 @@ fn methods_agree_with_all_effects_on() {
     let implicit = end(Method::I3alp, 1e-3);
     for explicit in [end(Method::Rk4, 1e-4), end(Method::Dop853, 1e-3)] {
         for (a, b) in implicit.0.into_iter().zip(explicit.0) {
-            // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
+            // Some 1e4 sub-steps with local errors of 1e-11 rad.
             assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
         }
         assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
@@ -173,7 +173,7 @@ fn methods_agree_with_all_effects_on() {
     }
 }
 
-/// q after 0.3 s of fixed 1 ms steps with a linear solve, in the form for the bare mechanism or in that for any scene.
+/// q after 0.3 s of fixed 1 ms steps with a linear solve, in the bare form or in the form for any scene.
 fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve) -> Coordinates {
     let mut model = scene.model().clone();
     model.solver = LinearSolver::new(solve, &model.mechanism, model.regularization);
@@ -187,8 +187,8 @@ fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve
     core.q
 }
 
-/// The linear solves are the same step but for round-off, which the motion lets grow: leg by leg without effects, and where effects couple
-/// links in every way. The form for the bare mechanism is the same to the bit.
+/// The linear solves give the same step up to round-off, which the motion amplifies: leg by leg without effects, and with effects that
+/// couple links in every way. The bare form has the same bits.
 #[test]
 fn the_linear_solves_agree() {
     let mut parameters = unequal();
@@ -208,11 +208,11 @@ fn the_linear_solves_agree() {
     assert!(error < 1e-10, "{error:e} rad");
 }
 
-/// Mirrored mechanism, effects and loads: mirrored motion.
+/// A mirrored mechanism with mirrored effects and loads has the mirrored motion.
 #[test]
 fn mirrored_effects_give_the_mirrored_motion() {
     let (_, mut parameters) = each_and_all().pop().expect("all");
-    // Link angles with the side that carries the effect: the payload is on the tip of both.
+    // Link angles from the side that carries the effect: the payload is on the tip of both.
     let angles = |parameters: &Parameters, inputs: &Inputs| {
         let mut simulation = Simulation::new(parameters, inputs).expect("scene");
         run(&mut simulation, inputs, 1e-3, 0.3);
@@ -247,12 +247,12 @@ fn mirrored_effects_give_the_mirrored_motion() {
     };
     let here = angles(&parameters, &mirrored);
     for (i, j) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
-        // Not the same sub-steps to the last bit: as two runs of the method at its default tolerance.
+        // Sub-steps differ in the last bits, so ends differ like two runs at the default tolerance.
         assert!((there[i] + here[j] - PI).abs() < 1e-6, "{there:?} {here:?}");
     }
 }
 
-/// Off is absent: not in the list, and no value of its parameters changes a bit.
+/// A disabled effect is absent: it is not in the list, and no value of its parameters changes a bit.
 #[test]
 fn what_is_off_is_not_there() {
     let bits = |parameters: &Parameters| {
@@ -265,7 +265,7 @@ fn what_is_off_is_not_there() {
     assert_eq!(bare.1, ["gravity"]);
     parameters.effects = acting().effects;
     parameters.effects.gravity.enabled = true;
-    // Nonsense that is refused where the effect is on.
+    // Invalid values, refused if the effect is enabled.
     parameters.effects.friction.breakaway[0] = -1.0;
     parameters.effects.stop.lower = [5.0; 2];
     parameters.effects.contact.ny = 0.0;

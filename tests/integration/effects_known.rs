@@ -1,9 +1,9 @@
-//! Effects against results known without our code.
+//! Effects against solutions known without our code.
 //!
-//! Several tests use a single leg: the right leg stretched from its motor to the left motor, the left leg folded. The tip lies on the
-//! left motor axis, and the folded leg whirls about it alone, with inertia I = I₁ + m₁ c₁² + I₂ + m₂ (L₁ − c₂)², between the vertices
-//! at 0 and π. Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would make the stretched leg buckle; torques on
-//! joints 4 and 5 keep it straight.
+//! Several tests use a single leg: the right leg is stretched from its motor to the left motor, the left leg folded. The tip is on the left
+//! motor axis, and only the folded leg turns about it, with inertia I = I₁ + m₁ c₁² + I₂ + m₂ (L₁ − c₂)², between the vertices at 0 and π.
+//! Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would buckle the stretched leg; torques on joints 4 and 5 keep it
+//! straight.
 
 use std::f64::consts::PI;
 
@@ -31,7 +31,7 @@ fn whirling(parameters: &Parameters, inputs: &Inputs, angle: f64, rate: f64) -> 
     Simulation::at(parameters, inputs, [angle, angle + PI, PI, PI], [rate, rate, 0.0, 0.0]).expect("a folded leg")
 }
 
-/// Angle and rate of the leg; the stretched leg has not moved.
+/// Angle and rate of the leg; checks that the stretched leg has not moved.
 fn leg(simulation: &Simulation) -> (f64, f64) {
     let motion = observers::motion(simulation.model(), &simulation.state());
     assert!((motion.theta[2] - PI).abs() < 1e-9 && (motion.theta[3] - PI).abs() < 1e-9, "{motion:?}");
@@ -61,7 +61,7 @@ fn viscous_friction_slows_a_single_leg_exponentially() {
     }
 }
 
-/// I ω̇ = −T_c tanh(ω/w_c): sinh(ω/w_c) = sinh(ω₀/w_c) exp(−T_c t/(I w_c)): an even deceleration T_c/I, then a stop.
+/// I ω̇ = −T_c tanh(ω/w_c): sinh(ω/w_c) = sinh(ω₀/w_c) exp(−T_c t/(I w_c)), a constant deceleration T_c/I, then a stop.
 #[test]
 fn coulomb_friction_slides_evenly_and_stops() {
     let mut parameters = single_leg();
@@ -88,7 +88,7 @@ fn coulomb_friction_slides_evenly_and_stops() {
     run(&mut simulation, &default_inputs(), 1e-3, 0.2);
     let (angle, rate) = leg(&simulation);
     assert!(rate.abs() < 1e-8, "stopped: {rate} rad/s");
-    // The energy it had has become heat: T_c times the way slid.
+    // The initial energy is dissipated: T_c times the sliding distance.
     let initial = inertia(&parameters) * 12.5;
     assert!((energies(&simulation).dissipated - initial).abs() < 1e-5 * initial, "{:?}", energies(&simulation));
     assert!((torque * (angle - 0.4) - initial).abs() < 1e-3 * initial, "{angle} rad");
@@ -110,13 +110,13 @@ fn a_spring_swings_a_single_leg_at_its_frequency() {
         assert!((angle - PI / 2.0 - 0.8 * phase.cos()).abs() < 3e-5, "{i}: {angle} rad");
         assert!((rate + 0.8 * frequency * phase.sin()).abs() < 3e-4, "{i}: {rate} rad/s");
     }
-    // The spring is stretched by 2π more after a whole turn.
+    // After a whole turn the spring is wound by 2π more.
     let turned = whirling(&parameters, &default_inputs(), PI / 2.0 + 2.0 * PI + 0.8, 0.0);
     let potential = 0.05 / 2.0 * (2.0 * PI + 0.8f64).powi(2);
     assert!((energies(&turned).potential - potential).abs() < 1e-12 * potential, "{:?}", energies(&turned));
 }
 
-/// Unsaturated, the servo is a spring and a damper: I ë + kd ė + kp e = 0.
+/// Below saturation the servo is a spring and a damper: I ë + kd ė + kp e = 0.
 #[test]
 fn a_servo_answers_a_step_like_a_second_order_system() {
     let mut parameters = single_leg();
@@ -138,7 +138,7 @@ fn a_servo_answers_a_step_like_a_second_order_system() {
         let (angle, rate) = leg(&simulation);
         assert!((torque - (0.2 * (1.2 - angle) - 4e-3 * rate)).abs() < 1e-9, "{torque} N.m");
     }
-    // The spring's work is in the balance: the leg keeps next to no energy, the servo has taken back the rest.
+    // The balance includes the servo's work: the leg keeps almost no energy, the servo has taken the rest.
     assert!(energies(&simulation).error.abs() < 1e-5 * 0.1 * 0.25, "{:?}", energies(&simulation));
     // A saturated servo gives its limit.
     parameters.effects.servo.limit = [0.01, 1.0];
@@ -147,8 +147,8 @@ fn a_servo_answers_a_step_like_a_second_order_system() {
     assert!((torque - 0.01 * 10f64.tanh()).abs() < 1e-12, "{torque} N.m");
 }
 
-/// A stop gives back no more than it took: all of it without damping; with little damping, ζ = d/(2√(k I)), exp(−2πζ) of it (a half
-/// swing of a damped oscillator); with much next to nothing.
+/// A stop returns no more energy than it took: all of it without damping; with little damping, ζ = d/(2√(k I)), a fraction exp(−2πζ) (half
+/// a period of a damped oscillator); with strong damping almost none.
 #[test]
 fn a_stop_returns_no_more_energy_than_it_took() {
     for damping in [0.0, 0.005, 0.02, 1.0] {
@@ -169,13 +169,13 @@ fn a_stop_returns_no_more_energy_than_it_took() {
         let kept = energies(&simulation).kinetic / before;
         let (angle, _) = leg(&simulation);
         assert!(deepest > 1e-3 && angle < 2.0 + 1e-3, "{damping}: {angle} rad");
-        // The ramp, 1 mrad of some 30, and the end of the contact, where the damper would pull, change it by little.
+        // Two small effects: the ramp, 1 mrad of some 30, and the early end of the contact, when the damper would pull.
         let expected = (-PI * damping / (50.0 * inertia(&parameters)).sqrt()).exp();
         assert!((kept - expected).abs() < if damping == 0.0 { 1e-4 } else { 0.02 }, "{damping}: {kept} {expected}");
     }
 }
 
-/// At rest on the plane the whole machine is in balance: plane and base joints carry its weight, and the plane's share is k d.
+/// At rest on the plane the whole machine is in equilibrium: plane and base joints carry its weight, and the plane's share is k d.
 #[test]
 fn contact_at_rest_balances_the_weight() {
     let mut parameters = default_parameters();
@@ -194,7 +194,7 @@ fn contact_at_rest_balances_the_weight() {
     assert!(motion.omega.iter().all(|rate| rate.abs() < 1e-2) && force.y > 0.1, "{motion:?} {force}");
     let reactions = observers::reactions(model, state);
     let weight = (4.0 * 0.017 + 0.05) * 9.81;
-    // The remaining motion is the creep that the regularised friction allows.
+    // The remaining motion is creep of the regularised friction.
     assert!((reactions[0].y + reactions[4].y + force.y - weight).abs() < 1e-3 * weight, "{reactions:?} {force}");
     assert!((reactions[0].x + reactions[4].x + force.x).abs() < 1e-3 * weight, "{reactions:?} {force}");
     let depth = 0.2 - motion.tip.y;
@@ -202,7 +202,7 @@ fn contact_at_rest_balances_the_weight() {
     assert!(force.x.abs() <= 0.8 * force.y, "{force}");
 }
 
-/// A payload is a heavier distal link, on whichever side; kinetic energy and weight are those of a mass that moves with the tip.
+/// A payload equals a heavier distal link, on either side; kinetic energy and weight are those of a mass moving with the tip.
 #[test]
 fn a_payload_is_a_heavier_distal_link() {
     let mut loaded = unequal();
@@ -227,7 +227,7 @@ fn a_payload_is_a_heavier_distal_link() {
     let (payload, energy) = motion(&loaded);
     for link in [1, 2] {
         let (heavier, energy_of_heavier) = motion(&with_payload(link));
-        // Two sets of coordinates, and so two runs of the method, at a local error of 1e-11 rad.
+        // Different coordinates, hence two runs of the method, at a local error of 1e-11 rad.
         assert!((payload.tip - heavier.tip).norm() < 1e-6, "{link}: {} {}", payload.tip, heavier.tip);
         assert!((energy.kinetic - energy_of_heavier.kinetic).abs() < 1e-5 * MGL, "{link}");
     }
@@ -243,7 +243,7 @@ fn a_payload_is_a_heavier_distal_link() {
     );
 }
 
-/// A rotor behind a gear is a heavier proximal link's inertia.
+/// A geared rotor equals additional inertia of the proximal link.
 #[test]
 fn a_rotor_is_a_proximal_link_with_more_inertia() {
     let mut geared = fall_90_120(Method::I3alp);
@@ -257,11 +257,11 @@ fn a_rotor_is_a_proximal_link_with_more_inertia() {
         run(&mut simulation, &default_inputs(), 1e-3, 1.0);
         observers::motion(simulation.model(), &simulation.state()).tip
     };
-    // Both use one arithmetic but for one rounding of the sum.
+    // The arithmetic is the same, apart from one rounding of the sum.
     assert!((tip(&geared) - tip(&heavier)).norm() < 1e-9);
 }
 
-/// On a flat table nothing changes the kinetic energy.
+/// On a horizontal table nothing changes the kinetic energy.
 #[test]
 fn a_flat_table_keeps_the_kinetic_energy() {
     let mut parameters = unequal();
@@ -272,7 +272,7 @@ fn a_flat_table_keeps_the_kinetic_energy() {
         run(&mut simulation, &default_inputs(), 1e-3, 0.1);
         assert!((energies(&simulation).kinetic - before).abs() < 1e-4 * before, "{:?}", energies(&simulation));
     }
-    // Upright but without the effect: the same motion to the last bit.
+    // Upright but with the effect disabled: the same bits.
     parameters.effects.gravity.enabled = false;
     let mut off = Simulation::new(&parameters, &default_inputs()).expect("scene");
     run(&mut off, &default_inputs(), 1e-3, 5.0);

@@ -1,4 +1,4 @@
-//! Every scene with a reference made by tests/data/reference/make: stiff, driven, along signals, with contacts; through the C functions.
+//! Every scene with a reference from tests/data/reference/make: stiff, driven, along signals, with contacts; through the C functions.
 
 use fivebar::ffi::{fmi2ExitInitializationMode, fmi2OK};
 use fivebar::variables::Method;
@@ -7,20 +7,20 @@ use scenes::{Scene, Value, Variable};
 use crate::fmi_host::{Host, reference};
 use crate::support::Reference;
 
-/// Largest errors of tip and angles, and of rates, over all rows of the reference. Inputs that change are set at each communication
-/// point, and held to the next.
+/// Largest errors of tip and angles, and of rates, over all rows of the reference. Changing inputs are set at each communication point and
+/// stay constant until the next.
 fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     let [motion, rates, _] = errors_and_energy(scene, method, settings);
     [motion, rates]
 }
 
-/// Largest errors of motion and rates, as [`errors`], and the largest |energy.error|, J.
+/// Like [`errors`], plus the largest |energy.error|, J.
 fn errors_and_energy(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 3] {
     let [tip, angles, rates, energy] = each_error(scene, method, settings);
     [tip.max(angles), rates, energy]
 }
 
-/// Largest errors of tip, angles and rates, each apart, and the largest |energy.error|, J.
+/// Largest errors of tip, angles and rates separately, and the largest |energy.error|, J.
 fn each_error(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 4] {
     let scene = Scene::read(scene).expect("a shipped scene");
     let name = &scene.name;
@@ -70,8 +70,7 @@ fn each_error(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 4]
     worst
 }
 
-/// Work and dissipation are as exact as the motion, by all methods that follow their error: within 1 µJ at the default tolerance.
-/// Before, stops and contact left up to 5 µJ by i3-ALP; dop853 booked losses that stop and plane had not made.
+/// Work and dissipation are as accurate as the motion, by all error-controlled methods: within 1 µJ at the default tolerance.
 #[test]
 fn work_adds_up_where_forces_have_kinks() {
     let smooth = ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"];
@@ -84,7 +83,7 @@ fn work_adds_up_where_forces_have_kinks() {
     }
 }
 
-/// Energy balance at 1e-12 rad: within 1 nJ. Steps of i3-ALP by themselves would add up to 1.6 to 3.1 nJ in these scenes.
+/// Energy balance within 1 nJ at 1e-12 rad. The steps of i3-ALP alone would add up to 1.6 to 3.1 nJ in these scenes.
 #[test]
 fn work_adds_up_at_a_tight_tolerance() {
     for scene in ["bounce", "haptic", "servo_step", "pick_up"] {
@@ -95,8 +94,8 @@ fn work_adds_up_at_a_tight_tolerance() {
     }
 }
 
-/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and
-/// RK4 at 20 µs. Rates are off by up to 200 times as much: motions of a few ms have errors per ms.
+/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and RK4 at 20
+/// µs. Rates are off by up to 200 times as much, because motions of a few ms have errors per ms.
 fn is_met(scene: &str, bounds: [f64; 2]) {
     let runs = [(Method::I3alp, ("solver.errorTolerance", 1e-11)), (Method::Rk4, ("solver.stepSize", 2e-5))];
     for ((method, setting), bound) in runs.into_iter().zip(bounds) {
@@ -105,10 +104,10 @@ fn is_met(scene: &str, bounds: [f64; 2]) {
     }
 }
 
-/// `dop853` at tolerances from 1e-6 to 1e-12 rad: half the runs are within `typical` tolerances of the reference, the growth of
-/// single steps' errors by the motion; all of them within `worst` tolerance^(3/4). For a sharp bend of a law (a servo that leaves
-/// its saturation) inside a step may hide from the estimated error, e5²/(0.1 e3), where a smooth step at its tolerance has an e5 of
-/// some tolerance^(3/4) already (docs/explicit.md, "The step"). At the events of stops and contact steps end.
+/// `dop853` at tolerances from 1e-6 to 1e-12 rad. Half the runs are within `typical` tolerances of the reference, the growth of single
+/// errors by the motion; all are within `worst` tolerance^(3/4). A sharp bend of a law inside a step (a servo that leaves saturation) may
+/// hide from the estimated error, e5²/(0.1 e3), because a smooth step at its tolerance already has e5 of some tolerance^(3/4)
+/// (docs/explicit.md, "The step"). Steps end at the events of stops and contact.
 fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
     let mut parts: Vec<f64> = (6..=12)
         .map(|digits| {
@@ -122,8 +121,8 @@ fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
     assert!(parts[parts.len() / 2] < typical, "{scene}: errors of {parts:?} tolerances");
 }
 
-/// `automatic` at these tolerances, where schemes change: errors are within some times the bounds of `dop853`, so no digit is lost.
-/// Implicit steps leave more at a tolerance than those of order 8, which damp their estimate.
+/// `automatic` at tolerances at which schemes change: errors are within a few bounds of `dop853`, so no digit is lost. Implicit steps leave
+/// larger errors at a tolerance than steps of order 8, which damp their estimate.
 #[test]
 fn automatic_loses_no_digit() {
     for (scene, typical) in [
@@ -134,8 +133,8 @@ fn automatic_loses_no_digit() {
         ("pick_and_place", 0.45),
         ("haptic", 10.0),
     ] {
-        // The median of many tolerances: of neighbouring ones one may lead to a thousand times the error of the other, by where a
-        // step meets an event.
+        // The median over many tolerances: neighbouring ones may differ a thousandfold in error, depending on where a step meets an
+        // event.
         let mut parts: Vec<f64> = (0..=25)
             .map(|fifth| {
                 let tolerance = 10f64.powf(-6.0 - 0.2 * f64::from(fifth));
@@ -147,8 +146,8 @@ fn automatic_loses_no_digit() {
     }
 }
 
-// Bounds are about three times the errors seen. RK4 is of order 4 only where the law is smooth over a step: not at a stop, in a
-// contact or where friction turns round.
+// Bounds are about three times the observed errors. RK4 is of order 4 only if the law is smooth over a step: not at a stop, in contact or
+// when friction reverses.
 
 #[test]
 fn friction_in_all_joints() {
@@ -176,7 +175,7 @@ fn a_clamp_of_a_servo() {
     is_met("stiff_servo", [2.5e-7, 2e-13]);
 }
 
-/// A clamp at strictly fixed steps of 1 ms: it turns by 45 rad in each of them. Seen: 1.3e-4 rad, of the free links' second order.
+/// A stiff servo at fixed steps of 1 ms, which turns by 45 rad in each. Observed: 1.3e-4 rad, the second-order error of the free links.
 #[test]
 fn a_clamp_at_strictly_fixed_steps() {
     let [motion, _] = errors("stiff_servo", Method::I3alpConserving, &[("solver.stepSize", 1e-3)]);
@@ -188,7 +187,7 @@ fn servos_with_payload_along_a_path() {
     is_met("pick_and_place", [5e-9, 1.5e-13]);
 }
 
-/// A payload that is picked up at rest and let go on the way: by both programs of the reference in other equations than ours.
+/// A payload picked up at rest and released on the way, against both reference programs, which use other equations.
 #[test]
 fn a_payload_picked_up() {
     is_met("pick_up", [2e-8, 1.5e-13]);
@@ -204,7 +203,7 @@ fn a_flat_table() {
     is_met("flat_table", [3e-5, 1.6e-11]);
 }
 
-/// The symmetry of the fall is not stable: after 2 s the error of Runge-Kutta is grown round-off.
+/// The symmetric fall is unstable: after 2 s the error of Runge-Kutta is amplified round-off.
 #[test]
 fn the_fall_of_the_paper() {
     is_met("paper_free_fall", [1.4e-6, 1.5e-7]);
@@ -235,8 +234,8 @@ fn a_tip_that_bounces() {
     is_met("bounce", [2.5e-7, 6e-6]);
 }
 
-/// The explicit method reaches a nanometre where forces have sharp curvature or events as well, by these tolerances and by each
-/// that is a tenth of the one before: the order holds.
+/// The explicit method reaches a nanometre also with sharply curved forces or events, at these tolerances and at each tenth of them: the
+/// order holds.
 #[test]
 fn dop853_reaches_a_nanometre() {
     for (scene, coarsest) in [
@@ -256,8 +255,8 @@ fn dop853_reaches_a_nanometre() {
     }
 }
 
-/// Steps across friction's sharp curvature and out of a servo's saturation are judged rightly: no tolerance is an unlucky one. By
-/// one estimate errors of the tip on `run_down` at 1e-8 rad were 2,660 tolerances in a second.
+/// Steps across friction's sharp curvature and out of a servo's saturation are judged correctly, at every tolerance. With a single
+/// estimate, errors of the tip on `run_down` at 1e-8 rad would reach 2,660 tolerances in a second.
 #[test]
 fn bends_are_seen() {
     for scene in ["run_down", "friction_fall", "servo_friction", "servo_step"] {
@@ -270,7 +269,7 @@ fn bends_are_seen() {
     }
 }
 
-// Bounds are about three times the ratios seen, as above.
+// Bounds are about three times the observed ratios, as above.
 
 #[test]
 fn dop853_leaves_saturation() {
@@ -294,19 +293,19 @@ fn dop853_bounces() {
 
 #[test]
 fn dop853_follows_inputs() {
-    // The worst is at rest between the moves, where steps are as long as the servos' decay lets them be.
+    // The worst case is the rest between moves, when steps are as long as the decay of the servos permits.
     is_met_by_dop853("pick_and_place", 0.03, 0.45);
     is_met_by_dop853("pick_up", 0.03, 0.45);
     is_met_by_dop853("haptic", 2.5, 0.1);
 }
 
-/// Dry friction that sticks, by both methods that take it: at their default tolerance and at 1e-12 rad, errors of tip and angles, m
-/// and rad. i3-ALP is of second order; the explicit method's error is that of a fall whose rates stop at 1e-11 rad/s.
+/// Dry friction that sticks, by both methods that support it: errors of tip and angles, m and rad, at the default tolerance and at 1e-12
+/// rad. i3-ALP is of second order; the explicit method's error is that of a fall in which rates stop at 1e-11 rad/s.
 fn sticks(scene: &str, bounds: [[f64; 2]; 2]) {
     for (method, bounds) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
         for (tolerance, bound) in [3e-9, 1e-12].into_iter().zip(bounds) {
-            // The errors of the explicit method at neighbouring tolerances differ by up to a hundred times, by where a step meets an event:
-            // the median of nine within 4 %, and the worst of them within ten bounds.
+            // Errors of the explicit method at neighbouring tolerances differ by up to a hundred times, depending on where a step meets an
+            // event: the median of nine within 4 %, and the worst of them within ten bounds.
             let neighbours = if method == Method::Dop853 && tolerance > 1e-9 { -4..=4 } else { 0..=0 };
             let mut seen: Vec<[f64; 3]> = neighbours
                 .map(|percent| {
@@ -338,8 +337,8 @@ fn a_handle_that_sticks_to_a_wall() {
     sticks("haptic_stick", [[6e-6, 5e-8], [1.2e-7, 2e-12]]);
 }
 
-/// At loose tolerances all joints come close to rest at once, and no place changes its direction without end. Errors, m or rad: those of i3-ALP at
-/// 1e-3 rad, of second order, and of the explicit methods by where places stop, whose rates of 1e-6 rad/s count as rest.
+/// At loose tolerances all joints come close to rest at once, and no place changes its direction endlessly. Errors, m or rad: second-order
+/// errors of i3-ALP at 1e-3 rad; in the explicit methods, errors of where places stop, because rates of 1e-6 rad/s count as rest.
 #[test]
 fn a_handle_that_nearly_stops() {
     for (method, bound) in [(Method::I3alp, 4e-4), (Method::Dop853, 2e-5), (Method::Automatic, 2e-5)] {
@@ -350,7 +349,7 @@ fn a_handle_that_nearly_stops() {
     }
 }
 
-/// Jumps of 1.1 mrad: within 0.1 % of them.
+/// Jumps of 1.1 mrad, to within 0.1 %.
 #[test]
 fn a_joint_that_sticks_and_slips() {
     sticks("stick_slip", [[1.2e-7, 2e-8], [2e-7, 4e-12]]);

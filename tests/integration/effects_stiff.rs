@@ -14,7 +14,7 @@ fn table() -> Parameters {
     parameters
 }
 
-/// Below breakaway a load makes the joints creep, no faster than the slope of the law, evenly and at one sub-step per step.
+/// Below breakaway a load makes the joints creep, no faster than the slope of the law, smoothly and with one sub-step per step.
 #[test]
 fn a_load_below_breakaway_only_creeps() {
     for adaptive in [true, false] {
@@ -29,7 +29,7 @@ fn a_load_below_breakaway_only_creeps() {
         for _ in 0..1000 {
             run(&mut simulation, &inputs, 1e-3, 1e-3);
             let rate = observers::motion(simulation.model(), &simulation.state()).omega[0];
-            // T_c tanh(w/w_c) alone, at joint 1 alone, would let it creep at this rate; every other joint slows it down.
+            // T_c tanh(w/w_c) at joint 1 alone would allow this creep rate; every other joint slows it down.
             let fastest = 0.01 * (8e-4_f64 / 1e-3).atanh();
             assert!(rate > 0.0 && rate < fastest, "{rate} rad/s, at most {fastest}");
             // No chatter: the creep changes as slowly as the posture.
@@ -40,7 +40,7 @@ fn a_load_below_breakaway_only_creeps() {
     }
 }
 
-/// A swing that dies out in friction passes zero speed without chatter: the rate changes its sign once per half swing, then rests.
+/// A swing damped by friction passes zero speed without chatter: the rate changes sign once per half swing, then rests.
 #[test]
 fn friction_through_zero_speed_does_not_chatter() {
     for adaptive in [true, false] {
@@ -58,13 +58,13 @@ fn friction_through_zero_speed_does_not_chatter() {
             last = rate;
         }
         let energies = observers::energies(simulation.model(), &simulation.state());
-        // 0.05 N·m/rad against 5 mN·m of friction in all: a few swings of 0.1 s.
+        // 0.05 N·m/rad against a total friction of 5 mN·m: a few swings of 0.1 s.
         assert!((1..=40).contains(&changes), "adaptive {adaptive}: {changes} changes of sign");
         assert!(energies.kinetic < 1e-6 * MGL && last.abs() < 0.01, "adaptive {adaptive}: {last} rad/s, {energies:?}");
     }
 }
 
-/// A stop and a plane hit at 20 rad/s: no more energy than before, a balance that closes, sub-steps that show.
+/// A stop and a plane hit at 20 rad/s: no energy gain, a closed balance, and counted sub-steps.
 #[test]
 fn stops_and_contact_are_hit_at_20_rad_per_s() {
     for effect in ["stop", "contact"] {
@@ -90,7 +90,7 @@ fn stops_and_contact_are_hit_at_20_rad_per_s() {
     }
 }
 
-/// A servo with 1e3 N·m/rad against the paper's links: 1.4 kHz. It reaches its reference and stays there.
+/// A servo of 1e3 N·m/rad on the paper's links, 1.4 kHz, reaches its reference and stays there.
 #[test]
 fn a_servo_with_a_high_gain_is_stable() {
     for gravity in [false, true] {
@@ -104,7 +104,7 @@ fn a_servo_with_a_high_gain_is_stable() {
         run(&mut simulation, &inputs, 1e-3, 1.0);
         let motion = observers::motion(simulation.model(), &simulation.state());
         for (motor, reference) in [(0, 1.8), (3, 1.9)] {
-            // Gravity pulls with some 0.1 N·m at most.
+            // Gravity pulls with at most some 0.1 N·m.
             assert!((motion.theta[motor] - reference).abs() < 2e-4, "{motion:?}");
             assert!(motion.omega[motor].abs() < 1e-3, "{motion:?}");
         }
@@ -116,7 +116,7 @@ fn a_servo_with_a_high_gain_is_stable() {
     }
 }
 
-/// A parameter tuned between steps acts from the next one; the energy that it adds counts as input.
+/// A parameter tuned between steps acts from the next one; the added energy counts as input.
 #[test]
 fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     let mut parameters = table();
@@ -153,7 +153,7 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     assert_eq!(simulation.state(), state);
 }
 
-/// A run that is tuned at the very end of a step, while its dense output is in memory, can be stored and restored.
+/// A run tuned at the very end of a step, with its dense output in memory, can be stored and restored.
 #[test]
 fn a_run_tuned_at_the_end_of_a_step_is_restored() {
     let mut parameters = table();
@@ -172,8 +172,8 @@ fn a_run_tuned_at_the_end_of_a_step_is_restored() {
     assert_eq!(restored.state(), simulation.state());
 }
 
-/// A tuned value that couples links calls for another linear solve, and one that uncouples them for the fast one again: the motion is
-/// that of a scene that has had the value from its start.
+/// A tuned value that couples links selects another linear solve, and a value that uncouples them the fast one again: the motion equals a
+/// scene with this value from the start.
 #[test]
 fn a_tuned_value_may_couple_links() {
     let inputs = Inputs { tau: [0.02, -0.01], ..default_inputs() };
@@ -197,7 +197,7 @@ fn a_tuned_value_may_couple_links() {
             for simulation in [&mut tuned, &mut same] {
                 run(simulation, &inputs, 1e-3, 0.3);
             }
-            // Of a restart's new data only the counter is left.
+            // Apart from the counter, a restart leaves no trace.
             let (mut after, expected) = (tuned.state(), same.state());
             assert_eq!(after.core.counters.restarts, 1);
             after.core.counters.restarts = 0;
@@ -206,8 +206,8 @@ fn a_tuned_value_may_couple_links() {
     }
 }
 
-/// At rest exactly in a vertex under a load below breakaway: it creeps on the branch of least constraint instead of being thrown out
-/// of the vertex as if there were no friction; above breakaway it goes.
+/// At rest exactly in a vertex under a load below breakaway, it creeps on the branch of least constraint and is not thrown out of the
+/// vertex as without friction; above breakaway it moves.
 #[test]
 fn friction_holds_a_load_in_a_vertex() {
     use std::f64::consts::PI;
@@ -225,7 +225,7 @@ fn friction_holds_a_load_in_a_vertex() {
             fastest = motion.omega.iter().fold(fastest, |fastest, rate| fastest.max(rate.abs()));
         }
         let energies = observers::energies(simulation.model(), &simulation.state());
-        // The weights pull with some 0.1 N·m: against 2 N·m they creep at about 0.01 rad/s · 0.1/2.
+        // The weights pull with some 0.1 N·m: against 2 N·m it creeps at about 0.01 rad/s · 0.1/2.
         assert!(if goes { fastest > 1.0 } else { fastest < 2e-3 }, "{friction} N.m: {fastest} rad/s");
         assert!(energies.error.abs() < 1e-2 * MGL, "{friction} N.m: {energies:?}");
         assert!(simulation.state().core.counters.substeps < 20_000, "{friction} N.m: {:?}", simulation.state().core.counters);

@@ -1,4 +1,4 @@
-//! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
+//! The estimator for a Rust user: Jacobians against finite differences, statistical consistency, grouping of steps.
 
 use std::cell::Cell;
 
@@ -15,7 +15,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::{enable, unequal};
 
-/// In [0, 1).
+/// Uniform in [0, 1).
 fn uniform(random: &mut ChaCha8Rng) -> f64 {
     random.next_u64() as f64 / 2f64.powi(64)
 }
@@ -31,7 +31,7 @@ fn motion(simulation: &Simulation) -> ([f64; 4], [f64; 4]) {
     (state.angles(), THETA.map(|i| state.core.v[i]))
 }
 
-/// Every effect that has a force, with values at which it acts.
+/// The scene with one effect, at values at which it acts.
 fn loaded(effect: &str) -> Parameters {
     let mut parameters = unequal();
     enable(&mut parameters, effect);
@@ -48,7 +48,7 @@ fn loaded(effect: &str) -> Parameters {
     parameters
 }
 
-/// The linearised equations of motion are the differences of the accelerations, by angles, rates and torques.
+/// The linearised equations of motion agree with differences of the accelerations, by angles, rates and torques.
 #[test]
 fn linearised_equations_are_differences() {
     for effect in NAMES {
@@ -64,7 +64,7 @@ fn linearised_equations_are_differences() {
         assert_eq!(alpha, scene.acceleration(&state, &none), "{effect}");
         for k in 0..4 {
             let near = near(k);
-            // Central differences: their error is step² times the third derivative, which steep loads have.
+            // Central differences have an error of step² times the third derivative, which is large for steep loads.
             let step = 1e-6;
             let unit = Links::from_fn(|i, _| if i == k { step } else { 0.0 });
             let difference = |at: &dyn Fn(Links) -> LinkState, force: Links| {
@@ -86,7 +86,7 @@ fn linearised_equations_are_differences() {
     }
 }
 
-/// The variational equations are the differences of the motion, for errors of angles, rates and the unknown force.
+/// The variational equations agree with differences of the motion, for errors of angles, rates and the unknown force.
 #[test]
 fn transitions_are_differences() {
     for effect in NAMES {
@@ -113,13 +113,13 @@ fn transitions_are_differences() {
             let turned = (ahead.theta - behind.theta) / (2.0 * step) - flow.d_theta.column(k);
             let quickened = (ahead.omega - behind.omega) / (2.0 * step) - flow.d_omega.column(k);
             let size = flow.d_theta.column(k).amax().max(flow.d_omega.column(k).amax());
-            // step² times a third derivative: contact and stop ramp up over 1e-2.
+            // Truncation: step² times a third derivative; contact and stop ramp up over 1e-2.
             assert!(turned.amax().max(quickened.amax()) < 1e-5 * size, "{effect}: {k}: {turned} {quickened}");
         }
     }
 }
 
-/// The motion of the estimator's own Runge-Kutta is that of the unit.
+/// The estimator's own Runge-Kutta reproduces the unit's motion.
 #[test]
 fn motions_are_those_of_the_unit() {
     for effect in ["gravity", "rotor", "payload", "viscous", "spring", "servo"] {
@@ -144,7 +144,7 @@ fn motions_are_those_of_the_unit() {
     }
 }
 
-/// A machine with a start of its own, and the samples of its encoders.
+/// A machine with its own start, and its encoder samples.
 struct Machine {
     truth: Simulation,
     random: ChaCha8Rng,
@@ -179,7 +179,7 @@ fn followed(method: Method) -> Parameters {
     followed_by(method, true)
 }
 
-/// Parameters of an estimate whose geometry is exact, or as the unit's start values have it.
+/// Parameters of an estimate with exact geometry, or with the unit's start values.
 fn followed_by(method: Method, exact: bool) -> Parameters {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.1;
@@ -196,14 +196,14 @@ fn followed_by(method: Method, exact: bool) -> Parameters {
     parameters
 }
 
-/// Squared error of angles and rates in units of the covariance: 4 on average.
+/// Squared error of angles and rates, normalised by the covariance: 4 on average.
 fn nees(following: &Following, machine: &Machine) -> f64 {
     let (theta, omega) = motion(&machine.truth);
     following.nees(&theta, &omega)
 }
 
-/// Lengths with errors: the tip's covariance is the sum of the effects of each length with the motors held, by differences of
-/// machines of other lengths; also where they are to be learned.
+/// Lengths with errors: the tip's covariance is the sum of each length's effect at constant motor angles, from differences between machines
+/// of other lengths; also while learning them.
 #[test]
 fn lengths_move_the_tip() {
     let sigma = 1e-3;
@@ -235,15 +235,15 @@ fn lengths_move_the_tip() {
     for learns in [false, true] {
         let (known, off) = (covariance(0.0, learns), covariance(sigma, learns));
         for i in 0..3 {
-            // Motors are not held where they cannot be; that rounds the rest by some percent.
+            // At some postures the motor angles cannot stay constant; this rounds the rest by some percent.
             let error = (off[i] - known[i] - expected[i]).abs();
             assert!(error < 0.08 * (expected[0] + expected[2]), "{off:?} less {known:?}, expected {expected:?}, learns: {learns}");
         }
     }
 }
 
-/// Encoders mounted at unknown angles: the tip's covariance is the sum of the effects of both motors, by differences of starts, and the motors' angles are
-/// as uncertain; also where mounting angles are to be learned.
+/// Encoders mounted at unknown angles: the tip's covariance is the sum of the effects of both motors, from differences of starts, and the
+/// motor angles are equally uncertain; also while learning mounting angles.
 #[test]
 fn mounting_angles_move_the_tip() {
     let sigma = 1e-3;
@@ -265,7 +265,7 @@ fn mounting_angles_move_the_tip() {
         parameters.estimator.learn_enabled = learns;
         let twin = Following::new(&parameters, &default_inputs()).expect("a scene");
         let (covariance, [angles, _]) = (twin.tip_covariance(), twin.sigmas());
-        // As above: the regularisation of what motors hold rounds by some percent.
+        // As above: the regularisation of constant motor angles rounds by some percent.
         let size = 0.08 * (expected[0] + expected[2]);
         assert!(
             (0..3).all(|i| (covariance[i] - expected[i]).abs() < size),
@@ -275,8 +275,8 @@ fn mounting_angles_move_the_tip() {
     }
 }
 
-/// White noise and the model's own machine: NEES has its four degrees of freedom or less (the filter allows for unknown forces, which
-/// this machine does not feel), and NIS one for each encoder.
+/// White noise and the model's own machine: NEES has its four degrees of freedom or less (the filter allows for unknown forces, which this
+/// machine does not have), and NIS one for each encoder.
 #[test]
 fn bands_are_honest() {
     let runs = 40;
@@ -299,14 +299,14 @@ fn bands_are_honest() {
     }
     let count = f64::from(steps - 50) * runs as f64;
     let (nees, nis) = (sum_nees / count, sum_nis / count);
-    // Samples of NIS are independent: 8000 with variance 2 each, four standard deviations are 0.07 of 2. Those of NEES are not within a
-    // run: 40 of variance 8, three standard deviations are 1.4.
+    // Samples of NIS are independent: 8000 with variance 2 each, so that four standard deviations are 0.07 of 2. Samples of NEES within a
+    // run are not: 40 runs with variance 8, so that three standard deviations are 1.4.
     assert!((1.75..2.1).contains(&nis), "NIS {nis}");
     assert!((1.5..5.4).contains(&nees), "NEES {nees}");
 }
 
-/// Encoders that are silent while the machine comes to rest have not failed where one of them shows the same angle again and again and the other one a
-/// creep of 20 mrad/s: all that is followed, and the motion that begins thereafter, within 1 mm of the tip.
+/// Encoders that are silent while the machine comes to rest have not failed if one of them then repeats the same angle and the other shows
+/// a creep of 20 mrad/s. The estimate follows this, and the motion that starts afterwards, within 1 mm of the tip.
 #[test]
 fn encoders_that_were_silent_at_rest_are_believed() {
     for (quantum, h, exact) in [(1e-4, 1e-3, true), (1e-4, 5e-3, true), (1e-4, 1e-3, false), (1e-4, 5e-3, false)] {
@@ -339,8 +339,9 @@ fn encoders_that_were_silent_at_rest_are_believed() {
     }
 }
 
-/// An estimate that readings of noise have thrown off begins anew with as many turns as before, since servos act on angles, not on directions: its motors are
-/// as far as the readings, within 2 mrad, the standard deviation of a mounting angle, and no torque is missing that is not small beside the servos' 1 N·m.
+/// After readings of noise have misled the estimate, it restarts with the last trusted turn count, because servos act on angles, not on
+/// directions. Its motors agree with the readings within 2 mrad, the standard deviation of a mounting angle, and unknown torques are small
+/// compared with the servos' 1 N·m.
 #[test]
 fn an_estimate_that_was_lost_keeps_its_turns() {
     let mut parameters = followed_by(Method::Dop853, false);
@@ -351,7 +352,7 @@ fn an_estimate_that_was_lost_keeps_its_turns() {
     let held = Inputs { servo_theta: [2.0, 1.1], ..default_inputs() };
     for seed in 0..8_u32 {
         let mut following = Following::new(&parameters, &held).expect("a scene");
-        // The golden ratio's multiples are spread evenly.
+        // Multiples of the golden ratio are spread evenly.
         let noise = |step: u32, i: u32| 40.0 * (f64::from(7919 * seed + 2 * step + i) * 0.618_033_988_75).fract() - 20.0;
         for step in 0..1000_u32 {
             let time = 1e-3 * f64::from(step);
@@ -368,8 +369,9 @@ fn an_estimate_that_was_lost_keeps_its_turns() {
     }
 }
 
-/// One encoder alone loses falls whose masses are 5 % off, sooner or later: the status is then that of a forecast, until both encoders have shown a motion for
-/// 0.1 s, and the tip is within three half-widths of its band. By both the estimate begins anew; by samples that never come together (odd seeds) it goes on.
+/// A single encoder eventually loses falls with masses 5 % off. The status is then that of a forecast until both encoders have shown a
+/// motion for 0.1 s, and the tip is within three half-widths of its band. With both encoders the estimate restarts; if samples never come
+/// in pairs (odd seeds), it continues.
 #[test]
 fn one_encoder_that_loses_the_machine_is_not_believed() {
     let mut lost = 0;
@@ -418,7 +420,7 @@ fn one_encoder_that_loses_the_machine_is_not_believed() {
     assert!(lost > 3, "{lost} of 16 falls are lost");
 }
 
-/// Lengths that are learned are those of the machine that is simulated, also from the sample on by which the machine is given up and learned anew.
+/// Learned lengths and the simulated machine's agree, also from the sample on at which the machine is given up and learned again.
 #[test]
 fn a_machine_that_is_given_up_is_the_one_that_is_told() {
     let mut parameters = followed_by(Method::Dop853, false);
@@ -457,9 +459,9 @@ fn a_machine_that_is_given_up_is_the_one_that_is_told() {
     assert!(lost > 0, "{lost} of 8 falls are lost");
 }
 
-/// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is called stuck within 0.2 s of its axis being at its fastest, however
-/// coarse its readings and however often they come, with exact geometry and with the unit's start values, and the tip stays within 10 mm by the other encoder
-/// and the servos. One that repeats itself since a servo, stiff or not, holds its axis is no fault.
+/// An encoder that freezes while both axes swing by 0.25 rad at 2 rad/s is reported stuck within 0.2 s of its axis' fastest instant, with
+/// any resolution and sampling interval, with exact geometry and with the unit's start values. The other encoder and the servos keep the
+/// tip within 10 mm. A reading that repeats because a servo, stiff or soft, holds its axis is no fault.
 #[test]
 fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
     let swing = |time: f64, frequency: f64| {
@@ -483,7 +485,7 @@ fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
         parameters.estimator.quantum = [quantum; 2];
         parameters.effects.servo.enabled = true;
         (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([kp; 2], [0.01 * kp; 2]);
-        // At rest for half a second, then a swing that is fastest at 2.07 s.
+        // At rest for half a second, then a swing with its largest rate at 2.07 s.
         let course = |time: f64| if time < 0.5 { swing(0.0, 0.0) } else { swing(time - 0.5, 2.0) };
         let mut machine = Simulation::new(&parameters, &course(0.0)).expect("a machine");
         let mut following = Following::new(&parameters, &course(0.0)).expect("a scene");
@@ -512,18 +514,18 @@ fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
     }
 }
 
-/// Orders to servos that swing both axes by 0.25 rad at 2 rad/s, 0.4 rad apart or more.
+/// Setpoints of servos that swing both axes by 0.25 rad at 2 rad/s, at least 0.4 rad apart.
 fn swing_course(time: f64) -> Inputs {
     let (angle, rate) = (0.25 * (2.0 * time).sin(), 0.5 * (2.0 * time).cos());
     Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
 }
 
-/// Machine that swings by [`swing_course`], and an estimate that begins with it; encoders of this step, rad.
+/// A machine that swings by [`swing_course`], and an estimate with the same start; encoders with this resolution, rad.
 fn swinging(quantum: f64) -> (Simulation, Following) {
     swinging_by(quantum, true)
 }
 
-/// Machine and estimate of [`swinging`], with geometry that is exact or as the unit's start values have it.
+/// As [`swinging`], with exact geometry or with the unit's start values.
 fn swinging_by(quantum: f64, exact: bool) -> (Simulation, Following) {
     let mut parameters = swinging_parameters(quantum);
     if !exact {
@@ -536,7 +538,7 @@ fn swinging_by(quantum: f64, exact: bool) -> (Simulation, Following) {
     (machine, Following::new(&parameters, &swing_course(0.0)).expect("a scene"))
 }
 
-/// Parameters of a scene that swings by [`swing_course`], with encoders of this step, rad.
+/// Parameters of a scene that swings by [`swing_course`], with this encoder resolution, rad.
 fn swinging_parameters(quantum: f64) -> Parameters {
     let mut parameters = followed(Method::Dop853);
     (parameters.start.theta, parameters.start.omega) = (swing_course(0.0).servo_theta, swing_course(0.0).servo_omega);
@@ -546,10 +548,10 @@ fn swinging_parameters(quantum: f64) -> Parameters {
     parameters
 }
 
-/// An encoder whose reading jumps while both axes swing, by 0.1 or 0.01 rad, fine or coarse, with exact geometry, or by the unit's start values by 0.1 or
-/// 0.03 rad, is left out from its first wrong sample until it
-/// jumps back; the other encoder and the servos keep the tip within 10 mm. After it has been silent for a second its reading counts as that of
-/// a new encoder, and is believed. Two readings that jump at once are believed: they tell of the estimate rather than of an encoder.
+/// An encoder that jumps while both axes swing is left out from its first wrong sample until it jumps back. Jumps are 0.1 or 0.01 rad, with
+/// fine or coarse encoders, with exact geometry; with the unit's start values 0.1 or 0.03 rad. The other encoder and the servos keep the
+/// tip within 10 mm. After a second of silence its reading counts as a new encoder's and is trusted. If both readings jump at once, they
+/// are trusted: then the estimate is wrong, not the encoders.
 #[test]
 fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
     let (jumps, back) = (1.1, 3.1);
@@ -578,7 +580,7 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
             let case =
                 format!("{quantum} rad, {h} s, off by {by} rad, silent: {silent}, both: {both}, exact: {exact}, at {time} s");
             let faults = [0, 1].map(|i| following.estimator().encoder(i).1);
-            // Ten samples in a row are left out at most where a reading is to be believed again.
+            // At most ten consecutive samples may be left out before a reading is trusted again.
             let (since_jump, since_back) = (time - jumps, time - if silent { 2.6 } else { back });
             let settled = if both { !(0.0..=0.3).contains(&since_jump) } else { since_jump < 0.0 || since_back > 10.5 * h };
             if settled {
@@ -598,8 +600,8 @@ fn a_reading_that_jumps_is_left_out_until_it_jumps_back() {
     }
 }
 
-/// Encoders that are exchanged from the start while servos swing axes that are 0.4 rad apart or more: both are left out from the first sample on, and by the
-/// servos' model the tip stays within 10 mm; wired rightly, they are believed after a second of silence.
+/// Encoders are exchanged from the start while servos swing axes that are at least 0.4 rad apart: both are left out from the first sample
+/// on, and the servos' model keeps the tip within 10 mm. After correct wiring they are trusted after a second of silence.
 #[test]
 fn encoders_that_are_exchanged_are_left_out() {
     let h = 1e-3;
@@ -618,7 +620,7 @@ fn encoders_that_are_exchanged_are_left_out() {
         let told = match time {
             ..3.0 => status == Status::Faulty(Fault::Rejected),
             ..4.3 => true,
-            // The assembly is doubted as at a start until the axes have moved.
+            // As at a start, the assembly is in doubt until the axes have moved.
             ..4.7 => [Status::TwoBranches, Status::Following].contains(&status),
             _ => status == Status::Following,
         };
@@ -632,8 +634,8 @@ fn encoders_that_are_exchanged_are_left_out() {
     }
 }
 
-/// A start in the wrong assembly is doubted while servos swing both axes and left within 0.3 s, one in the right assembly is kept; until then the
-/// tip is within the radius that is told.
+/// While servos swing both axes, a start in the wrong assembly is in doubt and abandoned within 0.3 s; a right start is kept. Until then
+/// the tip is within the reported radius.
 #[test]
 fn a_start_in_the_wrong_assembly_is_left() {
     let h = 1e-3;
@@ -659,7 +661,7 @@ fn a_start_in_the_wrong_assembly_is_left() {
                     ..0.3 => (),
                     _ => assert!(status == Status::Following && off < 1e-3 && radius < 1e-3, "{case}"),
                 }
-                // The radius holds 95 %: a millimetre is more than one filter is off.
+                // The radius covers 95 %; the error of a single filter stays below a millimetre.
                 assert!(off < radius + 1e-3, "{case}");
                 following.advance_along(&Signal::held(swing_course(time + h / 2.0)), h, 1).expect("a step");
                 machine.advance(&swing_course(time + h / 2.0), h, 1).expect("a step");
@@ -668,7 +670,7 @@ fn a_start_in_the_wrong_assembly_is_left() {
     }
 }
 
-/// A machine that rests tells no assembly, whatever constant load its motors carry: the doubt stays.
+/// A machine at rest does not show its assembly, for any constant load on its motors: the doubt stays.
 #[test]
 fn at_rest_the_assembly_is_doubted() {
     let h = 1e-3;
@@ -681,17 +683,17 @@ fn at_rest_the_assembly_is_doubted() {
         let time = f64::from(step) * h;
         following.correct(&Measured { theta, time: [time; 2] }, time);
         assert_eq!(following.status(), Status::TwoBranches, "at {time} s");
-        // The tips of both assemblies are 0.2 m apart or more.
+        // The tips of the two assemblies are at least 0.2 m apart.
         assert!(following.tip_radius() > 0.2, "{} at {time} s", following.tip_radius());
         following.advance_along(&Signal::held(resting), h, 1).expect("a step");
     }
 }
 
-/// All methods and readings, through coasting and samples: n steps in one call are n calls of one, to the bit.
+/// All methods and readings, with and without samples: n steps in one call equal n calls of one step, to the bit.
 #[test]
 fn grouping_does_not_matter() {
     let methods = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving, Method::Automatic];
-    // White noise, intervals, one of each; not all with all, for that takes long.
+    // White noise, quantisation intervals, one of each; not all with all, which would take long.
     let readings = [([1e-3; 2], [0.0; 2]), ([0.0; 2], [1e-3; 2]), ([1e-3, 0.0], [0.0, 1e-3])];
     for (k, method) in methods.into_iter().enumerate() {
         let mut parameters = followed(method);
@@ -720,9 +722,9 @@ fn grouping_does_not_matter() {
     }
 }
 
-/// While samples come the models are thought of by a prior of their readings; once they have ceased, by one that is likely: the weights of a
-/// forecast are those of the estimate over its prior, and stay. By intervals a push is thought of readily, so that the band of the estimate is
-/// wider than by the weights of its forecast; by white noise hardly, and it is narrower.
+/// While samples arrive, the prior of the models depends on their readings; without samples the prior is a realistic one. The weights of a
+/// forecast are those of the estimate divided by its prior, and stay constant. With quantisation intervals the prior of a push is large, so
+/// that the estimate's band is wider than with the forecast's weights; with white noise it is tiny, and the band is narrower.
 #[test]
 fn a_forecast_is_of_what_is_likely() {
     const LIKELY: [f64; 4] = [0.45, 0.45, 0.095, 0.005];
@@ -755,7 +757,7 @@ fn a_forecast_is_of_what_is_likely() {
         for (member, over) in foreseen.members.iter_mut().zip(over) {
             member.weight = over / sum;
         }
-        // Variance of the rates along the first of the tangent basis.
+        // Variance of the rates along the first tangent basis vector.
         let [band, by_forecast] = [told, foreseen].map(|bank| bank.moments().1[(2, 2)]);
         assert!(if wider { band > 2.0 * by_forecast } else { band < by_forecast }, "{quantum}: {band} {by_forecast}");
         let expected = foreseen.members.map(|member| member.weight);
@@ -768,8 +770,7 @@ fn a_forecast_is_of_what_is_likely() {
     }
 }
 
-/// An encoder that speaks ends a forecast, even where its sample is older than anything that is remembered: bands are no longer those of
-/// motions that stay behind.
+/// A sample ends a forecast, even if it is older than the history: the bands no longer describe motions without samples.
 #[test]
 fn forecasts_end_where_encoders_speak() {
     let mut parameters = followed(Method::Dop853);
@@ -785,7 +786,7 @@ fn forecasts_end_where_encoders_speak() {
         }
         following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
     }
-    // 3 ms at a σ of 0.2 rad/s beside 1e-4 rad; the motion has gone on by 1e-2 rad.
+    // 3 ms at a σ of 0.2 rad/s, compared with 1e-4 rad; the motion has continued by 1e-2 rad.
     let [[left, ..], _] = following.sigmas();
     assert!(left < 1.5e-3, "{left}");
 }
@@ -827,7 +828,7 @@ fn delay_is_accounted_for() {
     assert!(ignored > 5.0 * accounted, "{accounted} {ignored}");
 }
 
-/// A machine on which nothing acts, which turns as one body about its coaxial motors; counts evaluations.
+/// A machine without loads that turns as one body about its coaxial motors; counts evaluations.
 struct Turning {
     count: Cell<u64>,
     is_stiff: bool,
@@ -874,8 +875,8 @@ impl Scene for Turning {
     }
 }
 
-/// The forecast of singularities over the longest horizon takes bounded work, however fast the machine turns: one that is too fast to be followed counts
-/// as one that meets a singularity, a slow one that turns as one body meets none.
+/// The forecast of singularities over the longest horizon takes bounded work at any rate of the machine. A machine too fast to be followed
+/// counts as one that meets a singularity; a slow one that turns as one body meets none.
 #[test]
 fn a_forecast_of_singularities_takes_bounded_work() {
     // Steps of 1 ms: one each at rest, three with stiff forces.
@@ -890,7 +891,7 @@ fn a_forecast_of_singularities_takes_bounded_work() {
         let scene = Turning { count: Cell::new(0), is_stiff };
         let found = twin.estimator().singularity_probability(twin.believed(), &twin.motion(), &scene, 1e-3);
         assert_eq!(found, probability, "at {rate} rad/s");
-        // Of 13 points each takes 10,000 choices of a number of steps, of which it may make half as many again as at rest, and up to 64 more.
+        // Each of 13 points chooses its number of steps 10,000 times; steps may be half as many again as at rest, and up to 64 more.
         let evaluations = scene.count.get();
         assert!(evaluations <= 13 * (4 * (least * 15_000 + 64) + 10_000), "{evaluations} evaluations at {rate} rad/s");
     }

@@ -1,4 +1,4 @@
-//! Derivatives: of outputs against inputs and continuous states, of outputs and inputs against time (rules 20, 40, 41, 42 of this project).
+//! Derivatives: outputs by inputs and continuous states, outputs and inputs by time (rules 20, 40, 41, 42 of this project).
 
 use std::f64::consts::PI;
 
@@ -18,7 +18,7 @@ use super::fmi_host::{Host, reference};
 const STATES: [&str; 4] = ["theta[1]", "theta[2]", "omega[1]", "omega[2]"];
 const STARTS: [&str; 4] = ["init.theta[1]", "init.theta[2]", "init.omega[1]", "init.omega[2]"];
 
-/// A machine with its parameters, which can be started anew from any angles and rates.
+/// A machine with its parameters, which can start from any angles and rates.
 #[derive(Clone)]
 pub(super) struct Scene {
     pub(super) reals: Vec<(String, f64)>,
@@ -28,14 +28,14 @@ pub(super) struct Scene {
 }
 
 impl Scene {
-    /// Initialised.
+    /// An initialised instance.
     fn start(&self, state: [f64; 4]) -> Host {
         let host = self.initializing(state);
         assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
         host
     }
 
-    /// In initialization mode.
+    /// An instance in initialization mode.
     pub(super) fn initializing(&self, state: [f64; 4]) -> Host {
         let host = Host::initializing(0.0, None);
         for (name, value) in &self.reals {
@@ -56,7 +56,7 @@ fn real(host: &Host, name: &str) -> f64 {
     value[0]
 }
 
-/// Every Real that is computed.
+/// Every computed Real.
 fn computed() -> Vec<&'static Variable> {
     VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealComputed(_))).collect()
 }
@@ -65,16 +65,16 @@ fn read(host: &Host) -> Vec<f64> {
     let references: Vec<u32> = computed().iter().map(|variable| variable.reference).collect();
     let mut values = vec![f64::NAN; references.len()];
     assert_eq!(host.get_real(&references, &mut values), fmi2OK, "{:?}", host.take());
-    // The balance residual counts from the start of a run: between runs its change is that of the energies.
+    // The balance residual counts from the start of a run, so between runs its change follows from the energies.
     let place = |name: &str| computed().iter().position(|variable| variable.name == name).expect("it is computed");
     values[place("energy.error")] = values[place("energy.kinetic")] + values[place("energy.potential")];
     values
 }
 
-/// Central differences of order 4 of all that is computed, each with the bound of its round-off.
+/// Central differences of order 4 of all computed variables, each with its bound of round-off.
 ///
-/// The quotient weights the round-off of its values, some 8 ε, by 1.5/step. That of an acceleration belongs to the largest of the terms
-/// that cancel in it: a stop, 0.02 rad deep at 50 N·m/rad, alone accelerates a link of 3e-5 kg·m² by 3e4 rad/s².
+/// The quotient multiplies the round-off of its values, some 8 ε, by 1.5/step. For an acceleration, round-off is relative to the largest of
+/// the terms that cancel: a stop, 0.02 rad deep at 50 N·m/rad, alone accelerates a link of 3e-5 kg·m² by 3e4 rad/s².
 fn differences(step: f64, mut at: impl FnMut(f64) -> Vec<f64>) -> Vec<[f64; 2]> {
     let stencil @ [far_below, below, above, far_above] = &[-2.0, -1.0, 1.0, 2.0].map(|k| at(k * step));
     let slope = |i: usize| (8.0 * (above[i] - below[i]) - (far_above[i] - far_below[i])) / (12.0 * step);
@@ -96,7 +96,7 @@ fn analytic(host: &Host, known: &str) -> Vec<f64> {
 fn declared() -> Vec<(String, String)> {
     let structure = ModelDescription::read().expect("the shipped description").structure;
     let pairs = structure.outputs.into_iter().chain(structure.derivatives).flat_map(|unknown| {
-        // A derivative shares its reference with another variable.
+        // A derivative shares its value reference with another variable.
         let name = match unknown.name.as_str() {
             "der(theta[1])" => "omega[1]".to_owned(),
             "der(theta[2])" => "omega[2]".to_owned(),
@@ -113,8 +113,8 @@ fn inputs() -> Vec<&'static Variable> {
     VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::Input(_))).collect()
 }
 
-/// Every pair of a computed variable and a known at the present state of `host`, whose scene and state are given: central
-/// differences. Derivatives of outputs and states are exactly 0 where no dependency is declared; those of `solver.*` always.
+/// Every pair of a computed variable and a known at the current state of `host`, against central differences of `scene` from `state`.
+/// Derivatives of outputs and states are exactly 0 if no dependency is declared; derivatives of `solver.*` always are.
 fn check_pairs(host: &Host, scene: &Scene, state: [f64; 4], label: &str) {
     let declared = declared();
     let check = |known: &str, numeric: Vec<[f64; 2]>| {
@@ -125,7 +125,7 @@ fn check_pairs(host: &Host, scene: &Scene, state: [f64; 4], label: &str) {
             if name.starts_with("solver.") || (listed && !declared.iter().any(|(u, k)| u == name && k == known)) {
                 assert_eq!(got, 0.0, "{pair}");
             } else {
-                // Truncation of sharp laws: (step/scale)⁴ with the sharpest scale 0.01 rad/s (friction), and round-off.
+                // Truncation of sharp laws, (step/scale)⁴ with the sharpest scale 0.01 rad/s (friction), and round-off.
                 assert!((got - expected).abs() < 2e-7 * (1.0 + expected.abs()) + round_off, "{pair}, round-off {round_off}");
             }
         }
@@ -153,7 +153,7 @@ fn uniform(random: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A machine in which nothing is equal, with all effects: the tip touches the plane and both axes are in their stops.
+/// A machine with all links different and all effects: the tip touches the plane and both axes are in their stops.
 pub(super) fn everything(random: &mut ChaCha8Rng, assembly: i32) -> (Scene, [f64; 4]) {
     let mut reals: Vec<(String, f64)> = Vec::new();
     let mut set = |name: &str, value: f64| reals.push((name.to_owned(), value));
@@ -201,7 +201,7 @@ fn declared_dependencies_are_central_differences_and_others_zero_with_all_effect
     }
 }
 
-/// Without effects, and on the way: the derivatives belong to the state reached and to the inputs set there.
+/// Without effects, after a step: the derivatives are those of the new state and of the inputs set there.
 #[test]
 fn declared_dependencies_are_central_differences_on_the_way() {
     for enabled in [vec![], vec!["servo", "viscous", "spring"]] {
@@ -215,7 +215,7 @@ fn declared_dependencies_are_central_differences_on_the_way() {
     }
 }
 
-/// A symmetric posture: both legs have the same singular value of J_q. Differences across the kink give the mean of its sides.
+/// A symmetric posture: both legs have the same singular value of J_q. Differences across the kink give the mean of both sides.
 #[test]
 fn coinciding_singular_values_have_the_mean_derivative() {
     let scene = Scene { reals: Vec::new(), enabled: Vec::new(), assembly: 1 };
@@ -230,7 +230,7 @@ fn coinciding_singular_values_have_the_mean_derivative() {
         let (step, got) = (1e-6, analytic(&scene.start(state), known)[place]);
         let [left, right] = [at(i, 0.0) - at(i, -step), at(i, step) - at(i, 0.0)].map(|difference| difference / step);
         assert!((left - right).abs() > 0.01, "there is a kink: {left} {right}");
-        // First-order differences: curvatures of some 0.1 times the step.
+        // One-sided differences: curvatures of some 0.1 times the step.
         assert!((got - (left + right) / 2.0).abs() < 1e-6, "{known}: {got} {left} {right}");
     }
 }
@@ -248,12 +248,12 @@ fn a_direction_is_the_sum_of_its_parts() {
     for (i, variable) in computed().iter().enumerate() {
         let sum: f64 = single.iter().map(|part| part[i]).sum();
         let size: f64 = single.iter().map(|part| part[i].abs()).sum();
-        // Round-off of one solve against five, with stiffnesses of some 1e3.
+        // Round-off of one solve compared with five, with stiffnesses of some 1e3.
         assert!((together[i] - sum).abs() <= 1e-11 * (1.0 + size), "{}: {} {sum}", variable.name, together[i]);
     }
 }
 
-/// The default start, with the distal links in line: inputs are answered, angles and rates are not.
+/// At the default start, with the distal links in line, derivatives by inputs exist, by angles and rates they do not.
 #[test]
 fn in_a_direct_singularity_only_inputs_are_known() {
     let host = Host::ready(&[]);
@@ -270,7 +270,7 @@ fn in_a_direct_singularity_only_inputs_are_known() {
         });
         assert_eq!(host.set_real(&[input.reference], &[0.0]), fmi2OK);
         for ((variable, got), [expected, _]) in computed().iter().zip(analytic(&host, input.name)).zip(numeric) {
-            // All unknowns are linear in the inputs here: the rest is round-off of the differences.
+            // All unknowns are linear in the inputs here, so the rest is round-off of the differences.
             assert!((got - expected).abs() < 1e-8 * (1.0 + got.abs()), "d {}/d {}: {got} {expected}", variable.name, input.name);
         }
     }
@@ -279,7 +279,7 @@ fn in_a_direct_singularity_only_inputs_are_known() {
 #[test]
 fn what_has_no_derivative_is_refused_by_name() {
     let host = Host::initializing(0.0, None);
-    // In initialization mode directional derivatives are allowed, derivatives against time are not (table of section 4.2.4).
+    // Initialization mode allows directional derivatives, but not derivatives by time (table of section 4.2.4).
     assert_eq!(host.directional_derivative(&[reference("alpha[1]")], &[(reference("tau[1]"), 1.0)], &mut [0.0]), fmi2OK);
     assert_eq!(host.output_derivative(reference("tip.x"), 1).0, fmi2Error);
     host.take();
@@ -303,7 +303,7 @@ fn what_has_no_derivative_is_refused_by_name() {
     assert!(directional(tau, tau, 1.0).contains("tau[1] is not an unknown"));
     assert!(directional(tip, tau, f64::NAN).ends_with("change of tau[1] is NaN, must be finite."));
     assert!(directional(99_999, tau, 1.0).contains("99999 belongs to no variable"));
-    // Local variables may be asked for, enumerations and counters among them.
+    // Local variables are allowed, including enumerations and counters.
     let counted = ["singular.type", "solver.steps"].map(reference);
     let mut values = [7.0; 2];
     assert_eq!(host.directional_derivative(&counted, &[(tau, 1.0)], &mut values), fmi2OK);
@@ -328,7 +328,7 @@ fn what_has_no_derivative_is_refused_by_name() {
         ("tip.x", 1, 1.0, "tip.x is not a continuous input: only continuous inputs have input derivatives."),
         ("contact.k", 1, 1.0, "contact.k is not a continuous input: only continuous inputs have input derivatives."),
     ] {
-        // All or none: the first, which is right, is not set either.
+        // All or none: the valid first one is not set either.
         let pair = [(reference("tau[2]"), 1, 1e3), (reference(name), order, value)];
         assert_eq!(host.set_input_derivatives(&pair), fmi2Error);
         assert_eq!(host.line(), format!("fmi2SetRealInputDerivatives: {expected}"));
@@ -337,7 +337,7 @@ fn what_has_no_derivative_is_refused_by_name() {
     assert_eq!(real(&host, "tau[2]"), 0.0);
 }
 
-/// Derivatives against time: the variables that they are, and differences in time.
+/// Derivatives by time agree with the variables that they define, and with differences in time.
 #[test]
 fn output_derivatives_are_velocities_and_accelerations() {
     let start = || Host::ready(&[("init.theta[1]", 1.2), ("init.theta[2]", 2.0), ("init.omega[1]", 1.0), ("tau[2]", 0.02)]);
@@ -364,8 +364,8 @@ fn output_derivatives_are_velocities_and_accelerations() {
     later.run(1e-3, 21);
     for name in ["theta[1]", "theta[2]", "tip.x", "tip.y"] {
         let [before, now, after] = [&earlier, &host, &later].map(|host| real(host, name));
-        // h²/6 and h²/12 times third and fourth derivatives of some 1e3 and 1e4; positions are integrated to 3e-9 per step, which a
-        // second difference divides by h²: the steps' own defects, of h³ times a jerk, come in here as well.
+        // h²/6 and h²/12 times third and fourth derivatives of some 1e3 and 1e4. Positions are integrated to 3e-9 per step; a second
+        // difference divides this by h², so errors of the steps, h³ times a jerk, also matter.
         assert!((derivative(name, 1) - (after - before) / 2e-3).abs() < 1e-3, "{name}");
         assert!(
             (derivative(name, 2) - (after - 2.0 * now + before) / 1e-6).abs() < 0.05 * (1.0 + derivative(name, 2).abs()),
@@ -374,8 +374,8 @@ fn output_derivatives_are_velocities_and_accelerations() {
     }
 }
 
-/// A single leg, of inertia I, under τ + τ′t + τ″t²/2, held at the middle of each macro step: ω has the impulse but for −τ″h²T/24, θ is
-/// τ′h²T/12 ahead, both over I.
+/// A single leg of inertia I under τ + τ′t + τ″t²/2, constant over each macro step at its mid-step value: ω has the exact impulse minus
+/// τ″h²T/24, θ is τ′h²T/12 ahead, both divided by I.
 #[test]
 fn a_ramp_turns_a_single_leg_as_it_must() {
     let mut parameters = default_parameters();
@@ -385,8 +385,8 @@ fn a_ramp_turns_a_single_leg_as_it_must() {
     let inertia = first.inertia + first.mass * first.com * first.com + second.inertia + second.mass * arm * arm;
     let torque = |x: f64| Inputs { tau: [x, 0.0], ..default_inputs() };
     let (h, t) = (2e-3, 0.2);
-    // In rad/s and rad: at this step the default method's own error of second order, the printed one's and that of the conserving one, a
-    // quarter at half the step; round-off of the others.
+    // In rad/s and rad: second-order errors of the default, the printed and the conserving method at this step (a quarter at half the
+    // step); round-off for the others.
     for (method, rate_error, angle_error) in [
         (Method::I3alp, 5e-5, 5e-6),
         (Method::I3alpPrinted, 1e-3, 5e-5),
@@ -405,7 +405,7 @@ fn a_ramp_turns_a_single_leg_as_it_must() {
             let impulse = 1e-3 * t + ramp * t * t / 2.0 + curvature * t * t * t / 6.0;
             let twice = 1e-3 * t * t / 2.0 + ramp * t * t * t / 6.0 + curvature * t * t * t * t / 24.0;
             let short = curvature * h * h * t / 24.0;
-            // The ramp grows by τ″t, which gives τ″h²T²/24; half of that is lost with the impulse.
+            // The ramp grows by τ″t, which gives τ″h²T²/24; half of it is lost with the impulse.
             let ahead = ramp * h * h * t / 12.0 + curvature * h * h * t * t / 48.0;
             let rate = motion.omega[0] - 2.0 - (impulse - short) / inertia;
             let angle = motion.theta[0] - 0.4 - 2.0 * t - (twice + ahead) / inertia;
@@ -420,8 +420,8 @@ fn bits(host: &Host) -> [u64; 7] {
     MOTION.map(|name| real(host, name).to_bits())
 }
 
-/// Equal motions: bit for bit, but for dop853 (4) and automatic (6), whose steps end at a change that is foreseen and are redone up
-/// to one that is not: equal steps, their lengths rounded differently.
+/// Equal motions, bit for bit except for dop853 (4) and automatic (6). Their steps end at an expected change and are redone up to an
+/// unexpected one: equal steps with differently rounded lengths.
 fn same_motion(host: &Host, other: &Host, method: i32) {
     if ![4, 6].contains(&method) {
         assert_eq!(bits(host), bits(other), "method {method}");
@@ -432,7 +432,7 @@ fn same_motion(host: &Host, other: &Host, method: i32) {
     }
 }
 
-/// A step along a polynomial is the macro steps with its values in their middles; then it stays at the value reached.
+/// A step along a polynomial equals macro steps with its mid-step values; then the input keeps the final value.
 #[test]
 fn an_input_with_derivatives_is_held_in_the_middle_of_each_macro_step() {
     for method in 1..=5 {
@@ -454,18 +454,18 @@ fn an_input_with_derivatives_is_held_in_the_middle_of_each_macro_step() {
             assert_eq!(by_hand.set_real(&[tau, force], &value(begin + 5e-4)), fmi2OK);
             assert_eq!(by_hand.do_step(begin, 1e-3), fmi2OK);
         }
-        // Outputs answer for the value at the communication point.
+        // Outputs use the value at the communication point.
         assert_eq!(by_hand.set_real(&[tau, force], &value(0.02)), fmi2OK);
         assert_eq!([real(&host, "tau[1]"), real(&host, "tip.fy")], value(0.02));
         same_motion(&host, &by_hand, method);
-        // The derivatives have ended with the step.
+        // The derivatives ended with the step.
         assert_eq!((host.do_step(0.02, 0.01), by_hand.do_step(0.02, 0.01)), (fmi2OK, fmi2OK));
         assert_eq!([real(&host, "tau[1]"), real(&host, "tip.fy")], value(0.02));
         same_motion(&host, &by_hand, method);
     }
 }
 
-/// A ramp does not depend on the communication step beyond the rounding of its values.
+/// A ramp is independent of the communication step up to rounding of its values.
 #[test]
 fn a_ramp_is_the_same_in_one_step_and_in_many() {
     let tau = reference("tau[1]");
@@ -483,13 +483,13 @@ fn a_ramp_is_the_same_in_one_step_and_in_many() {
     let one = run(1);
     for count in [4, 20, 100] {
         for (name, (got, expected)) in MOTION.into_iter().zip(run(count).into_iter().zip(one)) {
-            // Round-off of the torque, 1e-17 N·m, through accelerations of 1e3 rad/s² per N·m, and that of the sums.
+            // Round-off of the torque, 1e-17 N·m, at 1e3 rad/s² per N·m, and of the sums.
             assert!((got - expected).abs() < 1e-11 * (1.0 + expected.abs()), "{count}: {name} {got} {expected}");
         }
     }
 }
 
-/// A discarded step leaves the derivatives as they were, and a stored state holds them, as bytes as well.
+/// A discarded step leaves the derivatives unchanged, and a stored state contains them, also as bytes.
 #[test]
 fn pending_derivatives_are_state() {
     let mut instance = Instance::new(Kind::CoSimulation, false);
@@ -526,7 +526,7 @@ fn pending_derivatives_are_state() {
     assert_eq!(real(&host, "tau[1]"), 1e-3 * 1e-9);
 }
 
-/// A derivative that leads out of the range of double precision within the step is refused by name, and a shorter step is not.
+/// A derivative that leaves the range of double precision within the step is refused by name; a shorter step is accepted.
 #[test]
 fn a_ramp_stays_finite() {
     let host = Host::ready(&[]);

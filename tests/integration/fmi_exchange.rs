@@ -1,10 +1,10 @@
-//! Model exchange through the C functions: states, derivatives, indicators, events, and where the states are no coordinates.
+//! Model exchange through the C functions: states, derivatives, indicators, events, and postures at which the states are no coordinates.
 
 use fivebar::ffi::*;
 
 use super::fmi_host::{Host, Instantiation, reference};
 
-/// In continuous-time mode, with values set by name.
+/// An instance in continuous-time mode, with values set by name.
 fn integrated(values: &[(&str, f64)]) -> Host {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
     assert_eq!(host.setup(None, 0.0, Some(1.0)), fmi2OK);
@@ -21,7 +21,7 @@ fn integrated(values: &[(&str, f64)]) -> Host {
 
 const BENT: (&str, f64) = ("init.theta[2]", 2.0);
 
-/// der(x) are the rates and the accelerations that co-simulation tells for the same motion.
+/// der(x) are the rates and accelerations that co-simulation reports for the same motion.
 #[test]
 fn derivatives_are_those_of_co_simulation() {
     let values = [BENT, ("init.omega[1]", 1.0), ("init.omega[2]", -2.0), ("tau[1]", 0.05), ("tip.fy", 0.3)];
@@ -42,7 +42,7 @@ fn derivatives_are_those_of_co_simulation() {
     assert_eq!(host.array::<4>(fmi2GetNominalsOfContinuousStates), Ok([1.0; 4]));
 }
 
-/// States are those that the master sets, and outputs follow, also over whole turns, and back.
+/// The master sets the states; outputs follow, also over whole turns and back.
 #[test]
 fn states_are_where_the_master_puts_them() {
     let host = integrated(&[("base.distance", 0.0), BENT]);
@@ -53,7 +53,7 @@ fn states_are_where_the_master_puts_them() {
         value[0]
     };
     let (tip, passive) = ([read("tip.x"), read("tip.y")], read("passive.theta[1]"));
-    // Coaxial motors: the machine turns as a whole, twice, in steps.
+    // With coaxial motors the machine turns as a whole, twice, in steps.
     for step in 1..=40 {
         let turned = std::f64::consts::TAU * f64::from(step) / 20.0;
         let states = [start[0] + turned, start[1] + turned, 0.5, 0.5];
@@ -63,14 +63,13 @@ fn states_are_where_the_master_puts_them() {
     }
     assert!((read("tip.x") - tip[0]).abs() + (read("tip.y") - tip[1]).abs() < 1e-14);
     assert!((read("passive.theta[1]") - passive - 2.0 * std::f64::consts::TAU).abs() < 1e-13);
-    // By fmi2SetReal as well, beyond the standard: some masters know no other way.
+    // Also by fmi2SetReal, beyond the standard, because some masters know no other way.
     assert_eq!(host.set_real(&[reference("theta[2]"), reference("omega[1]")], &[start[1] + 12.0, 3.0]), fmi2OK);
     let states = host.array::<4>(fmi2GetContinuousStates).expect("states");
     assert_eq!((states[1], states[2]), (start[1] + 12.0, 3.0));
 }
 
-/// States are no coordinates where the distal links are in line, nor where they cannot meet: fmi2Discard, one sentence, nothing
-/// changed.
+/// States are no coordinates if the distal links are in line or cannot meet: fmi2Discard, one message, and no change.
 #[test]
 fn in_a_direct_singularity_derivatives_are_discarded() {
     let host = integrated(&[]);
@@ -93,7 +92,7 @@ fn in_a_direct_singularity_derivatives_are_discarded() {
     assert!(host.array::<4>(fmi2GetDerivatives).is_ok());
 }
 
-/// Indicators change sign where modes change and where stops and plane begin, and nowhere else.
+/// Indicators change sign exactly at changes of mode and at the borders of stops and plane.
 #[test]
 fn indicators_change_sign_where_modes_and_kinks_are() {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
@@ -116,7 +115,7 @@ fn indicators_change_sign_where_modes_and_kinks_are() {
     let mut changes = 0;
     let mut before = None;
     for step in 0..4000 {
-        // Both legs swing about; the elbows stay within reach of each other.
+        // Both legs swing; the elbows stay within reach of each other.
         let (a, b) = (0.0071 * f64::from(step), 0.0043 * f64::from(step));
         let states = [1.6 + 0.9 * libm::sin(a), 1.9 + 0.9 * libm::sin(b), 0.9 * libm::cos(a), 0.9 * libm::cos(b)];
         if host.set_states(&states) != fmi2OK {
@@ -137,7 +136,7 @@ fn indicators_change_sign_where_modes_and_kinks_are() {
     assert!(changes > 10, "{changes} changes");
 }
 
-/// A tuned parameter acts from fmi2NewDiscreteStates on, and a payload picked up there changes the rates, which is reported.
+/// A tuned parameter acts from fmi2NewDiscreteStates on; a payload picked up there changes the rates, which is reported.
 #[test]
 fn an_event_brings_what_was_tuned() {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
@@ -167,7 +166,7 @@ fn an_event_brings_what_was_tuned() {
     // Without a change of mass the states stay.
     assert_eq!(host.set_real(&[reference("gravity.g")], &[1.6]), fmi2OK);
     assert_eq!(host.new_discrete_states(), (fmi2OK, false));
-    // A value that the run cannot take is refused, and stays to be mended.
+    // A refused value stays set, so that the master can correct it.
     assert_eq!(host.set_real(&[mass], &[1e4]), fmi2OK);
     assert_eq!(host.new_discrete_states().0, fmi2Error);
     assert!(host.line().starts_with("fmi2NewDiscreteStates: payload.mass = 10000.0 kg is not allowed during this run"));
@@ -176,7 +175,7 @@ fn an_event_brings_what_was_tuned() {
     assert_eq!(host.call(fmi2EnterContinuousTimeMode), fmi2OK);
 }
 
-/// An accepted step must not be past the end; a time that is only tried may be.
+/// An accepted step must not pass the end; a trial time may.
 #[test]
 fn a_step_past_the_end_is_refused() {
     let host = integrated(&[BENT]);
@@ -189,7 +188,7 @@ fn a_step_past_the_end_is_refused() {
     assert_eq!(host.line(), "fmi2SetTime: time is NaN s, must be finite.");
 }
 
-/// Once, as in co-simulation, where no effect reads them.
+/// The warning comes once, as in co-simulation.
 #[test]
 fn references_that_nobody_reads_are_warned_of() {
     let host = integrated(&[BENT]);
@@ -198,7 +197,7 @@ fn references_that_nobody_reads_are_warned_of() {
     assert!(host.line().contains("no active effect reads them: servo.enabled is false."));
 }
 
-/// A stored state goes back into an instance of its kind only, and functions belong to a kind.
+/// A stored state can be restored only into an instance of the same kind, and each kind has its own functions.
 #[test]
 fn kinds_do_not_mix() {
     let (host, stepped) = (integrated(&[BENT]), Host::ready(&[BENT]));

@@ -1,4 +1,4 @@
-//! A machine that is followed, through the C functions: its variables, faults of encoders, stored states.
+//! Following a machine through the C functions: variables, encoder faults, stored states.
 
 use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
@@ -25,12 +25,12 @@ const STATUS: [(&str, i32); 12] = [
 const LINEAR: i32 = 1;
 const SIGMA_POINTS: i32 = 2;
 
-/// A fall of the table-top machine, followed, ready to step.
+/// A fall of the table-top machine with following enabled, ready to step.
 fn following(method: i32, values: &[(&str, f64)]) -> Host {
     foreseeing(method, LINEAR, values)
 }
 
-/// An instance as by [`following`] with a method of forecasts.
+/// As [`following`], with a forecast method.
 fn foreseeing(method: i32, forecast: i32, values: &[(&str, f64)]) -> Host {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_integer(&[reference("estimator.forecast")], &[forecast]), fmi2OK);
@@ -64,7 +64,7 @@ fn measure(host: &Host, theta: [f64; 2], time: [f64; 2]) {
 
 const H: f64 = 1e-3;
 
-/// The machine itself: the same with another start, 0.01 rad off.
+/// The machine itself: another start, 0.01 rad off.
 fn machine() -> Host {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
@@ -79,7 +79,7 @@ fn angles(host: &Host) -> [f64; 2] {
     [real(host, "theta[1]"), real(host, "theta[2]")]
 }
 
-/// Takes `steps` with both; `seen` changes the samples (angles, times).
+/// Runs `steps` on both; `seen` changes the samples (angles, times).
 fn follow(host: &Host, machine: &Host, steps: std::ops::Range<u32>, seen: impl Fn([f64; 2], f64) -> ([f64; 2], [f64; 2])) {
     for step in steps {
         let time = f64::from(step) * H;
@@ -111,7 +111,7 @@ fn state_of(host: &Host, bytes: &[u8]) -> fmi2FMUstate {
     state
 }
 
-/// Every Real but the samples, as bits.
+/// Every Real except the samples, as bits.
 fn reals(host: &Host) -> Vec<u64> {
     let computed = VARIABLES.iter().filter(|v| v.start.is_none() && v.fmi_type() == fivebar::variables::FmiType::Real);
     let references: Vec<u32> = computed.map(|v| v.reference).collect();
@@ -148,7 +148,7 @@ fn a_machine_is_followed_by_every_method() {
     }
 }
 
-/// Steps with samples, coasting ones and forecasts by sigma points allocate nothing, by every method.
+/// Steps with samples, steps without, and forecasts by sigma points allocate nothing, with every method.
 #[test]
 fn following_allocates_nothing() {
     for method in 1..=6 {
@@ -178,7 +178,7 @@ fn following_allocates_nothing() {
     }
 }
 
-/// Outputs change in fmi2DoStep only: samples are no input of them.
+/// Outputs change only in fmi2DoStep: samples are no direct inputs of them.
 #[test]
 fn samples_change_no_output() {
     let (host, machine) = (following(1, &[]), machine());
@@ -195,7 +195,7 @@ fn samples_change_no_output() {
     assert_eq!(host.free_state(&mut state), fmi2OK);
 }
 
-/// Faults of encoders: a status, a cause, one line in the log, and an estimate that continues.
+/// Encoder faults: a status, a cause, one line in the log, and an estimate that continues.
 #[test]
 fn faults_are_told_once_and_survived() {
     type Seen = fn([f64; 2], f64) -> ([f64; 2], [f64; 2]);
@@ -206,7 +206,7 @@ fn faults_are_told_once_and_survived() {
         ("oneEncoder", 4.0, "has been silent", |theta, time| (theta, [0.049, time])),
         ("stuck", 4.0, "repeats its value", |theta, time| ([2.2, theta[1]], [time; 2])),
         ("rejected", 0.0, "too far from the predicted angle", |theta, time| {
-            // A wild sample now and then.
+            // An occasional outlier.
             let wild = if (time / H).round() as i64 % 10 == 9 { 0.2 } else { 0.0 };
             ([theta[0] + wild, theta[1]], [time; 2])
         }),
@@ -220,7 +220,7 @@ fn faults_are_told_once_and_survived() {
         assert_eq!(status(&host), name);
         assert_eq!(real(&host, "estimated.cause"), cause, "{name}");
         let lines = host.take();
-        // One that gets stuck jumps here, and is wild before it repeats itself.
+        // A stuck encoder jumps first, so it counts as an outlier before it repeats itself.
         assert_eq!(lines.len(), 1 + usize::from(name == "stuck"), "{name}: {lines:?}");
         let told = &lines[lines.len() - 1].text;
         assert!(told.contains(text) && told.contains("measured.theta[1]"), "{name}: {lines:?}");
@@ -231,7 +231,8 @@ fn faults_are_told_once_and_survived() {
     }
 }
 
-/// An encoder that was stuck is the cause for a second after it, whatever its first readings surprise by; one that has never delivered a sample is none.
+/// A stuck encoder remains the cause for a second after it recovers, whatever its first readings are; an encoder that never delivered is
+/// no cause.
 #[test]
 fn an_encoder_that_was_stuck_explains_what_follows() {
     let (host, machine) = (following(1, &[]), machine());
@@ -253,7 +254,8 @@ fn an_encoder_that_was_stuck_explains_what_follows() {
     assert_eq!(real(&host, "estimated.cause"), 0.0);
 }
 
-/// A push at the tip is named, by a state that was stored while it was judged too, to the bit; a second later nothing is named any more.
+/// A push at the tip is reported as the cause, with equal bits also from a state stored during the evaluation; a second later there is no
+/// cause.
 #[test]
 fn a_push_is_named() {
     let (host, machine) = (following(1, &[]), machine());
@@ -264,7 +266,7 @@ fn a_push_is_named() {
     let told = |host: &Host| {
         follow(host, &machine, 320..500, at_once);
         let told = ["estimated.cause", "estimated.cause.probability"].map(|name| real(host, name));
-        // Of equal explanations one would have an eighth.
+        // Equally likely explanations would have an eighth each.
         assert!(told[0] == 3.0 && told[1] > 0.5, "{told:?}");
         reals(host)
     };
@@ -282,17 +284,17 @@ fn a_push_is_named() {
     assert_eq!(real(&other, "estimated.cause"), 0.0);
 }
 
-/// A machine that is taken elsewhere while its encoders are silent: the estimate begins anew where they are, says so once, by its status and in
-/// the log, and finds the machine; from a state stored before, in memory or as bytes, it does so to the same bits.
+/// A machine moves elsewhere while its encoders are silent. The estimate restarts there, reports this once by its status and in the log,
+/// and finds the machine; from a state stored before, in memory or as bytes, it does so with the same bits.
 #[test]
 fn a_lost_machine_is_found_again() {
     let (host, machine) = (following(1, &[]), machine());
     follow(&host, &machine, 0..50, at_once);
-    // For 2 s the twin hears nothing.
+    // For 2 s the twin gets no samples.
     for step in 50..2050 {
         assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
     }
-    // Then it hears of a machine that has fallen from elsewhere.
+    // Then it gets samples of a machine that has fallen from elsewhere.
     let other = Host::initializing(0.0, None);
     assert_eq!(other.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
     for (name, value) in [("base.distance", 0.1), ("init.theta[1]", 2.0), ("init.theta[2]", 1.3)] {
@@ -312,7 +314,7 @@ fn a_lost_machine_is_found_again() {
             begun += usize::from(host.take().iter().any(|line| line.text.contains("the estimate diverged and restarts")));
             if begun == 1 && status(host) == "inconsistent" {
                 assert!(step < 2250, "late: {step}");
-                // Without samples it coasts, and tells nothing twice.
+                // Without samples it coasts and reports nothing twice.
                 let mut here = host.state();
                 for step in step + 1..step + 4 {
                     assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
@@ -338,7 +340,7 @@ fn a_lost_machine_is_found_again() {
     }
 }
 
-/// Whole turns are left out of innovations.
+/// Innovations have no whole turns.
 #[test]
 fn turns_do_not_matter() {
     let (host, machine) = (following(1, &[]), machine());
@@ -349,7 +351,7 @@ fn turns_do_not_matter() {
     assert!((real(&host, "theta[1]") - real(&machine, "theta[1]")).abs() < 1e-3);
 }
 
-/// A stored state and steps ahead are a forecast; in memory, as bytes and in another instance it is the same to the bit.
+/// A stored state plus steps ahead are a forecast; in memory, as bytes and in another instance it has the same bits.
 #[test]
 fn stored_states_are_everything() {
     for method in 1..=6 {
@@ -379,8 +381,8 @@ fn stored_states_are_everything() {
     }
 }
 
-/// A forecast by sigma points that is stored at its beginning or during it, as bytes, continues with equal bits, and so does the
-/// estimate when samples come again.
+/// A forecast by sigma points that is stored at its start or during it, as bytes, continues with equal bits, and so does the estimate when
+/// samples return.
 #[test]
 fn forecasts_are_stored() {
     let (host, machine) = (foreseeing(1, SIGMA_POINTS, &[]), machine());
@@ -410,7 +412,7 @@ fn forecasts_are_stored() {
     assert_eq!(machine.free_state(&mut machine_state), fmi2OK);
 }
 
-/// Off there is no byte of it in a stored state, and a sample that has been set is kept.
+/// If disabled, the estimator takes no byte of a stored state; samples that were set are kept.
 #[test]
 fn off_there_is_no_byte_of_state() {
     let host = Host::ready(&[]);
@@ -428,7 +430,7 @@ fn off_there_is_no_byte_of_state() {
     assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
 }
 
-/// More delay than is remembered is refused.
+/// A delay beyond the history is refused.
 #[test]
 fn a_refused_scene_says_why() {
     let host = Host::initializing(0.0, None);

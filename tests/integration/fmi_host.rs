@@ -1,4 +1,4 @@
-//! A small master: calls the exported functions in this process, as a C program would, and records the log.
+//! A small master: calls the exported functions in this process like a C program, and records the log.
 
 #![allow(unsafe_code, reason = "it calls the C functions of the library with pointers of its own")]
 
@@ -8,11 +8,11 @@ use std::ptr::{null, null_mut};
 use fivebar::ffi::*;
 use fivebar::variables::{GUID, Variable};
 
-/// Start values of an estimator whose machine has exact lengths and encoders.
+/// Start values of an estimator for a machine with exact lengths and encoders.
 pub(super) const EXACT: [(&str, f64); 3] =
     [("estimator.sigma0.length", 0.0), ("estimator.sigma0.offset", 0.0), ("estimator.sigma0.eccentricity", 0.0)];
 
-/// A line that the logger received.
+/// A line received by the logger.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Line {
     pub(super) instance: String,
@@ -38,7 +38,7 @@ impl Default for Instantiation<'_> {
 /// An instance with its log; freed when dropped.
 pub(super) struct Host {
     pub(super) component: fmi2Component,
-    /// Lines of the logger: their address is the component environment.
+    /// Lines of the logger; the component environment points to them.
     lines: *mut Vec<Line>,
 }
 
@@ -57,15 +57,15 @@ unsafe extern "C" fn record(
     }
 }
 
-/// The recorder as the variadic function that the standard wants.
+/// The recorder as the variadic function required by the standard.
 fn logger() -> fmi2CallbackLogger {
-    // SAFETY: a function that ignores further arguments can be called as a variadic one under the calling conventions
-    // that this is tested on; loggers of masters are often written with five parameters.
+    // SAFETY: under the tested calling conventions a function that ignores further arguments can be called as a variadic one; loggers of
+    // masters often have five parameters.
     unsafe { std::mem::transmute::<*const c_void, fmi2CallbackLogger>(record as *const c_void) }
 }
 
 impl Host {
-    /// Instantiates; the lines that came instead, where the library refuses.
+    /// Instantiates; if refused, returns the log lines.
     pub(super) fn instantiate(with: Instantiation<'_>) -> Result<Self, Vec<Line>> {
         let lines = Box::into_raw(Box::new(Vec::new()));
         let callbacks = fmi2CallbackFunctions {
@@ -82,7 +82,7 @@ impl Host {
         let component =
             unsafe { fmi2Instantiate(name, with.kind, guid.as_ptr(), null(), &callbacks, fmi2False, with.logging_on.into()) };
         if component.is_null() {
-            // SAFETY: made above, and nobody else holds it.
+            // SAFETY: made above, with no other owner.
             return Err(*unsafe { Box::from_raw(lines) });
         }
         Ok(Self { component, lines })
@@ -93,7 +93,7 @@ impl Host {
         Self::instantiate(Instantiation::default()).unwrap_or_else(|lines| panic!("{lines:?}"))
     }
 
-    /// In initialization mode, from `start` s, with an end where one is given.
+    /// An instance in initialization mode, starting at `start` s, with a stop time if given.
     pub(super) fn initializing(start: f64, stop: Option<f64>) -> Self {
         let host = Self::new();
         assert_eq!(host.setup(None, start, stop), fmi2OK);
@@ -101,7 +101,7 @@ impl Host {
         host
     }
 
-    /// Ready to step from 0 s, with Real values set by name.
+    /// An instance ready to step from 0 s, with Real values set by name.
     pub(super) fn ready(values: &[(&str, f64)]) -> Self {
         let host = Self::initializing(0.0, None);
         for (name, value) in values {
@@ -111,19 +111,19 @@ impl Host {
         host
     }
 
-    /// The lines since the last call of this.
+    /// The lines since the last call of this function.
     pub(super) fn take(&self) -> Vec<Line> {
         // SAFETY: the pointer lives as long as the host, and the logger runs only within calls.
         std::mem::take(unsafe { &mut *self.lines })
     }
 
-    /// The text of the one line since the last call of this.
+    /// The text of the single line since the last call.
     pub(super) fn line(&self) -> String {
         let [line] = <[Line; 1]>::try_from(self.take()).expect("exactly one line");
         line.text
     }
 
-    /// A function that takes nothing but the instance.
+    /// Calls a function whose only argument is the instance.
     pub(super) fn call(&self, function: unsafe extern "C" fn(fmi2Component) -> fmi2Status) -> fmi2Status {
         // SAFETY: the component is live.
         unsafe { function(self.component) }
@@ -227,14 +227,14 @@ impl Host {
         }
     }
 
-    /// A derivative of an output.
+    /// Reads a derivative of an output.
     pub(super) fn output_derivative(&self, reference: u32, order: i32) -> (fmi2Status, f64) {
         let mut value = f64::NAN;
         // SAFETY: the component is live, the places are ours.
         (unsafe { fmi2GetRealOutputDerivatives(self.component, &reference, 1, &order, &mut value) }, value)
     }
 
-    /// How unknowns change with knowns: (reference, change).
+    /// Directional derivative of unknowns for changes of knowns: (reference, change).
     pub(super) fn directional_derivative(&self, unknowns: &[u32], knowns: &[(u32, f64)], values: &mut [f64]) -> fmi2Status {
         assert_eq!(unknowns.len(), values.len());
         let references: Vec<u32> = knowns.iter().map(|known| known.0).collect();
@@ -253,9 +253,9 @@ impl Host {
         }
     }
 
-    /// fmi2GetFMUstate into a place: null, or a state that is overwritten.
+    /// fmi2GetFMUstate into null, or over an existing state.
     pub(super) fn get_state(&self, state: &mut fmi2FMUstate) -> fmi2Status {
-        // SAFETY: the component is live; the tests hand on null or a live state.
+        // SAFETY: the component is live; tests pass null or a live state.
         unsafe { fmi2GetFMUstate(self.component, state) }
     }
 
@@ -276,14 +276,14 @@ impl Host {
         unsafe { fmi2FreeFMUstate(self.component, state) }
     }
 
-    /// The number of bytes that a state takes.
+    /// Size of a state in bytes.
     pub(super) fn serialized_size(&self, state: fmi2FMUstate) -> (fmi2Status, usize) {
         let mut size = 0;
         // SAFETY: as above, the place is ours.
         (unsafe { fmi2SerializedFMUstateSize(self.component, state, &mut size) }, size)
     }
 
-    /// A state as bytes, in a buffer of that size.
+    /// A state as bytes, in a buffer of this size.
     pub(super) fn serialize(&self, state: fmi2FMUstate, size: usize) -> (fmi2Status, Vec<u8>) {
         let mut bytes = vec![0; size];
         // SAFETY: as above, the buffer has the size that is passed.
@@ -296,7 +296,7 @@ impl Host {
         unsafe { fmi2DeSerializeFMUstate(self.component, bytes.as_ptr().cast(), bytes.len(), state) }
     }
 
-    /// The state functions with null instead of a place or a state.
+    /// Calls the state functions with null pointers.
     pub(super) fn null_states(&self) -> Vec<fmi2Status> {
         let (c, mut size) = (self.component, 0);
         // SAFETY: the component is live; the test is about null.
@@ -311,7 +311,7 @@ impl Host {
         }
     }
 
-    /// Every type with null arrays of that length: getters and setters.
+    /// Calls getters and setters of every type with null arrays of this length.
     pub(super) fn null_arrays(&self, length: usize) -> Vec<fmi2Status> {
         let c = self.component;
         // SAFETY: the component is live; the test is about null.
@@ -329,7 +329,7 @@ impl Host {
         }
     }
 
-    /// fmi2GetReal and fmi2SetReal with references but no values, and status functions without a place.
+    /// Calls fmi2GetReal and fmi2SetReal with references but without values, and status functions with null.
     pub(super) fn null_values(&self) -> Vec<fmi2Status> {
         let (c, reference) = (self.component, 100);
         // SAFETY: the component is live; the test is about null.
@@ -344,7 +344,7 @@ impl Host {
         }
     }
 
-    /// The functions of derivatives with null arrays of that length.
+    /// Calls the functions of derivatives with null arrays of this length.
     pub(super) fn null_derivatives(&self, length: usize) -> [fmi2Status; 3] {
         let c = self.component;
         // SAFETY: the component is live; the test is about null.
@@ -367,7 +367,7 @@ impl Host {
         unsafe { fmi2SetContinuousStates(self.component, states.as_ptr(), states.len()) }
     }
 
-    /// Status, and whether states have changed; nothing else may be asked for.
+    /// Status, and whether states have changed; checks that nothing else is requested.
     pub(super) fn new_discrete_states(&self) -> (fmi2Status, bool) {
         let mut info = fmi2EventInfo {
             newDiscreteStatesNeeded: fmi2False,
@@ -393,7 +393,7 @@ impl Host {
         status
     }
 
-    /// A function that fills an array.
+    /// Calls a function that fills an array.
     pub(super) fn array<const N: usize>(
         &self,
         function: unsafe extern "C" fn(fmi2Component, *mut fmi2Real, usize) -> fmi2Status,
@@ -404,7 +404,7 @@ impl Host {
         if status == fmi2OK { Ok(values) } else { Err(status) }
     }
 
-    /// fmi2GetString and fmi2SetString with that reference.
+    /// Calls fmi2GetString and fmi2SetString with this reference.
     pub(super) fn strings(&self, reference: u32) -> [fmi2Status; 2] {
         let mut value = c"".as_ptr();
         // SAFETY: the component is live, the place is ours.
@@ -414,7 +414,7 @@ impl Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        // SAFETY: the component is live and not used again; then nobody writes to the lines any more.
+        // SAFETY: the component is live and not used again; afterwards nothing writes to the lines.
         unsafe {
             fmi2FreeInstance(self.component);
             drop(Box::from_raw(self.lines));
@@ -422,7 +422,7 @@ impl Drop for Host {
     }
 }
 
-/// fmi2Instantiate with null callbacks, and with callbacks that are all null: the second component is freed.
+/// fmi2Instantiate with null callbacks, and with callbacks that are all null; frees the second component.
 pub(super) fn instantiate_without_callbacks() -> (bool, bool) {
     let guid = CString::new(GUID).expect("no zero byte");
     let nothing = fmi2CallbackFunctions {
@@ -438,7 +438,7 @@ pub(super) fn instantiate_without_callbacks() -> (bool, bool) {
             fmi2Instantiate(c"machine".as_ptr(), fmi2CoSimulation, guid.as_ptr(), null(), functions, fmi2False, fmi2True)
         };
         let (first, second) = (make(null()), make(&nothing));
-        // A refused call, whose log line has nowhere to go.
+        // A refused call; its log line has no receiver.
         let refused = second.is_null() || fmi2DoStep(second, 0.0, 1.0, fmi2True) == fmi2Error;
         fmi2FreeInstance(second);
         (!first.is_null(), !second.is_null() && refused)

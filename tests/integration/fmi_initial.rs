@@ -1,5 +1,5 @@
-//! Dependencies of each unknown at the start: InitialUnknowns against the changes that other values of parameters and inputs make
-//! (rule 20 of this project).
+//! Dependencies of each unknown at the start: InitialUnknowns against changes caused by other values of parameters and inputs (rule 20 of
+//! this project).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -27,8 +27,8 @@ impl Start {
     }
 }
 
-/// Without effects: the paper's start (distal links in line), a bent posture that moves, all links in one line, at rest and moving; by
-/// every method with all effects on, in both assemblies, in either stop of each motor, with the tip in contact.
+/// Without effects: the paper's start (distal links in line), a bent posture in motion, all links in one line, at rest and in motion. By
+/// every method with all effects: both assemblies, either stop of each motor, the tip in contact.
 fn starts() -> Vec<Start> {
     let bare = |state| Start { scene: Scene { reals: Vec::new(), enabled: Vec::new(), assembly: 1 }, state, method: 1 };
     let mut starts = vec![
@@ -41,7 +41,7 @@ fn starts() -> Vec<Start> {
     for method in 1..=4 {
         for (assembly, lower) in [(1, false), (2, true)] {
             let (mut scene, state) = everything(&mut random, assembly);
-            // So wide that breakaway and ramps are felt at these rates and depths.
+            // Wide enough for breakaway and ramps to matter at these rates and depths.
             scene.reals.extend([("friction.breakawayVelocity".into(), 1.0), ("stop.width".into(), 0.1)]);
             if lower {
                 for (leg, angle) in (1..=2).zip(state) {
@@ -55,7 +55,7 @@ fn starts() -> Vec<Start> {
     starts
 }
 
-/// The unknowns; nothing where the start is refused.
+/// The unknowns; `None` if the start is refused.
 fn read(host: &Host, unknowns: &[Unknown]) -> Option<Vec<f64>> {
     let references: Vec<u32> = unknowns.iter().map(|unknown| reference_of(&unknown.name)).collect();
     let mut values = vec![f64::NAN; references.len()];
@@ -64,7 +64,7 @@ fn read(host: &Host, unknowns: &[Unknown]) -> Option<Vec<f64>> {
     (status == fmi2OK).then_some(values)
 }
 
-/// A derivative is no variable of the library: it shares the reference of another one.
+/// A derivative shares the value reference of another variable.
 fn reference_of(name: &str) -> u32 {
     match name.strip_prefix("der(theta") {
         Some(rest) => reference(&format!("omega{}", rest.trim_end_matches(')'))),
@@ -75,7 +75,7 @@ fn reference_of(name: &str) -> u32 {
     }
 }
 
-/// Sets a known otherwise, in several ways one after the other, and back; calls `look` after each way that is allowed.
+/// Sets a known to several other values in turn, and back; calls `look` after each allowed value.
 fn vary(host: &Host, known: &Variable, mut look: impl FnMut(&Host)) {
     let reference = [known.reference];
     match known.kind {
@@ -113,15 +113,15 @@ fn vary(host: &Host, known: &Variable, mut look: impl FnMut(&Host)) {
     host.take();
 }
 
-/// Every change is declared, in every scene; every declared dependency changes its unknown, in one of them.
+/// Every change is declared, in every scene; every declared dependency changes its unknown in at least one scene.
 #[test]
 fn initial_unknowns_depend_on_what_is_declared_and_on_nothing_else() {
     let description = ModelDescription::read().expect("the shipped description");
     let unknowns = &description.structure.initial_unknowns;
     let is_known = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
-    // The tip's position is found past the centre of mass of a link, and by each method in its own coordinates: quantities that
-    // depend on it have round-off of 1e-16 m, of the contact's stiffness of 2e3 N/m and its damping in forces. Round-off of a quantity
-    // goes with the largest of its kind, for one component may be small by chance. The least change that counts is some 1e-6.
+    // The tip's position is computed from the centre of mass of a link, and by each method in its own coordinates. Dependent quantities
+    // have a round-off of 1e-16 m, and forces that of the contact's stiffness of 2e3 N/m and its damping. Round-off is relative to the
+    // largest of a kind, because one component may be small by chance. The smallest real change is some 1e-6.
     let kind = |unknown: &Unknown| unknown.name.split(['[', '.']).next().unwrap_or_default().to_owned();
     let scales = |values: &[f64]| {
         let mut largest = BTreeMap::new();

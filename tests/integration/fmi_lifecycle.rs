@@ -1,4 +1,4 @@
-//! Instantiate, the order of calls, reset, independence (rules 25, 27, 28, 36, 45, 46 of this project).
+//! Instantiation, order of calls, reset, independence (rules 25, 27, 28, 36, 45, 46 of this project).
 
 use fivebar::ffi::*;
 use fivebar::variables::{GUID, VARIABLES};
@@ -113,7 +113,7 @@ fn a_scene_that_cannot_be_made_ready_is_refused_and_can_be_mended() {
     assert_eq!(host.set_real(&base, &[5.0]), fmi2OK);
     assert_eq!(host.call(fmi2ExitInitializationMode), fmi2Error);
     assert!(host.line().starts_with("fmi2ExitInitializationMode: "));
-    // An output read there is refused for the same reason, a parameter is not.
+    // Reading an output there is refused for the same reason; a parameter is allowed.
     assert_eq!(host.get_real(&[reference("tip.x")], &mut [0.0]), fmi2Error);
     assert!(host.line().starts_with("fmi2GetReal: "));
     let mut value = [0.0];

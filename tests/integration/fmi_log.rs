@@ -4,7 +4,7 @@ use fivebar::ffi::*;
 
 use super::fmi_host::{Host, Instantiation, Line, reference};
 
-/// Categories passed to the logger at the start, a refused call and the end.
+/// Categories passed to the logger by the start, a refused call and the end.
 fn categories_of_a_run(host: &Host) -> Vec<String> {
     assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
     assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
@@ -74,7 +74,7 @@ fn the_line_of_a_scene_made_ready() {
     );
 }
 
-/// A tolerance of the master is answered with an event, no warning: accuracy is set otherwise here.
+/// A master's tolerance gives an event in the log, not a warning: accuracy has its own parameters here.
 #[test]
 fn a_tolerance_is_answered_with_an_event() {
     let host = logging(true);
@@ -99,7 +99,7 @@ fn the_name_is_handed_back_as_it_came() {
     assert_eq!(host.take()[0].instance, "Führung %d");
 }
 
-/// A singularity met is logged once, with time and kind; so is a start from rest in a constraint singularity, with its branch.
+/// Each singularity is logged once, with time and kind; so is a start from rest in a constraint singularity, with its branch.
 #[test]
 fn singularities_met_are_logged_once() {
     let host = logging(true);

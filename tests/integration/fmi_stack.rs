@@ -1,4 +1,4 @@
-//! What the C functions need of the stack: each runs in threads that have little.
+//! Stack requirements of the C functions: each runs in threads with a small stack.
 
 use std::thread::Builder;
 
@@ -7,15 +7,15 @@ use fivebar::variables::VARIABLES;
 
 use crate::fmi_host::{Host, reference};
 
-/// Stack of a thread in which a plain machine must run, bytes: no more than `docs/fmi.md` says, with what the thread itself takes.
+/// Stack of a thread that suffices for a plain machine, bytes: within the value in `docs/fmi.md`, including the thread's own use.
 const PLAIN: usize = 48 * 1024;
-/// Stack of a thread in which a machine must run that is followed, bytes: what `docs/fmi.md` tells a host to give.
+/// Stack of a thread that suffices for following, bytes: the value in `docs/fmi.md`.
 const FOLLOWED: usize = 128 * 1024;
 
-/// A start of a machine whose motors are not coaxial.
+/// A start of a machine without coaxial motors.
 const START: [(&str, f64); 3] = [("base.distance", 0.1), ("init.theta[1]", 2.2), ("init.theta[2]", 0.9)];
 
-/// Runs `work` in a thread with so many bytes of stack; where they do not suffice, the process ends with a message that names the thread.
+/// Runs `work` in a thread with a stack of `bytes`. If it overflows, the process ends with a message that names the thread.
 fn with_stack(bytes: usize, name: String, work: impl FnOnce() + Send + 'static) {
     let thread = Builder::new().name(name).stack_size(bytes).spawn(work).expect("a thread");
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -46,7 +46,7 @@ fn read(host: &Host) {
     assert_eq!(host.get_real(&references, &mut values), fmi2OK, "{:?}", host.take());
 }
 
-/// Steps, with another torque in each and a parameter tuned once; then states and derivatives.
+/// Makes steps, each with another torque, and tunes one parameter; then uses states and derivatives.
 fn go(host: &Host, samples: bool) {
     for step in 0..100 {
         let time = f64::from(step) * 1e-3;
@@ -78,7 +78,7 @@ const LOADS: [&str; 4] = ["gravity.enabled", "viscous.enabled", "friction.enable
 #[test]
 fn a_plain_machine_needs_little() {
     for method in 1..=6 {
-        // Links next to without inertia take the general solve.
+        // Nearly massless links need the general solve.
         for (on, inertia) in [(&LOADS[..0], 6.23e-5), (&LOADS[..], 6.23e-5), (&LOADS[..0], 1e-9)] {
             let values = [("link[2].inertia", inertia)];
             let choices = [("solver.method", method)];
@@ -89,7 +89,7 @@ fn a_plain_machine_needs_little() {
 
 #[test]
 fn a_machine_that_sticks_needs_little() {
-    // The methods that end their steps where friction sticks.
+    // The methods that can end their steps when friction sticks.
     for method in [1, 4, 6] {
         for inertia in [6.23e-5, 1e-9] {
             let (choices, values) = ([("solver.method", method), ("friction.law", 2)], [("link[2].inertia", inertia)]);

@@ -1,4 +1,4 @@
-//! Stored states (rules 36 to 39 of this project): complete, many at once, in any order, into another instance, as bytes.
+//! Stored states (rules 36 to 39 of this project): complete, several at once, in any order, into another instance, as bytes.
 
 use std::ptr::null_mut;
 
@@ -16,7 +16,7 @@ fn reals(host: &Host) -> Vec<u64> {
     values.into_iter().map(f64::to_bits).collect()
 }
 
-/// Everything that a master can see: reals, counters, the point reached.
+/// Everything visible to a master: reals, counters, the current time.
 fn seen(host: &Host) -> (Vec<u64>, Vec<i32>, (fmi2Status, f64)) {
     let counters = ["solver.steps", "solver.substeps", "solver.iterations", "solver.rejected", "solver.restarts"].map(reference);
     let mut counts = [0; 5];
@@ -70,7 +70,7 @@ fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
         assert_eq!(host.set_state(late), fmi2OK);
         assert_eq!(seen(&host), at_late, "method {method}");
 
-        // Into another instance, of whatever scene, in whatever state.
+        // Into another instance, with any scene and in any state.
         for other in [Host::new(), Host::ready(&[("link[2].mass", 0.1)])] {
             assert_eq!(other.set_state(late), fmi2OK);
             assert_eq!(seen(&other), at_late, "method {method}");
@@ -82,8 +82,8 @@ fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
     }
 }
 
-/// Values that were set and have not acted yet are in the state: an input, a tunable parameter; so are parameters and the stage of
-/// life.
+/// The state contains values that were set and have not acted yet (an input, a tunable parameter), parameters and the stage of the life
+/// cycle.
 #[test]
 fn a_state_holds_what_is_pending() {
     let host = machine(1);
@@ -105,7 +105,7 @@ fn a_state_holds_what_is_pending() {
     assert_eq!(initializing.set_state(before), fmi2OK);
     assert_eq!(initializing.set_real(&[reference("link[1].mass")], &[0.06]), fmi2OK, "in initialization mode again");
 
-    // One place for many states: it is overwritten. Null is free already.
+    // One variable for several states: it is overwritten. Null is already free.
     assert_eq!(host.get_state(&mut before), fmi2OK);
     assert_eq!(host.set_state(before), fmi2OK);
     for _ in 0..2 {
@@ -139,15 +139,15 @@ fn bytes_bring_a_state_back_bit_for_bit() {
         assert_eq!(other.set_state(restored), fmi2OK);
         steps(&other, 20, 40);
         assert_eq!(seen(&other), seen(&host), "method {method}");
-        // The restored state has the bytes that it was restored from.
+        // The restored state gives the same bytes.
         assert_eq!(host.deserialize(&bytes, &mut state), fmi2OK);
         assert_eq!(host.serialize(state, size), (fmi2OK, bytes));
         assert_eq!((host.free_state(&mut state), other.free_state(&mut restored)), (fmi2OK, fmi2OK));
     }
 }
 
-/// A step that ends at an event is a part of a longer one: stored within each step of such a run, at loose tolerances and tight ones,
-/// it is repeated with equal bits, and continues as if it had not been stored. Links meet their stops during the 400 ms.
+/// A step that ends at an event is part of a longer one. A run stored within each such step, at loose and tight tolerances, repeats it with
+/// equal bits and continues as without storing. Links meet their stops during the 400 ms.
 #[test]
 fn steps_that_end_at_kinks_come_back() {
     let start = |tolerance: f64| {
@@ -184,7 +184,7 @@ fn steps_that_end_at_kinks_come_back() {
     }
 }
 
-/// Every byte changed, every length cut, foreign bytes: fmi2Error with one sentence, and nothing has changed.
+/// Every byte changed, every length cut, foreign bytes: fmi2Error with one message, and no change.
 #[test]
 fn bytes_that_are_no_state_are_refused() {
     let host = machine(4);
@@ -214,9 +214,9 @@ fn bytes_that_are_no_state_are_refused() {
     assert_eq!(seen(&host), before);
 }
 
-/// Bytes changed by somebody who mends the checksum, which is no secret, are refused or are a state: never a panic, whatever is done with
-/// it. Here some content bytes, at a stage with a scene and at one without: this runs under valgrind too; every byte by every method is
-/// in `forged_states.rs`.
+/// Bytes changed with a corrected checksum, which is no secret, are refused or are a state: never a panic, in any later use. Here some
+/// bytes of the content, at a stage with a scene and at one without, because this also runs under valgrind; `forged_states.rs` has every
+/// byte by every method.
 #[test]
 fn forged_bytes_are_never_fatal() {
     const HEAD: usize = 58;
@@ -238,7 +238,7 @@ fn forged_bytes_are_never_fatal() {
                     continue;
                 }
                 if other.set_state(state) == fmi2Error {
-                    // Forged into one of the other kind, which may be one.
+                    // Forged into a state of the other kind.
                     assert!(other.line().contains(": FMUstate is that of an instance for model exchange"));
                     continue;
                 }
@@ -258,7 +258,7 @@ fn forged_bytes_are_never_fatal() {
         assert_eq!(other.free_state(&mut state), fmi2OK);
         refused
     };
-    // By rk4, which has no sub-steps: others take seconds for many of these states until they give up.
+    // With rk4, which has no sub-steps: other methods take seconds for many of these states before they fail.
     let running = machine(3);
     steps(&running, 0, 5);
     assert!(forge(&running) > 0 && forge(&Host::initializing(0.0, None)) > 0);

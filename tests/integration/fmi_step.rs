@@ -9,7 +9,7 @@ const PENDING_STATUS: fmi2StatusKind = 1;
 const LAST_SUCCESSFUL_TIME: fmi2StatusKind = 2;
 const TERMINATED: fmi2StatusKind = 3;
 
-/// Tip, rates and the last error estimate, as bits.
+/// Tip, rates and last error estimate, as bits.
 fn motion(host: &Host) -> [u64; 8] {
     let names = ["tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]", "alpha[1]", "solver.errorEstimate"];
     let mut values = [f64::NAN; 8];
@@ -72,7 +72,7 @@ fn points_and_steps_that_cannot_be_meant_are_refused() {
     assert_eq!(steps(&host), 0);
     assert_eq!(host.do_step(2.0000000000000004, 0.5), fmi2OK);
     assert_eq!(host.do_step(2.5, 0.5000000000000002), fmi2OK);
-    // The end has been reached: refused again and again, in the same way.
+    // At the end every further step is refused in the same way.
     for _ in 0..2 {
         assert_eq!(host.do_step(3.0, 1e-3), fmi2Error);
         assert!(host.line().contains("past stopTime 3.0 s"));
@@ -97,7 +97,7 @@ fn status_functions_when_there_is_nothing_to_tell() {
     assert_eq!(host.line(), "fmi2GetRealStatus: status kind is 4, must be 0 to 3.");
 }
 
-/// A scene whose first step cannot be done: one iteration of the printed method is not enough for 0.1 s.
+/// A scene whose first step fails: one iteration of the printed method is not enough for 0.1 s.
 fn hopeless() -> Host {
     let host = Host::initializing(0.0, None);
     let printed = 2;
@@ -124,7 +124,7 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));
     assert_eq!((motion(&host), steps(&host)), before);
 
-    // The step fails again; another input may be set, fixed parameters may not; a shorter step can be done.
+    // The step fails again; another input may be set, fixed parameters may not; a shorter step succeeds.
     assert_eq!(host.set_real(&[reference("tau[1]")], &[0.0]), fmi2OK);
     assert_eq!(host.set_real(&[reference("link[1].mass")], &[1.0]), fmi2Error);
     host.take();
@@ -138,7 +138,7 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(host.call(fmi2Terminate), fmi2OK);
 }
 
-/// Not even in a counter, with any method and solve, whether the inputs are those of the last step or not.
+/// A discarded step leaves no trace, not even in a counter, with any method and solve, with old or new inputs.
 #[test]
 fn a_discarded_step_leaves_no_trace() {
     for (method, adaptive, payload, friction) in
@@ -148,7 +148,7 @@ fn a_discarded_step_leaves_no_trace() {
         assert_eq!(host.set_integer(&["solver.method", "solver.maxIterations"].map(reference), &[method, 1]), fmi2OK);
         let switches = ["solver.adaptive", "payload.enabled", "friction.enabled"].map(reference);
         assert_eq!(host.set_boolean(&switches, &[adaptive, payload, friction]), fmi2OK);
-        // Too long for all of them; the gravity is for those that divide it.
+        // Too long for all of them; the huge gravity defeats methods that divide a step.
         let (names, values) = (["solver.stepSize", "init.theta[2]", "init.omega[1]", "gravity.g"], [0.1, 2.0, 5.0, 1e12]);
         assert_eq!(host.set_real(&names.map(reference), &values), fmi2OK);
         assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
@@ -163,7 +163,7 @@ fn a_discarded_step_leaves_no_trace() {
             assert_eq!(host.set_real(&[reference("tau[1]")], &[torque]), fmi2OK);
             let before = bytes(&host);
             assert_eq!(host.do_step(0.0, 0.1), fmi2Discard, "method {method}, adaptive {adaptive}");
-            // But for the stage of life, which comes first, and the checksum, at the end.
+            // Except the stage of the life cycle, which comes first, and the checksum at the end.
             let (inside, after) = (59..before.len() - 4, bytes(&host));
             assert!(before[inside.clone()] == after[inside], "method {method}, adaptive {adaptive}, {payload}, {friction}");
         }
@@ -171,7 +171,7 @@ fn a_discarded_step_leaves_no_trace() {
     }
 }
 
-/// Tuned values act from a step that is done; a discarded one has not begun. So does the warning about references.
+/// Tuned values act from the next completed step; a discarded one has not begun. The same holds for the warning about references.
 #[test]
 fn a_discarded_step_leaves_tuned_parameters_pending() {
     let host = hopeless();

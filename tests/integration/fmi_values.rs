@@ -44,7 +44,7 @@ fn outputs_at_the_start_are_those_of_the_scene() {
     for ((name, value), expected) in names.iter().zip(values).zip(expected) {
         assert!((value - expected).abs() < 1e-15, "{name} = {value}, expected {expected}");
     }
-    // The stretched elbows of the paper's start are a direct singularity.
+    // The stretched distal links of the paper's start are a direct singularity.
     let mut kind = [0];
     assert_eq!(host.get_integer(&[reference("singular.type")], &mut kind), fmi2OK);
     assert_eq!(kind, [fivebar::variables::SingularityKind::Direct as i32]);
@@ -116,7 +116,7 @@ fn null_arrays_are_as_good_as_empty_ones_and_refused_otherwise() {
 
 #[test]
 fn what_may_be_set_depends_on_role_and_state() {
-    // Every input and tunable parameter in every settable state; every other parameter before the run only.
+    // Every input and tunable parameter in every state that allows setting; every other parameter only before the run.
     let parameters = |host: &Host, expected: fmi2Status| {
         for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
             let always = variable.tunable || matches!(variable.id, VariableId::Input(_) | VariableId::Sample(_));
@@ -173,7 +173,7 @@ fn outputs_answer_for_the_present_inputs() {
     assert!(after[0] > before[0] + 100.0, "{before:?} {after:?}");
     assert_eq!(host.set_real(&[reference("tau[1]")], &[0.0]), fmi2OK);
     assert_eq!(host.get_real(&alpha, &mut again), fmi2OK);
-    // Within rounding only: the step's own acceleration and the recomputed one need not have the same bits.
+    // Only up to rounding: the step's acceleration and the recomputed one may have different bits.
     assert!((again[0] - before[0]).abs() <= 1e-9 * before[0].abs(), "{before:?} {again:?}");
 }
 
@@ -199,8 +199,7 @@ fn reading_changes_nothing_and_gives_the_same_bits_in_any_order() {
     assert_eq!(bits(&values), first);
 }
 
-/// Inputs that are finite and too large: a value that is not finite is discarded by name and nothing is handed over; the rest can
-/// be read.
+/// Inputs that are finite but too large: a value that is not finite is discarded by name and not returned; the others can be read.
 #[test]
 fn what_is_not_finite_is_never_told() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);

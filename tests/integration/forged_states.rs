@@ -1,8 +1,8 @@
-//! Stored states changed by somebody who mends the checksum, which is no secret: each is refused, or is some motion that closes the loop.
+//! Stored states changed with a corrected checksum, which is no secret: each is refused, or is a motion that closes the loop.
 //!
-//! Bytes of every kind of state are changed, in the nightly run every byte: by every method and every linear solve, at every stage of an instance's life. A forged
-//! state is never fatal, never answered with a value that is not finite and fmi2OK, and costs bounded work: restoring looks at some states
-//! inside the current step, and each step after that ends by `solver.maxWork`.
+//! Changes bytes of every kind of state (in the nightly run every byte): by every method and every linear solve, at every stage of the life
+//! cycle. A forged state is never fatal, never gives a value that is not finite with fmi2OK, and costs bounded work: restoring evaluates
+//! some states inside the current step, and `solver.maxWork` ends each later step.
 
 use std::collections::HashMap;
 use std::ptr::null_mut;
@@ -18,7 +18,7 @@ use crate::support::is_nightly;
 const HEAD: usize = 58;
 const CHECKSUM: usize = 4;
 
-/// Changes of a byte. A byte is changed by one of these, its neighbour by another; the next case begins with another one.
+/// Changes of a byte. Each byte gets one of them, its neighbour the next; the next case starts with another one.
 const CHANGES: [fn(u8) -> u8; 7] = [
     |byte| byte ^ 0x01,
     |byte| byte ^ 0x80,
@@ -29,27 +29,27 @@ const CHANGES: [fn(u8) -> u8; 7] = [
     |byte| byte.wrapping_add(2),
 ];
 
-/// Every so many bytes are forged in the normal run; the nightly run forges each. A prime other than the number of changes, so that each
-/// change meets every place of a number.
+/// The normal run forges one in this many bytes, the nightly run each. Coprime to the number of changes, so that each change reaches every
+/// byte of a number.
 const STRIDE: usize = 5;
 
 /// A step of the master, s.
 const STEP: f64 = 2e-3;
 
-/// A state to be forged.
+/// A state to forge.
 struct Case {
     name: String,
     bytes: Vec<u8>,
 }
 
-/// All real variables by their places in [`REALS`]; `None` where they cannot be told.
+/// All Real variables in the order of [`REALS`]; `None` if they cannot be read.
 type Outputs = Option<Vec<f64>>;
 
-/// References of variables by their names: looked for once, not for every forgery.
+/// Value references by name, cached for all forgeries.
 static REFERENCES: LazyLock<HashMap<&str, u32>> =
     LazyLock::new(|| VARIABLES.iter().map(|variable| (variable.name, variable.reference)).collect());
 
-/// The references of all real variables.
+/// References of all Real variables.
 static REALS: LazyLock<Vec<u32>> = LazyLock::new(|| {
     VARIABLES.iter().filter(|variable| variable.fmi_type() == FmiType::Real).map(|variable| variable.reference).collect()
 });
@@ -62,16 +62,17 @@ fn value(outputs: &[f64], name: &str) -> f64 {
     outputs[REALS.binary_search(&reference(name)).expect("a real variable")]
 }
 
-/// Whether initialisation is over.
+/// Whether initialisation is complete.
 fn is_running(host: &Host) -> bool {
     host.real_status(2).0 == fmi2OK
 }
 
-/// Largest violation of the constraints by the method, of positions, m, and of velocities, m/s.
+/// Largest allowed violation of the constraints for the method: positions, m, and velocities, m/s.
 ///
-/// Positions are closed to round-off, with a wide margin; angles of so many turns that their own round-off is more belong to whoever sets
-/// them. The printed method stops at 1e-8 of some 0.9 m. A state is refused where its rates open the loop by 1e-5 of their largest term, some
-/// 10 m/s here, and by half of it for the printed method, whose projection of the velocities by a finite penalty leaves a sixth.
+/// Positions are closed to round-off, with a wide margin; angles of so many turns that their own round-off is larger are the caller's
+/// responsibility. The printed method stops at 1e-8 of some 0.9 m. A state is refused if its rates open the loop by 1e-5 of their largest
+/// term, some 10 m/s here, and by half of it for the printed method, in which projection by a finite penalty leaves a sixth of the velocity
+/// error.
 fn bounds(host: &Host) -> [f64; 2] {
     let (mut method, mut theta) = ([0], [0.0; 2]);
     assert_eq!(host.get_integer(&[reference("solver.method")], &mut method), fmi2OK);
@@ -80,7 +81,7 @@ fn bounds(host: &Host) -> [f64; 2] {
     if method == [2] { [1e-7 + rounded, 5.0] } else { [1e-10 + rounded, 1e-4] }
 }
 
-/// Reads everything; each value is finite.
+/// Reads everything; checks that each value is finite.
 fn outputs(host: &Host) -> Result<Outputs, String> {
     let mut values = vec![f64::NAN; REALS.len()];
     let mut places = vec![0; 3];
@@ -96,7 +97,7 @@ fn outputs(host: &Host) -> Result<Outputs, String> {
     }
 }
 
-/// Restores a forged state and follows it. `Ok(true)` where the state is refused, a sentence where it does harm.
+/// Restores a forged state and continues from it. `Ok(true)` if it is refused; a message if it does harm.
 fn judge(forged: &[u8]) -> Result<bool, String> {
     let host = Host::new();
     let mut state = null_mut();
@@ -107,7 +108,7 @@ fn judge(forged: &[u8]) -> Result<bool, String> {
     }
     let set = host.set_state(state);
     if status == fmi2OK && set == fmi2Error && host.free_state(&mut state) == fmi2OK {
-        // The state of another instance, which may be one.
+        // The state of another kind of instance.
         let line = host.line();
         return if line.contains(": FMUstate is that of an instance for ") {
             Ok(true)
@@ -124,9 +125,9 @@ fn judge(forged: &[u8]) -> Result<bool, String> {
     follow(&host).map(|()| false)
 }
 
-/// Looks at an accepted state and goes on from it.
+/// Reads an accepted state and continues from it.
 fn follow(host: &Host) -> Result<(), String> {
-    // Setting up again, where it says that nothing has been set up, and initialising may be refused, as with any parameters.
+    // If the state says that setup has not happened, setup and initialisation may be refused, as with any parameters.
     host.setup(None, 0.0, None);
     let initialised = [fmi2EnterInitializationMode, fmi2ExitInitializationMode].map(|function| host.call(function));
     if initialised.contains(&fmi2Fatal) {
@@ -145,7 +146,7 @@ fn follow(host: &Host) -> Result<(), String> {
         }
         let Some(seen) = outputs(host)? else { continue };
         let [position, velocity] = ["solver.positionError", "solver.velocityError"].map(|name| value(&seen, name));
-        // Forged rates may be any that keep the loop closed: their round-off grows with them, here from 1000 rad/s on.
+        // Forged rates may be any that close the loop; their round-off grows with them, here above 1000 rad/s.
         let fastest = ["omega[1]", "omega[2]"].map(|name| value(&seen, name).abs()).into_iter().fold(0.0, f64::max);
         if position > closed[0] || velocity > closed[1] * (1.0 + 1e-3 * fastest) {
             return Err(format!("{name}: the loop is open by {position:e} m, {velocity:e} m/s"));
@@ -158,9 +159,9 @@ fn follow(host: &Host) -> Result<(), String> {
 #[derive(Debug, PartialEq)]
 enum Done {
     All,
-    /// One of them, and the rest has not been tried.
+    /// A step was discarded; the rest was not tried.
     Discarded,
-    /// The master has been told that it cannot step like that.
+    /// The step was refused as impossible.
     Refused,
 }
 
@@ -168,7 +169,7 @@ enum Done {
 fn steps(host: &Host) -> Result<Done, String> {
     let mut size = [0.0];
     host.get_real(&[reference("solver.stepSize")], &mut size);
-    // At most a few macro steps for each: a call may make a thousand million.
+    // At most a few macro steps each, because a call may contain a thousand million.
     let size = STEP.min(4.0 * size[0]);
     for _ in 0..3 {
         let (_, point) = host.real_status(2);
@@ -178,7 +179,7 @@ fn steps(host: &Host) -> Result<Done, String> {
             _ if status == fmi2OK => {}
             _ if status == fmi2Discard => return Ok(Done::Discarded),
             _ if status == fmi2Error => {
-                // Not in this stage; a clock so far on, or so close to its end, that the step is nothing, or too much; a tuned value.
+                // Refusals: wrong stage; a time so large, or so close to the end, that the step is nothing or too much; a tuned value.
                 let known = ["the state is \"terminated\"", "does not advance", "past stopTime", "must be", "must not"];
                 let expected = lines.last().is_some_and(|line| known.iter().any(|known| line.text.contains(known)));
                 return if expected { Ok(Done::Refused) } else { Err(format!("a step is refused: {lines:?}")) };
@@ -225,7 +226,7 @@ fn case(name: &str, host: &Host) -> Case {
     Case { name: name.to_owned(), bytes }
 }
 
-/// A scene by a method and a linear solve, on its way for 10 steps.
+/// A scene with a method and a linear solve, after 10 steps.
 fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
     let host = Host::initializing(0.0, None);
     let integers = [reference("solver.method")];
@@ -248,7 +249,7 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         let mut height = [0.0];
         assert_eq!(host.get_real(&[reference("tip.y")], &mut height), fmi2OK);
         assert_eq!(host.set_integer(&[reference("contact.law")], &[2]), fmi2OK);
-        // The tip lies on the plane, pressed in so far as to stay there.
+        // The tip lies on the plane, pressed in far enough to stay there.
         values.extend([("contact.offset", height[0] + 2e-4), ("contact.mu", 20.0), ("contact.d", 50.0)]);
     }
     if solve == "dense" {
@@ -269,8 +270,8 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
     host
 }
 
-/// Forges the state of every run, given by method, `solver.adaptive`, whether inputs change, and the linear solve or the effect. The first is case
-/// `number`: tests that follow each other, which run at the same time, go on with the changes of bytes.
+/// Forges the state of every run, given by method, `solver.adaptive`, whether inputs change, and the linear solve or the effect. The first
+/// is case `number`, so that tests in parallel continue the sequence of byte changes.
 fn forge_runs(number: usize, runs: &[(i32, bool, bool, &str)]) {
     let (mut wrong, mut counts) = (Vec::new(), Vec::new());
     for (number, &(method, adaptive, changing, solve)) in (number..).zip(runs) {
@@ -282,8 +283,8 @@ fn forge_runs(number: usize, runs: &[(i32, bool, bool, &str)]) {
     assert!(counts.iter().all(|([refused, accepted], _)| *refused > 0 && *accepted > 0), "{counts:?}");
 }
 
-/// Every method by one linear solve; the explicit one in the middle of a step and, where inputs change, at its end; implicit steps of the
-/// method that chooses.
+/// Every method with one linear solve; the explicit one in the middle of a step and, with changing inputs, at its end; implicit steps of
+/// the method that chooses.
 fn forge_methods(number: usize, solve: &str) {
     let runs = [
         (1, true, false),
@@ -328,8 +329,8 @@ fn forged_runs_that_stick_or_are_stiff_are_refused_or_go_on() {
     forge_runs(24, &runs);
 }
 
-/// Other values of the Real parameters: a stored state holds those that are not at their start values. The start stays: of an angle of
-/// 1e15 rad, which is legal, the digits do not say where a link is.
+/// Other values of the Real parameters, because a stored state contains only those that differ from their start values. The start itself
+/// stays: the digits of a legal angle of 1e15 rad do not determine a posture.
 fn with_other_parameters(host: Host) -> Host {
     for variable in VARIABLES.iter().filter(|variable| !variable.name.starts_with("init.")) {
         if let (VariableId::Parameter(_), Some(Value::Real(start))) = (variable.id, variable.start) {
@@ -340,7 +341,7 @@ fn with_other_parameters(host: Host) -> Host {
     host
 }
 
-/// Before a run and after it, and with pending values: inputs with derivatives, a tuned parameter.
+/// Before and after a run, and with pending values: inputs with derivatives, a tuned parameter.
 #[test]
 fn forged_stages_and_pending_values_are_refused_or_go_on() {
     let pending = running(1, true, "two-leg", false);

@@ -1,5 +1,5 @@
-//! Loads with events by the error-controlled methods: no contact is missed, outputs between steps are right, work balances, and
-//! friction that sticks stays.
+//! Loads with events by the error-controlled methods: no contact is missed, outputs between steps are correct, work balances, and friction
+//! that sticks stays.
 
 use fivebar::effects::Mode;
 use fivebar::integrator::{Implicit, i3alp};
@@ -23,7 +23,7 @@ fn close_motors(theta: [f64; 2], omega: [f64; 2]) -> Parameters {
     parameters
 }
 
-/// A plane, n·(x, y) ≥ offset free.
+/// A plane; n·(x, y) ≥ offset is free.
 fn plane(parameters: &mut Parameters, [nx, ny]: [f64; 2], offset: f64, [k, d, width]: [f64; 3]) {
     enable(parameters, "contact");
     let contact = &mut parameters.effects.contact;
@@ -31,9 +31,9 @@ fn plane(parameters: &mut Parameters, [nx, ny]: [f64; 2], offset: f64, [k, d, wi
     (contact.k, contact.d, contact.width) = (k, d, width);
 }
 
-/// A slow motion that touches a plane of 100 kN/m with a ramp of 1 µm, reported with the solution of an independent program in
-/// 80-bit arithmetic: before, the stages of a step missed a short contact, the further evaluations for the interpolant met it, and
-/// 291 of 600 points were shown up to 0.3 m off.
+/// A slow motion that touches a plane of 100 kN/m with a ramp of 1 µm, against an independent program in 80-bit arithmetic. The contact is
+/// short: the stages of a step may miss it while the extra evaluations for the interpolant meet it, and then outputs are up to 0.3 m off
+/// (291 of 600 points).
 #[test]
 fn what_is_shown_between_steps_is_the_motion() {
     let mut parameters = close_motors([2.305042384925536, 0.6405545940084515], [0.01947391254988405, 0.03608366856835523]);
@@ -45,17 +45,17 @@ fn what_is_shown_between_steps_is_the_motion() {
         simulation.advance(&default_inputs(), 8.08 / 600.0, 1).expect("a step");
         let state = simulation.state();
         let energy = state.kinetic_energy(simulation.model()) + state.core.work.dissipated;
-        // The energy at the start is 9.308e-7 J; energy taken by a contact counts as dissipated.
+        // The initial energy is 9.308e-7 J; energy taken by a contact counts as dissipated.
         assert!((energy - 9.308e-7).abs() < 1e-10, "call {call}: {energy:e} J");
         if call == 513 {
-            // Given to four digits.
+            // The reference has four digits.
             assert!(tip_error(&simulation, [0.0328, 0.2299]) < 1e-4, "{:?}", tip(&simulation));
         }
     }
 }
 
-/// Slow touches, 1 to 50 µm deep: whatever steps miss would be far off. Judged against the same method at 1e-13 rad, which meets every
-/// scene of its own kind in quadruple precision (`effects_reference.rs`, `cargo xtask report`).
+/// Slow contacts, 1 to 50 µm deep; a missed one would cause a large error. The reference is the same method at 1e-13 rad, which agrees with
+/// quadruple precision in every scene of this kind (`effects_reference.rs`, `cargo xtask report`).
 #[test]
 fn no_slow_touch_is_missed() {
     let mut touches = 0;
@@ -69,7 +69,7 @@ fn no_slow_touch_is_missed() {
         let mut parameters = close_motors(theta, omega);
         let normal = [angle.cos(), angle.sin()];
 
-        // The free motion, and how far it reaches in that direction.
+        // The free motion, and its reach in this direction.
         let mut free = Simulation::new(&parameters, &default_inputs()).expect("a scene");
         let mut reach = f64::INFINITY;
         for _ in 0..2000 {
@@ -97,11 +97,11 @@ fn no_slow_touch_is_missed() {
         };
         let end = |method: Method, tolerance: f64, calls: u64| nudged_end(0.0, method, tolerance, calls);
         let (usual, exact) = (end(Method::Dop853, 3e-9, 600), end(Method::Dop853, 1e-13, 1));
-        // A touch multiplies errors by the stiffness: bounces in a row have made 1e-6 m of 1e-9.
+        // A contact multiplies errors by the stiffness: several bounces turned 1e-9 m into 1e-6 m.
         let error = tip_error(&usual, tip(&exact));
         assert!(error < 1e-5, "seed {seed}: {error:e} m");
-        // The default method, of second order, follows as well, as far as bounces do not multiply its errors: they grow like a
-        // perturbation of the start.
+        // The second-order default method also follows, unless bounces multiply its errors, which grow like a perturbation of the
+        // start.
         let default = tip_error(&end(Method::I3alp, 3e-9, 600), tip(&exact));
         if default > 2e-4 {
             let nudged = tip_error(&nudged_end(1e-7, Method::Dop853, 1e-13, 1), tip(&exact));
@@ -112,16 +112,16 @@ fn no_slow_touch_is_missed() {
     assert!(touches >= 15, "only {touches} of 40 motions touch with any consequence");
 }
 
-/// A touch that lies wholly in the second half of a sub-step of the default method, or in the first: neither end touches, and a sub-step
-/// whose ends alone were looked at would pass over it. At the looser tolerance one sub-step makes the whole macro step, so that it is the
-/// bound on the way between that sees it; where one end touches lightly too (the first scene, missed before). Against dop853 at 1e-12 rad.
+/// A contact that lies entirely in one half of a sub-step of the default method: neither end touches, so checking only the ends would miss
+/// it. At the looser tolerance one sub-step is the whole macro step, and only the bound in between detects the contact; also if one end
+/// touches slightly (the first scene). Against dop853 at 1e-12 rad.
 #[test]
 fn a_touch_in_either_half_of_a_sub_step_is_met() {
     const LOOSE: f64 = 1e-6;
     let inputs = default_inputs();
     let step = 4e-3;
     for (place, k) in [(0.2, 1e5), (0.35, 1e6), (0.65, 1e5), (0.75, 1e5), (0.75, 1e7), (0.8, 1e6)] {
-        // The free motion turns in some direction at `place` of the first macro step: rest there, followed backwards.
+        // The free motion turns back in some direction at `place` of the first macro step: computed backwards from rest there.
         let mut free = close_motors([2.1, 0.9], [0.0; 2]);
         free.effects.gravity.enabled = true;
         let mut back = Simulation::new(&free, &inputs).expect("a scene");
@@ -132,7 +132,7 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
         free.start.theta = [theta[0], theta[3]];
         free.start.omega = [-rates[0], -rates[3]];
         let turning = tip(&Simulation::new(&close_motors([2.1, 0.9], [0.0; 2]), &inputs).expect("a scene"));
-        // The tip rises until it turns, and falls again: a ceiling 2 µm below the highest place is met 0.6 ms before.
+        // The tip rises, turns and falls again: it meets a ceiling 2 µm below the highest point 0.6 ms before the turn.
         let mut scene = free.clone();
         plane(&mut scene, [0.0, -1.0], -turning[1] + 2e-6, [k, 0.0, 1e-6]);
         let end = |method: Method, tolerance: f64, parameters: &Parameters| {
@@ -153,8 +153,8 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
     }
 }
 
-/// A start inside a stop that separates: the energy left in its spring is dissipated, 2.4546e-2 J in all by that program. Before,
-/// 2.437e-2 J were booked at every tolerance, and a part was taken back.
+/// A start inside a stop that separates: the energy left in its spring is dissipated, and dissipated energy never decreases. In all it is
+/// 2.4546e-2 J by the independent program.
 #[test]
 fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
     let mut parameters = close_motors([2.2, 0.9], [3.0, 0.0]);
@@ -175,7 +175,7 @@ fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
     assert!((dissipated - 2.4546e-2).abs() < 1e-6, "{dissipated:e} J");
 }
 
-/// Separation next to a vertex, where steps conserve energy: the energy left in a stop is dissipated there, too.
+/// Separation near a vertex, where steps conserve energy: the energy left in a stop is dissipated there, too.
 #[test]
 fn what_has_let_go_is_lost_next_to_a_vertex() {
     // Through the vertex on its tangent cone: rates a, b, c of three links with a + b + c = 1 = a² + b² + c², and 1 of the fourth.
@@ -196,13 +196,13 @@ fn what_has_let_go_is_lost_next_to_a_vertex() {
         simulation.advance(&default_inputs(), 3e-8, 1).expect("a step");
         let state = simulation.state();
         let error = state.energy_error(simulation.model());
-        // 1.2e-4 J are lost in all, which came back into the motion.
+        // In all 1.2e-4 J are dissipated; an error would return them to the motion.
         assert!(error.abs() < 1e-9, "{error:e} J");
     }
     assert!(simulation.state().core.work.dissipated > 1e-4);
 }
 
-/// Kinks cut steps, and where communication points are changes nothing: the same bits, whether one looks or not.
+/// Kinks end steps, and communication points change nothing: the same bits with and without reading.
 #[test]
 fn kinks_do_not_depend_on_communication_points() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);
@@ -223,9 +223,9 @@ fn kinks_do_not_depend_on_communication_points() {
     }
 }
 
-/// Friction of 0.1 N·m in every joint holds the machine: it creeps as its smooth law says, 3.58e-5 rad in a second, and loses 4.87e-6 J
-/// (by dop853, and by that program). Before, the trapezoidal rule rang at 370 rad/s², crept 1.04e-3 rad the wrong way and made 1e-3 J,
-/// in 58,047 sub-steps.
+/// Friction of 0.1 N·m in every joint holds the machine. It creeps as the smooth law predicts, 3.58e-5 rad in a second, and loses 4.87e-6 J
+/// (by dop853 and by the independent program). An undamped trapezoidal rule rings at 370 rad/s², creeps 1.04e-3 rad the wrong way and
+/// gains 1e-3 J, in 58,047 sub-steps.
 #[test]
 fn friction_that_holds_creeps_as_its_law_says() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);
@@ -246,8 +246,8 @@ fn friction_that_holds_creeps_as_its_law_says() {
     assert!(state.core.counters.substeps < 1100, "{} sub-steps", state.core.counters.substeps);
 }
 
-/// Creep where friction turns at 1e-6 rad/s: it is proportional to the breakaway velocity, 3.5814e-3 of it per second at 1e-3 and
-/// 1e-4 rad/s by this method. Before, the scene did not get through 30 ms of it in 160,000 sub-steps.
+/// Creep with a breakaway velocity of 1e-6 rad/s, to which it is proportional: 3.5814e-3 of it per second at 1e-3 and 1e-4 rad/s by this
+/// method. Without damping 160,000 sub-steps do not complete 30 ms.
 #[test]
 fn stiff_friction_creeps_as_well() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);
@@ -262,12 +262,12 @@ fn stiff_friction_creeps_as_well() {
     let moved = state.angles()[0] - 2.2;
     assert!((moved - 3.5814e-9).abs() < 0.01 * 3.5814e-9, "moved by {moved:e} rad");
     assert!(state.energy_error(simulation.model()).abs() < 1e-9);
-    // Damped: z = hρ is some 1e5, and an undamped trapezoidal rule rang at 1.7 rad/s².
+    // Damped: z = hρ is some 1e5, for which an undamped trapezoidal rule rings at 1.7 rad/s².
     assert!(state.core.a.max_norm() < 1e-4, "{:e} rad/s² at rest", state.core.a.max_norm());
     assert!(state.core.counters.substeps < 150, "{} sub-steps", state.core.counters.substeps);
 }
 
-/// Masses that are absurd, and legal.
+/// Absurd but legal masses.
 fn absurd(method: Method) -> Parameters {
     let mut parameters = default_parameters();
     parameters.start.theta = [0.4836831119208266, 2.6577424139078643];
@@ -279,8 +279,8 @@ fn absurd(method: Method) -> Parameters {
     parameters
 }
 
-/// A call of 18.5 s, which took 147 s before it failed, ends at the default bound of `solver.maxWork`: the sentence has the time
-/// reached, and nothing has changed. The explicit method comes to its end.
+/// A call of 18.5 s ends at the default bound `solver.maxWork`, not after minutes: the message has the time reached, and nothing changes.
+/// The explicit method completes.
 #[test]
 fn absurd_machines_take_bounded_work() {
     let inputs = default_inputs();
@@ -297,8 +297,8 @@ fn absurd_machines_take_bounded_work() {
     assert!(failure.contains("solver.maxWork = 400000") && failure.contains("s into the call, "), "{failure}");
     assert_eq!(simulation.state(), before);
 
-    // Work done until then: no attempt begins beyond the bound, and each takes a Newton loop, once more, and a line search of 60
-    // rounds with 30 tries. An iteration counts by its linear solve.
+    // Work until then: no attempt begins beyond the bound, and each takes a Newton loop, a second one, and a line search of 60 rounds
+    // with 30 tries. Iterations count by their linear solves.
     let most = 50_000;
     let settings = i3alp::Settings {
         adaptive: true,
@@ -319,8 +319,8 @@ fn absurd_machines_take_bounded_work() {
     assert!((u64::from(most)..u64::from(most) + attempt).contains(&done), "{done} of {most}");
 }
 
-/// A motion that touches a plane of 240 kN/m with a ramp of 1 µm: at 1e-6 rad, before, stages met the short touch at random, and made
-/// 3.2e7 J of the 1.9e-6 J that there were.
+/// A motion that touches a plane of 240 kN/m with a ramp of 1 µm. If at 1e-6 rad stages meet the short contact at random, they create
+/// 3.2e7 J from 1.9e-6 J.
 #[test]
 fn no_touch_makes_energy_at_a_loose_tolerance() {
     let mut parameters = close_motors([2.1935064942368094, 1.0987417143110443], [0.04420263949810131, -0.031088100456916103]);
@@ -334,7 +334,7 @@ fn no_touch_makes_energy_at_a_loose_tolerance() {
             simulation.advance(&default_inputs(), 6.352155035663073 / 200.0, 1).expect("a step");
             let state = simulation.state();
             let energy = state.kinetic_energy(simulation.model());
-            // Rates of 0.05 rad/s that are off by ten tolerances each second, and the work by 1.5 J times the tolerance per step.
+            // Rates of 0.05 rad/s that are off by ten tolerances per second, and work off by 1.5 J times the tolerance per step.
             assert!(
                 energy <= start * (1.0 + 200.0 * tolerance),
                 "{method:?}, {tolerance:e}, call {call}: {energy:e} of {start:e} J"
@@ -347,8 +347,8 @@ fn no_touch_makes_energy_at_a_loose_tolerance() {
     }
 }
 
-/// Contacts that begin and end within one step, most between its stages: none is missed that the free motion would pass through the
-/// plane by twice the position tolerance. Slow and fast, judged against a run of the method at 1e-12 rad.
+/// Contacts that begin and end within one step, mostly between its stages: none is missed if the free motion would penetrate the plane by
+/// twice the position tolerance. Slow and fast, against a run of the method at 1e-12 rad.
 #[test]
 fn no_touch_within_a_step_is_missed() {
     let inputs = default_inputs();
@@ -365,7 +365,7 @@ fn no_touch_within_a_step_is_missed() {
     for case in 0..60 {
         let (fastest, duration) = if case % 2 == 0 { (5.0, 0.3) } else { (0.05, 8.0) };
         let free = close_motors([uniform(1.8, 2.4), uniform(0.7, 1.3)], [uniform(-fastest, fastest), uniform(-fastest, fastest)]);
-        // The free motion, and a plane along its path at some place, on the outer side.
+        // The free motion, and a plane somewhere along its path, on the outer side.
         const LOOKS: usize = 2000;
         let step = duration / LOOKS as f64;
         let mut exact = run(&free, Method::Dop853, 1e-12, step);
@@ -386,10 +386,10 @@ fn no_touch_within_a_step_is_missed() {
         for tolerance in [1e-4, 1e-6, 1e-8] {
             let arm = free.geometry.links[0].length + free.geometry.links[1].length;
             let depth = uniform(2.0, 50.0) * tolerance * arm;
-            // Half of the time that the free motion would be behind the plane.
+            // Half the time for which the free motion would be behind the plane.
             let half = (2.0 * depth / bend).sqrt();
             let end = (turn + 1) as f64 * step + 5.0 * half;
-            // The first place where the plane is met, well within the motion.
+            // The first contact with the plane, well within the motion.
             let until = ((end / step) as usize).min(LOOKS);
             if half > 0.1 * end || reached[..until].iter().any(|other| *other < reached[turn] - 0.1 * depth) {
                 continue;
@@ -401,7 +401,7 @@ fn no_touch_within_a_step_is_missed() {
             let without = tip_error(&exact_free, tip(&exact));
             for method in [Method::Dop853, Method::Automatic] {
                 let unaware = run(&free, method, tolerance, end);
-                // Errors of the motion before the contact at a loose tolerance are another matter.
+                // Errors of the motion before the contact at a loose tolerance are not judged.
                 if tip_error(&unaware, tip(&exact_free)) > 0.1 * depth || without < depth {
                     continue;
                 }
@@ -415,8 +415,8 @@ fn no_touch_within_a_step_is_missed() {
     assert!(met > 150 && hidden > 50, "{met} touches, {hidden} of them in a fifth of a step");
 }
 
-/// Servos of 1e14 N·m/rad on a light arm: the explicit method, whose steps stability holds below 0.1 ns, ends by `solver.maxWork`, and says
-/// how far it came. A call of 0.3 s with such values took 49.5 s.
+/// Servos of 1e14 N·m/rad on a light arm: stability limits the explicit method to steps below 0.1 ns. It ends by `solver.maxWork` with the
+/// time reached. Without this bound a call of 0.3 s takes 49.5 s.
 #[test]
 fn absurd_drives_take_bounded_work_by_the_explicit_method() {
     let mut parameters = default_parameters();
@@ -432,8 +432,8 @@ fn absurd_drives_take_bounded_work_by_the_explicit_method() {
     assert_eq!(simulation.state(), before);
 }
 
-/// A drive of 1e8 N·m/rad, 1 µrad from where it holds, has 5e-5 J to lose within some microseconds: its work by the default method is that by
-/// dop853, which was off by orders.
+/// A drive of 1e8 N·m/rad, 1 µrad from its setpoint, dissipates 5e-5 J within some microseconds: work by the default method equals work by
+/// dop853.
 #[test]
 fn stiff_drives_work_as_they_do() {
     let run = |method: Method, tolerance: f64| {
@@ -462,10 +462,9 @@ fn stiff_drives_work_as_they_do() {
     }
 }
 
-/// Damped stops and planes with ramps of 1 µm at loose tolerances: their dampers are stiffer than steps are short, and the
-/// interpolant of such a step does not resolve a push that is about to separate to a guard's width. Such guards were found again
-/// and again: one of twelve such scenes came to its end by `solver.maxWork`, in sub-steps of 1e-8 s and less that could have been
-/// 1e-5 s long.
+/// Damped stops and planes with ramps of 1 µm at loose tolerances: the dampers are stiff for the steps, and the interpolant of such a step
+/// cannot resolve the separation of a push to a guard's width. If such guards are located again and again, one in twelve of these scenes
+/// ends by `solver.maxWork`, in sub-steps of 1e-8 s and less instead of 1e-5 s.
 #[test]
 fn a_push_that_is_about_to_let_go_is_no_million_events() {
     let mut random = ChaCha8Rng::seed_from_u64(14);
@@ -498,15 +497,15 @@ fn a_push_that_is_about_to_let_go_is_no_million_events() {
             assert!(done.is_ok(), "scene {scene}, call {call} by {method:?}: {done:?}");
             let after = simulation.counters();
             let tried = after.substeps + after.rejected - before.substeps - before.rejected;
-            // Steps at the border of stability are some 1e-6 s long; up to 33,000 were tried.
+            // Steps at the limit of stability are some 1e-6 s long; failing runs tried up to 33,000.
             assert!(tried < 6000, "scene {scene}, call {call} by {method:?}: {tried} tries");
         }
     }
 }
 
-/// Next to vertices damped stops dissipate their energy, whichever branch the motion takes: straight passages use forces at their
-/// ends only, conserved energies the power there, and tangents are those of round-off. Balances were off by up to 1e-4 of the
-/// energy by `dop853`, 6e-4 by `i3alp`.
+/// Near vertices damped stops dissipate their energy on whichever branch the motion takes. Straight passages use forces only at their ends,
+/// conserved energies only the power there, and tangents are round-off: possible errors of the balance are 1e-4 of the energy by `dop853`
+/// and 6e-4 by `i3alp`.
 #[test]
 fn what_stops_take_next_to_a_vertex_is_lost() {
     use std::f64::consts::{PI, TAU};
@@ -535,7 +534,7 @@ fn what_stops_take_next_to_a_vertex_is_lost() {
             let mut simulation = Simulation::at(&parameters, &default_inputs(), theta, rates).expect("a scene");
             let start = simulation.state().energy_at_start.abs();
             for call in 0..10 {
-                // The default method may run out of work where dampers are stiff next to a vertex.
+                // The default method may run out of work if dampers are stiff near a vertex.
                 if simulation.advance(&default_inputs(), step, 1).is_err() {
                     assert!(method == Method::I3alp, "scene {scene}, call {call}");
                     break;
@@ -548,16 +547,16 @@ fn what_stops_take_next_to_a_vertex_is_lost() {
     }
 }
 
-/// Drives of up to 1e8 N·m/rad without a damper swing for thousands of periods, and their books are kept: |energy.error| stays below a
-/// microjoule at default settings, where it was 1.15e-6 J after 20 ms by i3alp. Some saturate, some are damped.
+/// Drives of up to 1e8 N·m/rad without a damper swing for thousands of periods, and the balance holds: |energy.error| stays below a
+/// microjoule at default settings. Some saturate, some are damped.
 #[test]
 fn stiff_drives_keep_their_books() {
     // kp, kd, limit; initial distance, rad; seconds; and allowed energy error, J.
     let scenes = [
-        // Without weight the rule for the motion keeps the energy of a linear drive, and the books are those of that rule: round-off.
+        // Without gravity the method conserves the energy of a linear drive, so the balance is exact to round-off.
         (1e8, 0.0, 1e8, 1e-6, 0.02, 1e-12),
         (1e6, 0.0, 1e8, 1e-5, 0.1, 1e-12),
-        // Swings past the linear part of the drive have errors of the method's order.
+        // Swings beyond the linear range of the drive have errors of the method's order.
         (1e6, 0.0, 1.0, 1e-5, 0.3, 1e-6),
         (1e6, 1.0, 1.0, 1e-5, 0.3, 1e-6),
         (1e7, 0.0, 10.0, 3e-6, 0.1, 1e-6),
@@ -576,7 +575,7 @@ fn stiff_drives_keep_their_books() {
             for _ in 0..(1e3 * duration) as u32 {
                 simulation.advance(&inputs, 1e-3, 1).expect("a step");
                 let error = simulation.state().energy_error(simulation.model());
-                // The arm that falls is of the order of the method, too.
+                // The falling arm also has errors of the method's order.
                 let allowed = if gravity { 1e-6 } else { allowed };
                 assert!(error.abs() < allowed, "{kp:e} N.m/rad, {kd} N.m.s/rad, {limit} N.m, gravity {gravity}: {error:e} J");
             }

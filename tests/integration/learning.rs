@@ -1,5 +1,5 @@
-//! Masses, payload, friction, lengths and mounting angles that the estimator learns of its machine: found where the motion tells it, left at its prior with its band where not, never beyond what
-//! machines have, kept in stored states.
+//! Masses, payload, friction, lengths and mounting angles learned by the estimator: found if the motion shows them, otherwise left at their
+//! priors with their bands, never beyond physical bounds, and kept in stored states.
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::error_state::{DRY, LENGTHS, Learned, MASSES, OFFSETS, PAYLOAD, VISCOUS};
@@ -14,10 +14,10 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use crate::fmi_host::{EXACT, Host, reference};
 
 const H: f64 = 1e-3;
-/// Step of an encoder of 16 bits, rad.
+/// Resolution of an encoder of 16 bits, rad.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
-/// A table-top machine that learns, by encoders of 16 bits.
+/// A table-top machine that learns, with encoders of 16 bits.
 fn learning() -> Parameters {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.1;
@@ -29,7 +29,7 @@ fn learning() -> Parameters {
     parameters
 }
 
-/// A coaxial machine with links of two lengths, learned by the unit's start values.
+/// A coaxial machine with links of two lengths, learned with the unit's start values.
 fn coaxial(base: f64, lengths: [f64; 4], theta: [f64; 2]) -> Parameters {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = base;
@@ -45,7 +45,7 @@ fn pairings(a: f64, b: f64) -> [[f64; 4]; 3] {
     [[a, b, b, a], [a, b, a, b], [a, a, b, b]]
 }
 
-/// Distance of the tips of a machine and its twin, m.
+/// Distance between the tips of a machine and its twin, m.
 fn tip_error(machine: &Simulation, twin: &Following) -> f64 {
     let tip = |simulation: &Simulation| observers::motion(simulation.model(), &simulation.state()).tip;
     let ([x, y], [v, w]): ([f64; 2], [f64; 2]) = (tip(machine).into(), tip(twin.simulation()).into());
@@ -57,16 +57,16 @@ fn torques(time: f64) -> Inputs {
     Inputs { tau: [0.03 * (5.0 * time).sin(), 0.03 * (7.0 * time + 1.0).sin()], ..default_inputs() }
 }
 
-/// A machine and the twin that follows it.
+/// A machine and its twin.
 struct Pair {
     machine: Simulation,
     twin: Following,
     inputs: fn(f64) -> Inputs,
-    /// Force on the machine's tip that nobody tells the twin of, N.
+    /// Force on the machine's tip, unknown to the twin, N.
     push: [f64; 2],
     /// Mounting angles of the encoders, rad.
     offset: [f64; 2],
-    /// Amplitude of the error of both encoders once a turn, rad.
+    /// Amplitude of the error of both encoders once per turn, rad.
     eccentricity: f64,
     /// Relative error of the scale of both encoders.
     scale: f64,
@@ -88,7 +88,7 @@ impl Pair {
         }
     }
 
-    /// Follows for `steps`; `look` sees the twin after each correction.
+    /// Follows for `steps`; calls `look` with the twin after each correction.
     fn follow(&mut self, steps: u32, mut look: impl FnMut(&Following)) {
         for _ in 0..steps {
             let time = f64::from(self.step) * H;
@@ -102,7 +102,7 @@ impl Pair {
             look(&self.twin);
             let inputs = (self.inputs)(time + H / 2.0);
             self.twin.advance_along(&Signal::held(inputs), H, 1).expect("a step");
-            // The machine's servos close on its encoders.
+            // The machine's servos use its encoders.
             let servo_theta = [0, 1].map(|i| inputs.servo_theta[i] - self.offset[i]);
             self.machine.advance(&Inputs { tip_force: self.push, servo_theta, ..inputs }, H, 1).expect("a step");
             self.step += 1;
@@ -114,7 +114,7 @@ impl Pair {
     }
 }
 
-/// Masses 5 % off, each in a direction of its own.
+/// Masses 5 % off, each in its own direction.
 fn five_percent_off(model: &Parameters) -> Parameters {
     let mut truth = model.clone();
     for (link, factor) in truth.geometry.links.iter_mut().zip([1.05, 0.95, 1.04, 0.97]) {
@@ -140,7 +140,7 @@ impl MapEach for std::ops::Range<usize> {
     }
 }
 
-/// Known torques tell all masses: after 2 s none is off by more than 0.15 %, three times the rms error of the table `learning`, nor by more
+/// Known torques show all masses: after 2 s none is off by more than 0.15 %, three times the rms error of the table `learning`, nor by more
 /// than four standard deviations; the prior was 5 %.
 #[test]
 fn masses_are_found_under_known_torques() {
@@ -154,7 +154,7 @@ fn masses_are_found_under_known_torques() {
     }
 }
 
-/// A fall tells lengths and mounting angles: after 2 s each is ten times better known than before, and within four standard deviations.
+/// A fall shows lengths and mounting angles: after 2 s each is ten times more precise than its prior, and within four standard deviations.
 #[test]
 fn lengths_and_mounting_angles_are_found_in_a_fall() {
     let mut model = learning();
@@ -175,8 +175,8 @@ fn lengths_and_mounting_angles_are_found_in_a_fall() {
     }
 }
 
-/// Machines with coaxial motors and lengths equal in pairs fall through postures in line, where learned lengths would lead them to another branch of the
-/// closure: lengths are not learned, and stay in the tip's band.
+/// Machines with coaxial motors and lengths equal in pairs fall through postures in line. There learned lengths would lead to another
+/// branch of the closure, so lengths are not learned and stay in the tip's band.
 #[test]
 fn machines_on_branches_of_the_closure_are_followed_while_they_are_learned() {
     for base in [0.0, 1e-6] {
@@ -190,7 +190,7 @@ fn machines_on_branches_of_the_closure_are_followed_while_they_are_learned() {
                     largest = largest.max(tip_error(&pair.machine, &pair.twin));
                 }
                 let [values, sigma] = pair.learned();
-                // A band by lengths of 0.2 mm and mounting angles of 2 mrad.
+                // A band due to lengths of 0.2 mm and mounting angles of 2 mrad.
                 assert!(largest < 5e-3 && pair.twin.tip_radius() > 1e-4, "{base}, {lengths:?}, {theta:?}: {largest}");
                 assert!(LENGTHS.zip(lengths).all(|(i, length)| values[i] == length && sigma[i] == 0.0), "{values} {sigma}");
                 assert!(MASSES.chain(OFFSETS).all(|i| sigma[i] > 0.0), "{sigma}");
@@ -199,7 +199,7 @@ fn machines_on_branches_of_the_closure_are_followed_while_they_are_learned() {
     }
 }
 
-/// However wild samples are, the tip has a band. An estimate that they lead to turn faster than any machine is given up.
+/// With however wrong samples, the tip has a band. An estimate that would turn faster than any machine is given up.
 #[test]
 fn wild_samples_leave_a_band() {
     for (run, lengths) in pairings(0.25, 0.2).into_iter().cycle().take(12).enumerate() {
@@ -233,8 +233,8 @@ fn swing(time: f64) -> Inputs {
     Inputs { servo_theta: [left[0], right[0]], servo_omega: [left[1], right[1]], ..default_inputs() }
 }
 
-/// Eccentric encoders and lengths that are off, learned with the unit's start values: the tip stays within its bands. With eccentricity taken as none
-/// lengths slide until the tip is off by millimetres.
+/// Eccentric encoders and wrong lengths, learned with the unit's start values: the tip stays within its bands. If eccentricity is assumed
+/// to be zero, lengths drift until the tip is off by millimetres.
 #[test]
 fn a_machine_with_eccentric_encoders_is_learned_within_its_bands() {
     let mut model = learning();
@@ -257,12 +257,12 @@ fn a_machine_with_eccentric_encoders_is_learned_within_its_bands() {
         inside += u32::from((x - v).hypot(y - w) < pair.twin.tip_radius());
         all += 1;
     }
-    // 95 % claimed, of instants that are not independent.
+    // The band claims 95 %; the instants are not independent.
     assert!(f64::from(inside) >= 0.88 * f64::from(all), "{inside} of {all}");
 }
 
-/// Stiff servos close on encoders that are mounted 1 to 2 mrad off and lead the axes to other angles than the references: what is learned of the mounting
-/// angles ends within its bands. Of servos taken to close on true angles the encoders would show mounting angles of 0, whatever they are.
+/// Stiff servos use encoders mounted 1 to 2 mrad off and lead the axes to other angles than the setpoints: the learned mounting angles end
+/// within their bands. If servos were assumed to use true angles, the encoders would always suggest mounting angles of 0.
 #[test]
 fn mounting_angles_of_encoders_on_which_stiff_servos_close_stay_within_their_bands() {
     for offset in [[1e-3, 2e-3], [-2e-3, 1e-3], [1.5e-3, -1.5e-3], [-1e-3, -2e-3]] {
@@ -280,7 +280,7 @@ fn mounting_angles_of_encoders_on_which_stiff_servos_close_stay_within_their_ban
     }
 }
 
-/// A machine at rest tells neither lengths nor mounting angles: values and bands stay, that of the tip as well.
+/// A machine at rest shows neither lengths nor mounting angles: values and bands stay, also the tip's band.
 #[test]
 fn at_rest_lengths_and_mounting_angles_stay_at_their_prior() {
     let mut model = learning();
@@ -297,7 +297,7 @@ fn at_rest_lengths_and_mounting_angles_stay_at_their_prior() {
     assert!(LENGTHS.into_iter().all(|i| sigma[i] > 1.5e-4), "{sigma}");
 }
 
-/// Readings of an axis that rests share one error, which an hour does not average out: they teach nothing.
+/// Readings of a resting axis share one error, which does not average out in an hour: nothing is learned from them.
 #[test]
 fn at_rest_nothing_is_learned() {
     let mut model = learning();
@@ -314,7 +314,7 @@ fn at_rest_nothing_is_learned() {
     }
 }
 
-/// An encoder that is mounted ten standard deviations off is learned to be four off, no more: the machine is not the one that was described.
+/// For an encoder mounted ten standard deviations off, at most four are learned: the machine is not as described.
 #[test]
 fn no_more_than_four_standard_deviations_of_a_mounting_angle_are_learned() {
     let mut model = learning();
@@ -326,7 +326,7 @@ fn no_more_than_four_standard_deviations_of_a_mounting_angle_are_learned() {
     assert!(largest > 7e-3 && largest <= 8e-3, "{largest}");
 }
 
-/// Errors of encoders that are not constant are not learned: they stay as width of the tip, 1 mrad at 0.2 m as a tenth of a millimetre and more.
+/// Varying errors of encoders are not learned; they widen the tip's band: 1 mrad at 0.2 m by at least a tenth of a millimetre.
 #[test]
 fn eccentricity_stays_as_width() {
     let half_width = |eccentricity: f64| {
@@ -341,7 +341,8 @@ fn eccentricity_stays_as_width() {
     assert!(exact < 2e-5 && eccentric > 1e-4, "{exact} {eccentric}");
 }
 
-/// A scale that is off by 0.2 % of the angle from 0, told as that, leaves the tip in its band, learned and not; told as none, it leaves it outside nearly always.
+/// Scales off by 0.2 % of the angle: if configured, the tip stays in its band, with and without learning; otherwise it is nearly always
+/// outside.
 #[test]
 fn scales_stay_as_width() {
     for learns in [false, true] {
@@ -360,12 +361,12 @@ fn scales_stay_as_width() {
             inside
         };
         let [untold, told] = [0.0, 2e-3].map(inside);
-        // 95 of 100 claimed, of instants that are not independent.
+        // The band claims 95 of 100; the instants are not independent.
         assert!(untold < 20 && told >= 88, "{learns}: {untold} {told}");
     }
 }
 
-/// A free fall leaves a common factor of all masses unknown: what is learned of it is nothing, and its band says so, while ratios are found.
+/// A free fall does not show a common factor of all masses: nothing is learned of it, and its band says so, while ratios are found.
 #[test]
 fn a_common_factor_stays_at_its_prior_in_a_free_fall() {
     let model = learning();
@@ -377,7 +378,7 @@ fn a_common_factor_stays_at_its_prior_in_a_free_fall() {
     pair.follow(2000, |_| ());
     let ([values, sigma], off) = (pair.learned(), of_masses(&pair));
     let mean = off.iter().sum::<f64>() / 4.0;
-    // Four independent masses of 5 %: the mean is known to 2.5 %, and 5 % are two of its standard deviations.
+    // Four independent masses of 5 %: their mean has 2.5 %, so that 5 % are two standard deviations.
     assert!((-0.07..-0.03).contains(&mean), "{off:?}");
     for i in MASSES {
         assert!((off[i] - mean).abs() < 2e-3, "{off:?}");
@@ -385,7 +386,7 @@ fn a_common_factor_stays_at_its_prior_in_a_free_fall() {
     }
 }
 
-/// Viscous friction that a machine does not have is learned to be nearly 0, and on the way there never below; a payload likewise.
+/// Missing viscous friction is learned to be nearly 0, and never below on the way; so is a missing payload.
 #[test]
 fn friction_and_payload_are_never_below_0() {
     let mut model = learning();
@@ -396,20 +397,20 @@ fn friction_and_payload_are_never_below_0() {
     (truth.effects.viscous.b, truth.effects.payload.mass) = ([0.0; 5], 0.0);
     let mut pair = Pair::new(&model, &truth, torques);
     let mut least = f64::INFINITY;
-    // Nothing is learned while the start is doubted.
+    // Nothing is learned while the start is in doubt.
     pair.follow(3000, |twin| {
         let [values, _] = twin.learned();
         least = VISCOUS.chain([PAYLOAD]).fold(least, |least, i| least.min(values[i]));
     });
     assert_eq!(least, 0.0, "a value has met its bound");
     let [values, sigma] = pair.learned();
-    // Prior widths: 1e-5 N·m·s and 10 g.
+    // Prior standard deviations: 1e-5 N·m·s and 10 g.
     assert!(VISCOUS.into_iter().all(|i| values[i] < 2e-6 && sigma[i] < 2e-6), "{values} {sigma}");
     assert!(values[PAYLOAD] < 1e-4 && sigma[PAYLOAD] < 1e-4, "{values} {sigma}");
 }
 
-/// A push of 0.5 N on a machine that has been learned is found within 12 ms, and is not learned as mass: after 0.1 s of it, and 0.5 s more, every
-/// mass is within five standard deviations or 0.3 %.
+/// A push of 0.5 N on a learned machine is detected within 12 ms, and is not learned as mass: after 0.1 s of it, and 0.5 s more, every mass
+/// is within five standard deviations or 0.3 %.
 #[test]
 fn a_push_is_found_and_not_learned() {
     let model = learning();
@@ -428,7 +429,7 @@ fn a_push_is_found_and_not_learned() {
     assert!(MASSES.into_iter().all(|i| off[i].abs() < (5.0 * sigma[i] / values[i]).max(3e-3)), "{off:?}, {:?}", sigma.as_slice());
 }
 
-/// A payload that the master sets anew is learned anew, and what has been learned of the masses stays.
+/// A payload set by the master restarts its learning; the learned masses stay.
 #[test]
 fn a_payload_that_is_set_is_learned_anew() {
     let mut model = learning();
@@ -453,7 +454,7 @@ fn a_payload_that_is_set_is_learned_anew() {
     assert!((values[PAYLOAD] - 0.033).abs() < 4.0 * sigma[PAYLOAD].max(1e-4), "{values} {sigma}");
 }
 
-/// A refusal quotes what the master has set, not what has been learned.
+/// A refusal quotes the value set by the master, not the learned one.
 #[test]
 fn refusals_quote_what_has_been_set() {
     let mut model = learning();
@@ -475,7 +476,7 @@ fn refusals_quote_what_has_been_set() {
     pair.twin.tune(&effects, &model.estimator).expect("it breaks away at the Coulomb torque");
 }
 
-/// An instance that learns under torques on its motors.
+/// An instance that learns under motor torques.
 fn host(learns: bool, values: &[(&str, f64)]) -> Host {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_boolean(&["estimator.enabled", "estimator.learn.enabled"].map(reference), &[1, i32::from(learns)]), fmi2OK);
@@ -492,7 +493,7 @@ fn take(host: &Host, machine: &mut Simulation, steps: std::ops::Range<u32>) {
     take_beyond(host, machine, steps, 0.0);
 }
 
-/// Takes `steps` with samples of a machine whose left encoder shows so much beyond the true angle, rad.
+/// Takes `steps` with samples of a machine, the left encoder off by `offset`, rad.
 fn take_beyond(host: &Host, machine: &mut Simulation, steps: std::ops::Range<u32>, offset: f64) {
     let names = ["measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]"].map(reference);
     for step in steps {
@@ -512,7 +513,7 @@ fn heavier() -> Simulation {
     Simulation::new(&truth, &default_inputs()).expect("a machine")
 }
 
-/// Every variable that is computed, as bits.
+/// Every computed variable, as bits.
 fn computed(host: &Host) -> Vec<u64> {
     use fivebar::variables::{FmiType, VARIABLES};
     let references: Vec<u32> = VARIABLES
@@ -525,7 +526,7 @@ fn computed(host: &Host) -> Vec<u64> {
     values.into_iter().map(f64::to_bits).collect()
 }
 
-/// Off, nothing of the priors matters, and masses are as the parameters say, to the bit; on, they are not.
+/// If learning is off, priors have no influence and masses equal the parameters, to the bit; if on, they differ.
 #[test]
 fn off_nothing_is_learned() {
     let ends = [(false, 0.05), (false, 0.5), (true, 0.05)].map(|(learns, mass)| {
@@ -543,7 +544,8 @@ fn off_nothing_is_learned() {
     assert!((mass / nominal - 1.05).abs() < 0.02 && sigma < 0.02 * nominal, "{mass} {sigma}");
 }
 
-/// A stored state holds what has been learned: another instance goes on with equal bits, with samples and without; a forged one is refused.
+/// A stored state contains the learned values: another instance continues with equal bits, with and without samples; a forged one is
+/// refused.
 #[test]
 fn stored_states_hold_what_is_learned() {
     for method in 1..=6 {
@@ -568,7 +570,7 @@ fn stored_states_hold_what_is_learned() {
     }
 }
 
-/// A learned value that comes to its bound is told once, by one that goes on from a stored state as well: again only where it is told anew.
+/// A learned value that reaches its bound is reported once, also after continuing from a stored state, and again only after a new occasion.
 #[test]
 fn a_value_at_its_bound_is_told_once() {
     let told = |host: &Host| -> Vec<String> {
@@ -600,9 +602,9 @@ fn a_value_at_its_bound_is_told_once() {
     lines.extend(told(&host));
     let mut names: Vec<&str> = lines.iter().filter_map(|line| line.split(' ').nth(3)).collect();
     names.sort_unstable();
-    // Others follow the first, and none comes twice, though values move to and fro.
+    // Others follow the first, and none repeats, although values move to and fro.
     assert!(names.len() > 1 && names.windows(2).all(|pair| pair[0] != pair[1]), "{lines:?}");
-    // A state of before the step tells in its turn, one of after it does not.
+    // A state from before the step reports it again; one from after it does not.
     for (state, expected) in [(before, 1), (after, 0)] {
         let mut machine = machine_before.clone();
         assert_eq!(host.set_state(state), fmi2OK);
@@ -623,7 +625,7 @@ fn a_value_at_its_bound_is_told_once() {
     }
 }
 
-/// The log says once where lengths are not learned though they are uncertain.
+/// The log says once that lengths are not learned although they are uncertain.
 #[test]
 fn the_log_says_that_lengths_are_not_learned() {
     let lengths = [("link[1].length", 0.25), ("link[2].length", 0.2), ("link[3].length", 0.2), ("link[4].length", 0.25)];
@@ -639,7 +641,7 @@ fn the_log_says_that_lengths_are_not_learned() {
     }
 }
 
-/// Delayed samples and learning exclude each other, and a width below 0 is refused.
+/// Delayed samples and learning exclude each other, and a standard deviation below 0 is refused.
 #[test]
 fn a_refused_scene_says_why() {
     let host = host(true, &[("estimator.maxDelay", 4e-3)]);

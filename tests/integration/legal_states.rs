@@ -1,5 +1,5 @@
-//! A stored state of any motion is read back, however strange the motion, and continues with equal bits. States that must be
-//! refused are in `forged_states.rs`.
+//! A stored state of any motion can be read back, however strange the motion, and continues with equal bits. `forged_states.rs` has states
+//! that must be refused.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,7 +17,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::{enable, unequal};
 
-/// Masters store in one thread the states that they continue in another.
+/// Masters may store states in one thread and continue them in another.
 #[test]
 fn simulations_and_stored_states_may_change_threads() {
     const fn may_change_threads<T: Send + Sync>() {}
@@ -25,7 +25,7 @@ fn simulations_and_stored_states_may_change_threads() {
     const { may_change_threads::<Snapshot>() };
 }
 
-/// The methods, the default one also at strictly fixed steps.
+/// The methods; the default one also with fixed steps.
 const METHODS: [(Method, bool); 7] = [
     (Method::I3alp, true),
     (Method::I3alp, false),
@@ -36,7 +36,7 @@ const METHODS: [(Method, bool); 7] = [
     (Method::I3alpConserving, false),
 ];
 
-/// Two runs of a scene: one that nobody looks at, one that goes through bytes before every call.
+/// Two runs of a scene: one undisturbed, one converted to bytes and back before every call.
 struct Twins {
     name: String,
     free: Simulation,
@@ -55,7 +55,7 @@ impl Twins {
         borsh::to_vec(simulation.run()).expect("bytes")
     }
 
-    /// Puts one of them through bytes, and checks that it is still the other.
+    /// Converts one of them to bytes and back, and checks that it still equals the other.
     fn store(&mut self) {
         let Self { name, free, stored } = self;
         let bytes = Self::bytes(stored);
@@ -67,7 +67,7 @@ impl Twins {
         });
     }
 
-    /// One call of both simulations; false where they cannot do it.
+    /// Makes the same call on both simulations; false if it fails.
     fn both<E: PartialEq + std::fmt::Debug>(&mut self, call: impl Fn(&mut Simulation) -> Result<(), E>) -> bool {
         let outcomes = [&mut self.free, &mut self.stored].map(call);
         assert_eq!(outcomes[0], outcomes[1], "{}", self.name);
@@ -79,7 +79,7 @@ impl Twins {
         self.both(|simulation| simulation.advance(inputs, h, steps))
     }
 
-    /// A step under new parameters, as the master's calls make it: a refusal changes nothing.
+    /// A step with new parameters, as a master's calls make it: a refusal changes nothing.
     fn tune(&mut self, effects: &effects::Parameters, inputs: &Inputs, h: f64) -> bool {
         self.both(|simulation| {
             let before = simulation.clone();
@@ -93,12 +93,12 @@ impl Twins {
 struct Random(ChaCha8Rng);
 
 impl Random {
-    /// Between two numbers.
+    /// Uniform between two numbers.
     fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// One of `count`.
+    /// A random index below `count`.
     fn one_of(&mut self, count: usize) -> usize {
         (self.0.next_u64() % count as u64) as usize
     }
@@ -112,7 +112,7 @@ impl Random {
         Inputs { tau, tip_force, servo_theta: self.pair(3.0), servo_omega: self.pair(3.0) }
     }
 
-    /// A machine with any effects that moves anyhow.
+    /// A machine with any effects and any motion.
     fn scene(&mut self, (method, adaptive): (Method, bool)) -> Parameters {
         let mut parameters = if self.one_of(2) == 0 { unequal() } else { default_parameters() };
         (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
@@ -151,7 +151,7 @@ impl Random {
     }
 }
 
-/// Any machine, effects, inputs that are held, change or ramp, tuned parameters, grids that change.
+/// Any machine and effects; inputs constant, changing or ramped; tuned parameters; changing grids.
 #[test]
 fn states_of_random_motions_are_read_back() {
     let mut random = Random(ChaCha8Rng::seed_from_u64(11));
@@ -160,7 +160,7 @@ fn states_of_random_motions_are_read_back() {
         let method = METHODS[scenes % METHODS.len()];
         let parameters = random.scene(method);
         let mut inputs = random.inputs();
-        // Many of these machines cannot be put together.
+        // Many of these machines cannot be assembled.
         let Ok(start) = Simulation::new(&parameters, &inputs) else { continue };
         let mut twins = Twins::new(format!("scene {scenes}: {parameters:?}"), start);
         scenes += 1;
@@ -188,11 +188,11 @@ fn states_of_random_motions_are_read_back() {
             calls += 1;
         }
     }
-    // Some methods give up early where motions are hard.
+    // Some methods fail early in difficult motions.
     assert!(calls > 60 * scenes / 2, "{calls} calls");
 }
 
-/// States of runs in model exchange are read back.
+/// States of runs in model exchange can be read back.
 #[test]
 fn states_of_driven_runs_are_read_back() {
     let mut random = Random(ChaCha8Rng::seed_from_u64(12));
@@ -220,8 +220,8 @@ fn states_of_driven_runs_are_read_back() {
     assert!(moves > 30 * 40 / 2, "{moves} moves");
 }
 
-/// The postures in which the paper's machine has all its links in line, the signs with which link rates enter closure there, and a
-/// direction of motion through each: Σ s ω = 0, Σ s ω² = 0 (`docs/method.md`, equation (23)).
+/// The postures of the paper's machine with all links in line, the signs of the link rates in the closure there, and a direction of motion
+/// through each: Σ s ω = 0, Σ s ω² = 0 (`docs/method.md`, equation (23)).
 fn vertices() -> impl Iterator<Item = [[f64; 4]; 2]> {
     let postures = [[0.0, 0.0, PI, 0.0], [0.0, 0.0, 0.0, PI], [0.0, PI, PI, PI], [PI, 0.0, PI, PI]];
     postures.into_iter().map(|theta| {
@@ -229,7 +229,7 @@ fn vertices() -> impl Iterator<Item = [[f64; 4]; 2]> {
         let signs = [c1, c2, -c3, -c4];
         let sum: f64 = signs.iter().sum();
         let odd = signs.iter().position(|sign| sign * sum < 0.0).expect("one sign differs");
-        // (1; a, b, c) with a + b + c = 1 = a² + b² + c²: a point of that circle without symmetry.
+        // (1; a, b, c) with a + b + c = 1 = a² + b² + c²: an asymmetric point of this circle.
         let (sin, cos) = 0.7_f64.sin_cos();
         let (e1, e2) = (cos / 3.0_f64.sqrt(), sin / 3.0);
         let mut rest = [1.0 / 3.0 + e1 + e2, 1.0 / 3.0 - e1 + e2, 1.0 / 3.0 - 2.0 * e2].into_iter();
@@ -255,13 +255,13 @@ fn states_in_and_near_vertices_are_read_back() {
                 (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
                 parameters.effects.gravity.enabled = gravity;
                 parameters.effects.viscous.enabled = friction;
-                // A little before the vertex, so that the motion meets it, and exactly in it.
+                // Shortly before the vertex, so that the motion meets it, and exactly in it.
                 for before in [0.0, 3.3e-3] {
                     let omega = omega.map(|omega| omega * rate);
                     let theta: [f64; 4] = std::array::from_fn(|i| theta[i] - before * omega[i]);
                     let name =
                         format!("{method:?}, adaptive {adaptive}, {theta:?}, {omega:?}, gravity {gravity}, friction {friction}");
-                    // The cone is curved: before the vertex the rates alone close the loop to second order only.
+                    // The cone is curved: before the vertex the rates alone close the loop only to second order.
                     let Ok(start) = Simulation::at(&parameters, &default_inputs(), theta, omega) else { continue };
                     let mut twins = Twins::new(name, start);
                     let pushed = Inputs { tau: [0.01, 0.0], ..default_inputs() };
@@ -277,7 +277,7 @@ fn states_in_and_near_vertices_are_read_back() {
     }
 }
 
-/// Within 1e-5 rad of a vertex on a ray that a steep spring lets nothing follow: no straight way, and still the energy is kept.
+/// Within 1e-5 rad of a vertex, on a ray along which a steep spring prevents the motion: no straight passage, but the energy is conserved.
 #[test]
 fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
     for (method, adaptive) in [(Method::Dop853, true), (Method::Automatic, true)] {
@@ -304,8 +304,8 @@ fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
     }
 }
 
-/// Machines that start at rest with their distal links in one line, where the motors' rates are proportional: friction holds both motors at
-/// the start, and as the machine falls one of them holds on while the other slips.
+/// Machines that start at rest with distal links in line, so that motor rates are proportional: friction holds both motors at the start;
+/// in the fall one of them continues to stick while the other slips.
 #[test]
 fn states_of_motors_that_stuck_as_one_are_read_back() {
     for (method, error_tolerance) in
@@ -324,7 +324,7 @@ fn states_of_motors_that_stuck_as_one_are_read_back() {
             let state = twins.free.state();
             let rates = [0, 3].map(|link| state.core.v[THETA[link]].abs());
             let stick = [0, 4].map(|place| matches!(state.stick_slip.at(place), StickSlip::Sticks(_)));
-            // Tolerance: a place that slips counts as sticking below 50 stick velocities.
+            // Tolerance: a slipping place counts as sticking below 50 stick velocities.
             assert!((0..2).all(|i| !stick[i] || rates[i] <= 5.1e-5), "{}: {rates:?} {stick:?}", twins.name);
             moved_apart |= rates[0].max(rates[1]) > 1e-3;
         }
@@ -332,7 +332,7 @@ fn states_of_motors_that_stuck_as_one_are_read_back() {
     }
 }
 
-/// Links that spin: whole turns move from the angles to their counters, also in the middle of a step.
+/// Spinning links: whole turns move from the angles to their counters, also in the middle of a step.
 #[test]
 fn states_with_many_turns_are_read_back() {
     for (method, adaptive) in METHODS {
@@ -349,7 +349,7 @@ fn states_with_many_turns_are_read_back() {
             let start = Simulation::new(&parameters, &default_inputs()).expect("scene");
             let mut twins = Twins::new(format!("{method:?}, adaptive {adaptive}, {effect}"), start);
             let done = (0..200).take_while(|_| twins.advance(&default_inputs(), 1e-3, 5)).count();
-            // Fixed steps may meet one that cannot be done.
+            // A fixed step may fail.
             assert!(done == 200 || !adaptive, "{}: {done}", twins.name);
             if done == 200 {
                 let turned = twins.free.state().angles()[0] / TAU;
@@ -359,7 +359,7 @@ fn states_with_many_turns_are_read_back() {
     }
 }
 
-/// A single leg that whirls, folded, about the axis of the left motor: the determinants of its posture are round-off, of either sign.
+/// A single folded leg that turns about the axis of the left motor: the determinants of its posture are round-off, of either sign.
 #[test]
 fn states_of_a_folded_leg_that_whirls_are_read_back() {
     for (method, adaptive) in METHODS {
@@ -375,7 +375,7 @@ fn states_of_a_folded_leg_that_whirls_are_read_back() {
     }
 }
 
-/// The fall of 50 s that the paper shows passes singularities of every kind; its state is stored now and then.
+/// The paper's fall of 50 s passes singularities of every kind; its state is stored at intervals.
 #[test]
 fn states_of_a_long_fall_are_read_back() {
     for (method, adaptive) in [(Method::I3alp, true), (Method::Dop853, true), (Method::I3alpConserving, false)] {
@@ -383,7 +383,7 @@ fn states_of_a_long_fall_are_read_back() {
         (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
         let mut twins = Twins::new(format!("{method:?}"), Simulation::new(&parameters, &default_inputs()).expect("scene"));
         for _ in 0..700 {
-            // A number of steps that is no divisor of anything.
+            // 71 is not a divisor of anything.
             assert!(twins.advance(&default_inputs(), 1e-3, 71), "{}", twins.name);
         }
         let passes = twins.free.singular();

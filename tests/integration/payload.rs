@@ -1,4 +1,4 @@
-//! Mass that joins the tip during a run, or leaves it: momentum, energy, limits of a run.
+//! Mass that joins or leaves the tip during a run: momentum, energy, limits of a run.
 
 use fivebar::effects::payload::Join;
 use fivebar::linear::LinearSolve;
@@ -11,7 +11,7 @@ use crate::support::{MGL, enable, unequal};
 const METHODS: [Method; 6] =
     [Method::Automatic, Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving];
 
-/// A machine in which nothing is equal, with an empty hand.
+/// A machine with all links different and without payload.
 fn empty(method: Method) -> Parameters {
     let mut parameters = unequal();
     enable(&mut parameters, "payload");
@@ -20,7 +20,7 @@ fn empty(method: Method) -> Parameters {
     parameters
 }
 
-/// The scene with a mass in the hand.
+/// The scene with a payload.
 fn holding(from: &Parameters, mass: f64, join: Join) -> Parameters {
     let mut parameters = from.clone();
     (parameters.effects.payload.mass, parameters.effects.payload.join) = (mass, join);
@@ -35,7 +35,7 @@ fn run(simulation: &mut Simulation, steps: u64) {
     simulation.advance(&default_inputs(), 1e-3, steps).expect("steps");
 }
 
-/// Inertia against the proximal rates, from kinetic energies of starts: T = ωᵀ H ω/2.
+/// Inertia for the proximal rates, from kinetic energies of starts: T = ωᵀ H ω/2.
 fn inertia(parameters: &Parameters) -> [[f64; 2]; 2] {
     let kinetic = |omega: [f64; 2]| {
         let mut parameters = parameters.clone();
@@ -50,8 +50,8 @@ fn times([[a, b], [c, d]]: [[f64; 2]; 2], [x, y]: [f64; 2]) -> [f64; 2] {
     [a * x + b * y, c * x + d * y]
 }
 
-/// With a single closed loop and no force between, momentum against the proximal rates is kept: H₁ ω₁ = H₀ ω₀, with both inertias from
-/// kinetic energies alone.
+/// In a single closed loop without forces the momentum for the proximal rates is conserved: H₁ ω₁ = H₀ ω₀, with both inertias from kinetic
+/// energies alone.
 #[test]
 fn an_impact_keeps_the_momentum() {
     for method in METHODS {
@@ -71,13 +71,13 @@ fn an_impact_keeps_the_momentum() {
         let joined = energies(&simulation);
         let (lost, lifted) = (energy.kinetic - joined.kinetic, joined.potential - energy.potential);
         assert!(lost > 1e-4 && (joined.dissipated - lost).abs() < 1e-17, "{method:?}: {energy:?} {joined:?}");
-        // The lifting work is m g y.
+        // The work of lifting is m g y.
         assert!((lifted - 0.08 * 9.81 * motion.tip.y).abs() < 1e-15 && (joined.input - lifted).abs() < 1e-15, "{joined:?}");
         assert!(joined.error.abs() < 1e-16, "{joined:?}");
     }
 }
 
-/// A payload at the velocity of the tip joins without an impact, and leaves so; its energy comes from outside and goes there.
+/// A payload at the tip's velocity joins and leaves without an impact; its energy comes from outside and returns there.
 #[test]
 fn what_moves_with_the_tip_changes_no_rate() {
     for method in METHODS {
@@ -89,13 +89,13 @@ fn what_moves_with_the_tip_changes_no_rate() {
             let change = mass - simulation.parameters().effects.payload.mass;
             simulation.tune(&holding(&start, mass, join).effects).expect("allowed");
             let (is, after) = (observers::motion(simulation.model(), &simulation.state()), energies(&simulation));
-            // The step under way of the explicit method is made anew up to here: no longer interpolated, within its error.
+            // The explicit method repeats its current step up to here: no longer interpolated, equal within its error.
             let same = if matches!(method, Method::Dop853 | Method::Automatic) { 1e-7 } else { 0.0 };
             for (was, is) in was.theta.iter().chain(&was.omega).zip(is.theta.iter().chain(&is.omega)) {
                 assert!((was - is).abs() <= same, "{method:?}: {was:?} {is:?}");
             }
             let brought = change * (was.tip_velocity.norm_squared() / 2.0 + 9.81 * was.tip.y);
-            // The printed method's velocities are projected once, by a finite penalty: those of the links do not quite belong together.
+            // The printed method projects velocities once, by a finite penalty: link velocities are slightly inconsistent.
             let bound = match method {
                 Method::I3alpPrinted => 1e-5 * brought.abs(),
                 Method::Dop853 | Method::Automatic => 1e-8 * brought.abs(),
@@ -108,12 +108,12 @@ fn what_moves_with_the_tip_changes_no_rate() {
     }
 }
 
-/// Picked up, handed on and put down during the motion, by every method: the balance stays as without, and all come to one place.
+/// Picked up, exchanged and put down during the motion, by every method: the balance is as good as without, and all ends agree.
 #[test]
 fn the_balance_stays_closed() {
     let ends = METHODS.map(|method| {
         let mut start = empty(method);
-        // The printed method's tangent is approximate: short steps and many iterations.
+        // The printed method's tangent is approximate, so it needs short steps and many iterations.
         let (h, steps) = if method == Method::I3alpPrinted { (1e-4, 500) } else { (1e-3, 50) };
         (start.settings.step_size, start.settings.adaptive) = (h, method == Method::I3alp);
         start.settings.max_iterations = 40;
@@ -140,8 +140,8 @@ fn the_balance_stays_closed() {
     }
 }
 
-/// A payload that makes the inertias too far apart for the run's linear solve is refused by name, with how far it may go; a run that
-/// started with the dense solve takes it.
+/// A payload that spreads the inertias too far for the run's linear solve is refused by name, with the allowed maximum; a run that started
+/// with the dense solve accepts it.
 #[test]
 fn a_payload_is_at_most_what_the_linear_solve_takes() {
     let start = empty(Method::I3alp);
@@ -164,7 +164,7 @@ fn a_payload_is_at_most_what_the_linear_solve_takes() {
     run(&mut simulation, 10);
 }
 
-/// A payload that is off may have any mass, and changes nothing.
+/// A disabled payload may have any mass and changes nothing.
 #[test]
 fn without_a_payload_its_mass_is_nothing() {
     let mut start = empty(Method::I3alp);

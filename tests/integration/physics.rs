@@ -12,7 +12,7 @@ use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, fall_90_120, run, torque, unequal};
 
-/// The paper's own scene: 50 s of free fall through singularities at the default settings.
+/// The paper's scene: 50 s of free fall through singularities at the default settings.
 #[test]
 fn the_paper_free_fall_keeps_its_energy_for_50_s() {
     let mut simulation = Simulation::new(&default_parameters(), &default_inputs()).expect("scene");
@@ -25,8 +25,8 @@ fn the_paper_free_fall_keeps_its_energy_for_50_s() {
     assert!(simulation.state().core.q.iter().all(|x| x.is_finite()));
 }
 
-/// A fall that a vertex lets through after 40.75 s: where the way through ended with a violation of 4e-13 m, which is 3e-9 rad there, no
-/// sub-step after it was short enough. (Another arithmetic falls otherwise, and goes on as well.)
+/// A fall that passes a vertex after 40.75 s. If the passage ended with a violation of 4e-13 m, which is 3e-9 rad there, no later sub-step
+/// would be short enough. (With different rounding the fall is different, and must also continue.)
 #[test]
 fn after_a_vertex_the_fall_goes_on() {
     let mut parameters = default_parameters();
@@ -38,7 +38,7 @@ fn after_a_vertex_the_fall_goes_on() {
     assert!(error <= 1e-2 * MGL, "{:e} mgL", error / MGL);
 }
 
-/// Equal links from 90°/90° stay mirror symmetric: θ₁ + θ₄ = π and θ₂ + θ₃ = π for as long as round-off (e-fold 0.1 s) lets them.
+/// Equal links from 90°/90° stay mirror symmetric: θ₁ + θ₄ = π and θ₂ + θ₃ = π, until round-off (e-fold time 0.1 s) breaks the symmetry.
 #[test]
 fn a_symmetric_fall_stays_symmetric() {
     let mut simulation = Simulation::new(&default_parameters(), &default_inputs()).expect("scene");
@@ -50,7 +50,7 @@ fn a_symmetric_fall_stays_symmetric() {
     }
 }
 
-/// Mirrored start, mirrored load: mirrored motion.
+/// A mirrored start and load give the mirrored motion.
 #[test]
 fn a_mirrored_load_gives_the_mirrored_motion() {
     let (parameters, pull) = torque();
@@ -66,7 +66,7 @@ fn a_mirrored_load_gives_the_mirrored_motion() {
     }
 }
 
-/// A conservative motion run back from its end with reversed velocities returns to its start.
+/// A conservative motion, reversed at its end, returns to its start.
 #[test]
 fn a_reversed_motion_returns() {
     let inputs = default_inputs();
@@ -84,11 +84,11 @@ fn a_reversed_motion_returns() {
         method.advance(&system, &mut back, &mut { Mode::OF_STATE }, 1e-4).expect("step");
     }
     let error = angle_error(&back.q, &start.state().core.q);
-    // A local error of 3e-9 rad in each of 2 × 2000 steps, all of one sign at worst.
+    // A local error of 3e-9 rad in each of 2 × 2000 steps, in the worst case all of one sign.
     assert!(error < 1.2e-5, "{error:e} rad");
 }
 
-/// The method as printed: close to the default at the paper's 1 ms for as long as it lives, and a status at its end, never NaN.
+/// The method as printed: close to the default at the paper's 1 ms while it works, and a status at its end, never NaN.
 #[test]
 fn the_printed_method_ends_with_a_status() {
     let mut parameters = default_parameters();
@@ -111,7 +111,7 @@ fn the_printed_method_ends_with_a_status() {
     assert!(matches!(failure.cause, integrator::StepError::NotConverged { .. }), "{failure}");
 }
 
-/// Inputs set to equal values change no bit, and H = n · H/n.
+/// Setting inputs to equal values changes no bit, and one step of H equals n steps of H/n.
 #[test]
 fn steps_do_not_depend_on_how_they_are_grouped() {
     let (parameters, inputs) = torque();
@@ -124,8 +124,8 @@ fn steps_do_not_depend_on_how_they_are_grouped() {
     assert_eq!(together.state(), apart.state());
 }
 
-/// Observers answer for the inputs of the moment: the accelerations of a state whose inputs have changed are those the next step
-/// starts from, and asking changes nothing.
+/// Observers use the current inputs: after a change of inputs they give the accelerations with which the next step starts, and reading
+/// changes nothing.
 #[test]
 fn observers_answer_for_the_new_input() {
     let mut simulation = Simulation::new(&unequal(), &default_inputs()).expect("scene");
@@ -140,7 +140,7 @@ fn observers_answer_for_the_new_input() {
     assert_eq!(simulation.state(), before);
 }
 
-/// A link that spins for hundreds of turns loses no digits: angles are kept within two turns, whole turns apart.
+/// A link that spins for hundreds of turns loses no digits: angles stay within two turns, whole turns are counted separately.
 #[test]
 fn spinning_links_keep_their_digits() {
     let mut parameters = default_parameters();
@@ -158,8 +158,8 @@ fn spinning_links_keep_their_digits() {
     assert!(energies.error.abs() < 1e-4 * energies.kinetic, "{energies:?}");
 }
 
-/// At rest exactly in a vertex the first outputs already tell the acceleration of the branch of least constraint: under gravity in
-/// posture (−1, 1, 0) that is (61.4, 19.4, −14.4, 56.5) rad/s² (an independent prototype), not the minimum-norm (60.1, 20.1, …).
+/// At rest exactly in a vertex the first outputs already show the acceleration on the branch of least constraint. Under gravity in posture
+/// (−1, 1, 0) it is (61.4, 19.4, −14.4, 56.5) rad/s² (an independent prototype), not the minimum-norm (60.1, 20.1, …).
 #[test]
 fn rest_in_a_vertex_starts_on_the_branch_of_least_constraint() {
     use std::f64::consts::PI;
@@ -178,8 +178,8 @@ fn rest_in_a_vertex_starts_on_the_branch_of_least_constraint() {
     }
 }
 
-/// At strictly fixed 1 ms the second try, a descent with line search, carries the paper's free fall past the step where plain Newton
-/// fails first (7.67 s); where that fails too the step ends with a status and changes nothing.
+/// At fixed steps of 1 ms the second attempt, a descent with line search, carries the paper's free fall past the step at which plain Newton
+/// first fails (7.67 s). If it also fails, the step ends with a status and changes nothing.
 #[test]
 fn a_strictly_fixed_step_is_rescued_or_ends_with_a_status() {
     let mut parameters = default_parameters();
@@ -200,7 +200,7 @@ fn a_strictly_fixed_step_is_rescued_or_ends_with_a_status() {
     panic!("this fall was expected to meet a step that cannot be done");
 }
 
-/// Work per macro step is bounded: a tolerance below round-off ends with a status, soon, and changes nothing.
+/// Work per macro step is bounded: with a tolerance below round-off it soon ends with a status and changes nothing.
 #[test]
 fn a_tolerance_below_round_off_ends_with_a_status() {
     let mut parameters = default_parameters();
@@ -212,8 +212,8 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     assert_eq!(simulation.state(), before);
 }
 
-/// The bound is a parameter, in iterations and evaluations: a step that needs more ends with a status that names it, and one that
-/// needs less is taken.
+/// The bound is a parameter, in iterations and evaluations: a step that needs more ends with a status that names it; a step that needs less
+/// succeeds.
 #[test]
 fn the_work_of_a_macro_step_is_bounded_by_a_parameter() {
     for method in [Method::I3alp, Method::Dop853] {
@@ -221,7 +221,7 @@ fn the_work_of_a_macro_step_is_bounded_by_a_parameter() {
         (parameters.settings.adaptive, parameters.settings.max_work) = (true, 500);
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
         let before = simulation.state();
-        // A fall of 2 s, through a whip.
+        // A fall of 2 s with a fast passage.
         let failure = simulation.advance(&default_inputs(), 2.0, 1).expect_err("too much to do at once");
         let work = integrator::StepError::TooMuchWork { most: 500, substep: 0.0, error: 0.0 };
         assert_eq!(std::mem::discriminant(&failure.cause), std::mem::discriminant(&work));

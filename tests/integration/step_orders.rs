@@ -1,5 +1,4 @@
-//! Steps of each kind alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant,
-//! stiffness.
+//! Steps of each kind alone, on unconstrained systems with known solutions: orders of step and interpolant, stiffness.
 
 use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use fivebar::integrator::{AccelerationTangents, Events, Features, Kkt, Passage, Path, State, System, Work};
@@ -16,7 +15,7 @@ struct Point {
 }
 
 impl Point {
-    /// In Cartesian coordinates.
+    /// A problem in Cartesian coordinates.
     const fn cartesian(acceleration: fn(&Vector<2>, &Vector<2>) -> Vector<2>) -> Self {
         Self { acceleration, tangents: None, power: |_, v, a| a.dot(v) }
     }
@@ -86,7 +85,7 @@ impl Events<2> for Point {
 /// Kepler's problem with unit constants: q̈ = −q/|q|³.
 const KEPLER: Point = Point::cartesian(|q, _| -1.0 / q.dot(q).powf(1.5) * *q);
 
-/// Kepler's problem in polar coordinates, distance and angle: accelerations depend on the rates, and not linearly.
+/// Kepler's problem in polar coordinates, distance and angle: accelerations depend nonlinearly on the rates.
 const POLAR: Point = Point {
     acceleration: |q, v| [q[0] * v[1] * v[1] - 1.0 / (q[0] * q[0]), -2.0 * v[0] * v[1] / q[0]].into(),
     tangents: Some(|q, v| AccelerationTangents {
@@ -126,7 +125,7 @@ fn settings(error_tolerance: f64, first_step: f64) -> Settings {
     }
 }
 
-/// A tolerance that cannot be met, below round-off, is an error, soon.
+/// A tolerance below round-off cannot be met and soon gives an error.
 #[test]
 fn an_impossible_tolerance_is_an_error() {
     let ([q, v], settings) = (ellipse(0.7), settings(1e-40, 0.1));
@@ -136,8 +135,7 @@ fn an_impossible_tolerance_is_an_error() {
     assert!(failure.to_string().contains("sub-step"), "{failure}");
 }
 
-/// One step of h leaves an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would
-/// show.
+/// One step of h has an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would be visible.
 #[test]
 fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
     const START: f64 = 0.7;
@@ -145,7 +143,7 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
         let (mut positions, mut works) = (vec![], vec![]);
         for h in [0.3, 0.2, 0.15, 0.1] {
             let [q, v] = ellipse(START);
-            // Every step is accepted, so that the first has this length.
+            // Every step is accepted, so the first has this length.
             let settings = settings(1e6, h);
             let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
             running
@@ -159,15 +157,15 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
         }
         for (what, points) in [("position", positions), ("work", works)] {
             let slope = slope(&points);
-            // At these steps the next term of the error takes up to 0.65 off for the position and 0.93 for the work. A wrong coefficient
-            // costs several orders.
+            // At these steps the next term of the error reduces the slope by up to 0.65 for the position and 0.93 for the work. A wrong
+            // coefficient costs several orders.
             assert!((slope - order).abs() < 1.0, "{what} at {part}: slope {slope:.2}, {points:?}");
         }
     }
 }
 
-/// The other kinds, in polar coordinates: one step leaves an error of one order more than its own; between its ends an implicit one has the
-/// order of its authors' dense output, lower by one, and that of order 5 the one of a quintic. Derivatives have one less, as has the work.
+/// The other kinds, in polar coordinates. The error of one step is one order higher than the method. Between its ends an implicit step has
+/// the order of its published dense output, lower by one; the step of order 5 that of a quintic. Derivatives and work have one order less.
 #[test]
 fn every_kind_is_of_its_order() {
     const START: f64 = 0.7;
@@ -180,7 +178,7 @@ fn every_kind_is_of_its_order() {
         for part in [1.0, 0.3, 0.5, 0.8] {
             let (mut positions, mut rates, mut works) = (vec![], vec![], vec![]);
             for h in [0.1, 0.07, 0.05, 0.035] {
-                // A longer step for the higher order, above round-off.
+                // A longer step for the higher order, to stay above round-off.
                 let h = if scheme == Scheme::Dop853 { 3.0 * h } else { h };
                 let [q, v] = polar(ellipse(START));
                 let settings = Settings { schemes: Schemes::Only(scheme), ..settings(1e6, h) };
@@ -206,21 +204,21 @@ fn every_kind_is_of_its_order() {
             };
             for ((what, points), order) in [("angle", positions), ("rate", rates), ("work", works)].into_iter().zip(expected) {
                 let slope = slope(&points);
-                // The next term of the error bends the lines; a wrong coefficient or derivative costs one order or more. Where the leading
-                // term happens to be small more is found.
+                // The next term of the error bends the lines; a wrong coefficient or derivative costs at least one order. The slope may be
+                // larger if the leading term happens to be small.
                 assert!(slope > order - 0.6, "{scheme:?}, {what} at {part}: slope {slope:.2} of {order}, {points:?}");
             }
         }
     }
 }
 
-/// The error that a step of order 5 estimates by its stages alone is more than it is, and falls with the fifth power of the step.
+/// The error estimate of a step of order 5, from its stages alone, exceeds the true error and decreases with the fifth power of the step.
 #[test]
 fn the_estimate_of_order_5_is_on_the_safe_side() {
     let mut estimates = vec![];
     for h in [0.1, 0.07, 0.05, 0.035, 0.02, 0.01] {
         let [q, v] = polar(ellipse(0.7));
-        // In units of a tolerance by which every step is accepted.
+        // In units of a tolerance that accepts every step.
         let settings = Settings { schemes: Schemes::Only(Scheme::Tsit5), ..settings(1e6, h) };
         let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
         running.advance(&POLAR, &settings, h, Horizon { output: f64::INFINITY, limit: f64::INFINITY }, None).expect("a step");
@@ -228,22 +226,22 @@ fn the_estimate_of_order_5_is_on_the_safe_side() {
         let mut state = State::start(&POLAR, sample.q, sample.v, 0.0);
         running.record(&sample, &mut state);
         let (to, rate) = (polar(ellipse(0.7 + h))[0], polar(ellipse(0.7 + h))[1]);
-        // Distance weighted as in the step: tolerances of rates are 10/s and their own magnitude times those of coordinates.
+        // Weighted as in the step: tolerances of rates are (10/s + their magnitude) times those of coordinates.
         let off = |i: usize| (sample.q[i] - to[i]).powi(2) + ((sample.v[i] - rate[i]) / (10.0 + rate[i].abs())).powi(2);
         let error = ((off(0) + off(1)) / 4.0).sqrt();
         assert!(state.error_estimate > 3.0 * error, "{h} s: estimated {:e}, {error:e}", state.error_estimate);
         estimates.push((h, state.error_estimate));
     }
-    // The damping begins within these steps, and the next term of both estimates bends the line.
+    // Damping of the estimate begins within these steps, and the next term of both estimates bends the line.
     let slope = slope(&estimates);
     assert!((slope - 5.0).abs() < 0.5, "slope {slope:.2}, {estimates:?}");
 }
 
-/// A stiff spring that pulls a point onto a curve along which it swings like a pendulum, q₀ = sin(q₁)/4: by itself a run takes steps of
-/// the motion's length, loses no digit where kinds change, and goes back to explicit ones where nothing is stiff.
+/// A stiff spring pulls a point onto a curve, q₀ = sin(q₁)/4, along which it swings like a pendulum. The run automatically takes steps of
+/// the motion's length, loses no digit at changes of kind, and returns to explicit steps when nothing is stiff.
 #[test]
 fn kinds_change_and_no_digit_is_lost() {
-    // q̈₁ = −sin q₁; the error of q₀ is that of a damped spring with a rate of 10,000/s while cos(q₁/2)⁸ is not small.
+    // q̈₁ = −sin q₁; the error of q₀ is a damped spring with a rate of 10,000/s while cos(q₁/2)⁸ is not small.
     const PULLED: Point = Point {
         acceleration: |q, v| {
             let ([s, c], swing) = ([q[1].sin(), q[1].cos()], -q[1].sin());
@@ -287,13 +285,13 @@ fn kinds_change_and_no_digit_is_lost() {
         let (explicit, explicit_worst, explicit_steps) = run(Schemes::Only(Scheme::Dop853), tolerance);
         let (error, explicit_error) = ((q - exact).max_norm(), (explicit - exact).max_norm());
         assert!(worst < 100.0 * tolerance, "{tolerance:e}: {worst:e} off the curve, by dop853 alone {explicit_worst:e}");
-        // Nearly upright the pendulum magnifies errors some 1e3 times.
+        // Near the upright position the pendulum amplifies errors some 1e3 times.
         assert!(error < 1e4 * tolerance, "{tolerance:e}: {error:e}, by dop853 alone {explicit_error:e}");
         assert!(3 * steps < explicit_steps, "{tolerance:e}: {steps} steps, by dop853 alone {explicit_steps}");
     }
 }
 
-/// The error control holds the error of an orbit to some times the tolerance, and loose steps are not taken for stiff.
+/// The error control keeps the error of an orbit within some multiples of the tolerance, and loose steps are not classified as stiff.
 #[test]
 fn the_error_follows_the_tolerance() {
     for tolerance in [1e-4, 1e-6, 1e-8, 1e-10, 1e-12] {
@@ -303,13 +301,14 @@ fn the_error_follows_the_tolerance() {
         let orbits = 10.0 * std::f64::consts::TAU;
         running.advance(&KEPLER, &settings, orbits, Horizon { output: orbits, limit: f64::INFINITY }, None).expect("steps");
         let sample = running.sample(&KEPLER, &settings);
-        // Local errors add up to one of the period, and that to one of the place: with the square of the number of steps, some 1e2.
+        // Local errors add up to an error of the period, and that to an error of position: with the square of the number of steps, some
+        // 1e2.
         let error = (sample.q[0] - q[0]).hypot(sample.q[1] - q[1]);
         assert!(error < 1e4 * tolerance && !running.is_stiff(), "tolerance {tolerance:e}: {error:e}");
     }
 }
 
-/// A damper, and a damped spring, far stiffer than their motion: steps of a few times the inverse rate, and the verdict.
+/// A damper and a damped spring, much stiffer than the motion: steps of a few times the inverse rate, and the classification.
 #[test]
 fn stiffness_is_noticed() {
     for stiff in [Point::cartesian(|_, v| -1e4 * *v), Point::cartesian(|q, v| -1e8 * *q - 1e3 * *v)] {

@@ -1,5 +1,5 @@
-//! Dry friction that sticks: joints stay, slip at breakaway, and slide as the closed form says. Against solutions in quadruple
-//! precision: `effects_reference.rs`.
+//! Dry friction that sticks: joints rest, slip at breakaway, and slide according to the closed form. `effects_reference.rs` has solutions
+//! in quadruple precision.
 
 use std::f64::consts::PI;
 
@@ -16,7 +16,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::{enable, tip};
 
-/// The methods that can end a step where something stops or lets go.
+/// The methods that can end a step at the instant when friction starts or stops sticking.
 const METHODS: [Method; 3] = [Method::I3alp, Method::Dop853, Method::Automatic];
 
 /// A machine with motors 10 cm apart, and friction that sticks.
@@ -31,11 +31,11 @@ fn sticking(method: Method, coulomb: [f64; 5], breakaway: [f64; 5]) -> Parameter
     parameters
 }
 
-/// Friction in the motor joints alone.
+/// Friction only in the motor joints.
 const COULOMB: [f64; 5] = [0.01, 0.0, 0.0, 0.0, 0.01];
 const BREAKAWAY: [f64; 5] = [0.012, 0.0, 0.0, 0.0, 0.012];
 
-/// Motor torques that hold the machine against gravity, N·m, where friction does nothing: the accelerations are affine in them.
+/// Motor torques that balance gravity without friction, N·m; the accelerations are affine in them.
 fn balancing(parameters: &Parameters) -> [f64; 2] {
     let mut free = parameters.clone();
     free.effects.friction.enabled = false;
@@ -55,8 +55,8 @@ fn angles(simulation: &Simulation) -> [f64; 4] {
     simulation.state().angles()
 }
 
-/// For 60 s under gravity and half the breakaway torque at each motor: it does not move at all, and a minute of it costs less than a
-/// tenth of a second of motion.
+/// 60 s under gravity and half the breakaway torque at each motor: no motion at all, and a minute costs less than a tenth of a second of
+/// motion.
 #[test]
 fn below_breakaway_it_stays() {
     for method in METHODS {
@@ -73,18 +73,18 @@ fn below_breakaway_it_stays() {
         assert_eq!(angles(&held), start, "{method:?}");
         assert_eq!(held.state().core.work.dissipated, 0.0, "{method:?}");
         let counters = held.counters();
-        // By i3-ALP no step has anything to iterate; by the explicit method there are steps of 10 s.
+        // i3-ALP has nothing to iterate; the explicit method takes steps of 10 s.
         assert!(counters.iterations == 0 && counters.rejected == 0, "{method:?}: {counters:?}");
         assert!(counters.substeps <= if method != Method::I3alp { 20 } else { 60_000 }, "{method:?}: {counters:?}");
 
-        // Torques that friction holds at the motors are those that were put on top.
+        // The torques of friction at the motors equal the added torques.
         let holding = held.state().holding(held.model());
         assert!((holding[0] + 0.006).abs() < 1e-9 && (holding[4] - 0.006).abs() < 1e-9, "{method:?}: {holding:?}");
     }
 }
 
-/// The tip for 60 s under half of the plane's breakaway force: along the plane it stays. Across the plane its vibration fades,
-/// though explicit steps could be as long as the border of stability allows.
+/// 60 s under half of the plane's breakaway force: the tip rests along the plane. Across the plane its vibration decays, although explicit
+/// steps could be as long as stability allows.
 #[test]
 fn below_its_bound_the_tip_stays_on_the_plane() {
     for method in METHODS {
@@ -104,7 +104,7 @@ fn below_its_bound_the_tip_stays_on_the_plane() {
             let fastest = held.state().core.a.max_norm();
             assert!(fastest <= 1e-6, "{method:?}, call {call}: {fastest:e} rad/s² or m/s²");
         }
-        // The free arm takes some 7,600 explicit steps for a minute.
+        // The free arm takes some 7,600 explicit steps per minute.
         let counters = held.counters();
         assert!(
             counters.substeps + counters.rejected <= if method == Method::I3alp { 60_000 } else { 7_600 },
@@ -113,7 +113,7 @@ fn below_its_bound_the_tip_stays_on_the_plane() {
     }
 }
 
-/// Just below breakaway the joint sticks, just above it slips, and at once with the excess of the torque over Coulomb's.
+/// Just below breakaway the joint sticks, just above it slips, immediately with the excess of the torque over Coulomb's.
 #[test]
 fn it_lets_go_at_breakaway() {
     for method in METHODS {
@@ -132,7 +132,7 @@ fn it_lets_go_at_breakaway() {
         assert!((1e-3..2e-2).contains(&moved[1]), "{method:?}: {moved:?}");
         moved[1] = 0.0;
 
-        // A torque that grows by the millisecond, by a part of 1e-3 of the bound: it lets go in the millisecond in which it passes it.
+        // The torque grows every millisecond by 1e-3 of the bound; the joint slips in the millisecond in which the torque passes it.
         let mut simulation = Simulation::new(&parameters, &Inputs { tau: [left, right], ..default_inputs() }).expect("a scene");
         let start = angles(&simulation)[0];
         let went = (1..2000).find(|step| {
@@ -144,15 +144,15 @@ fn it_lets_go_at_breakaway() {
     }
 }
 
-/// Gain of the servo that pulls, N·m/rad, its speed, rad/s, and by how much friction falls when it lets go, N·m.
+/// Gain of the pulling servo, N·m/rad, its speed, rad/s, and the drop of friction at breakaway, N·m.
 const KP: f64 = 5.0;
 const PULL: f64 = 1e-3;
 const DROP: f64 = 0.0025;
 
-/// The left motor joint pulled by a soft servo while friction holds the right one: on its way of 1 mrad the machine is a mass on a spring.
+/// A soft servo pulls the left motor joint while friction holds the right one: on its way of 1 mrad the machine is a mass on a spring.
 fn pulled(method: Method) -> Parameters {
     let mut parameters = sticking(method, [0.01, 0.0, 0.0, 0.0, 1.0], [0.01 + DROP, 0.0, 0.0, 0.0, 1.0]);
-    // So low that friction falls at once.
+    // Small enough for friction to drop at once.
     parameters.effects.friction.breakaway_velocity = 1e-6;
     parameters.effects.gravity.enabled = false;
     enable(&mut parameters, "servo");
@@ -161,12 +161,12 @@ fn pulled(method: Method) -> Parameters {
     parameters
 }
 
-/// The references at a time.
+/// The setpoints at a time.
 fn pulling(parameters: &Parameters, time: f64) -> Inputs {
     Inputs { servo_theta: [parameters.start.theta[0] + PULL * time, parameters.start.theta[1]], ..default_inputs() }
 }
 
-/// Inertia that the left motor feels while friction holds the right one, kg·m²: from the acceleration by a torque.
+/// Inertia at the left motor while friction holds the right one, kg·m²: from the acceleration by a torque.
 fn inertia(parameters: &Parameters) -> f64 {
     let accelerated = |torque: f64| {
         let inputs = Inputs { tau: [torque, 0.0], ..pulling(parameters, 0.0) };
@@ -175,9 +175,9 @@ fn inertia(parameters: &Parameters) -> f64 {
     1.0 / (accelerated(2.0) - accelerated(1.0))
 }
 
-/// A mass I on a spring k drawn at the speed v, with friction that falls from T_s to T_c: it lets go with the spring at T_s, swings about
-/// T_c, and rests again after (2π − 2 atan(ΔT ω/(k v)))/ω, having gone 2ΔT/k + v times that. Its inertia changes by 1e-3 on its way, and
-/// references are held for 1 ms, which is 1e-3 of a jump: within 1 %.
+/// A mass I on a spring k pulled at the speed v, with friction that drops from T_s to T_c: it slips when the spring reaches T_s, swings
+/// about T_c, and rests again after (2π − 2 atan(ΔT ω/(k v)))/ω, after a distance of 2ΔT/k plus v times this duration. On its way the
+/// inertia changes by 1e-3, and setpoints are constant for 1 ms, which is 1e-3 of a jump: agreement within 1 %.
 #[test]
 fn it_sticks_and_slips_as_the_closed_form_says() {
     for method in METHODS {
@@ -206,7 +206,7 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
             assert!(error < 1e-9, "{method:?}, {time} s: {error:e} J");
         }
         assert!(rests.len() == 7 && starts.len() == 6, "{method:?}: {rests:?} {starts:?}");
-        // The spring is loose at first.
+        // The spring is slack at first.
         assert!((starts[0] - 0.0125 / KP / PULL).abs() <= 2e-3, "{method:?}: {starts:?}");
         for pair in rests.windows(2) {
             assert!((pair[1] - pair[0] - jump).abs() < 0.01 * jump, "{method:?}: {rests:?}, {jump}");
@@ -217,8 +217,8 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
     }
 }
 
-/// Friction places that hold one motion between them, and a third that is too weak for the other: nothing rests, however strong they are; and they hold
-/// it the same way, whichever of them could by itself.
+/// Two friction places together hold one motion, a third is too weak for the other: nothing rests, however strong they are. They hold the
+/// motion in the same way, whichever of them could alone.
 #[test]
 fn places_of_one_motion_hold_one_motion() {
     let mut balance = FrictionProblem::default();
@@ -241,8 +241,8 @@ fn places_of_one_motion_hold_one_motion() {
     assert!(balance.can_rest());
 }
 
-/// Past a turning point a joint slips the way the links drive it, though friction there moves nothing: its mobility is round-off, which
-/// does not decide. The numbers are those of the left elbow of coaxial motors as the right arm stretches.
+/// Past a turning point a joint slips as the links drive it, although friction there moves nothing: its mobility is round-off, which must
+/// not decide. The numbers are for the left elbow of coaxial motors as the right arm stretches.
 #[test]
 fn a_place_that_friction_cannot_move_slips_as_it_is_driven() {
     for (change, direction) in [(668.0, SlipDirection::Forward), (-668.0, SlipDirection::Backward)] {
@@ -257,8 +257,8 @@ fn a_place_that_friction_cannot_move_slips_as_it_is_driven() {
     }
 }
 
-/// With coaxial motors the inner joints turn by the same angle: they stop together and hold together, whichever of them is strong, and the
-/// arm then turns about its motors as one piece.
+/// With coaxial motors the inner joints turn by the same angle. They stop and stick together, whichever of them is strong, and the arm then
+/// turns about its motors as one piece.
 #[test]
 fn coaxial_links_stop_and_go_on_together() {
     for method in METHODS {
@@ -282,7 +282,7 @@ fn coaxial_links_stop_and_go_on_together() {
                 // By dop853 sticking joints drift with the error of its steps.
                 assert!((left - right).abs() < 1e-10 && left > 0.5, "{method:?}, {strong}: {left} {right}");
                 assert!((apart(&simulation) - stopped).abs() < 1e-10, "{method:?}, {strong}");
-                // Each joint uses an equal part of its breakaway torque: a third of 2 mN·m goes to the other leg, of those 5.25 to
+                // Each joint uses an equal fraction of its breakaway torque; a third of 2 mN·m acts on the other leg, relative to 5.25 to
                 // 5.35.
                 let holding = state.holding(simulation.model());
                 let parts = [1, 2, 3].map(|joint| (holding[joint] / friction[joint]).abs());
@@ -294,10 +294,10 @@ fn coaxial_links_stop_and_go_on_together() {
     }
 }
 
-/// A scene, and its inputs at a time.
+/// A scene, and its inputs over time.
 type Motion = (Parameters, fn(f64) -> Inputs);
 
-/// Motions with all kinds of friction places: the fall in whose joints friction sticks and lets go; a handle drawn onto a wall to which it sticks.
+/// Motions with all kinds of friction places: a fall in which joints stick and slip; a handle pulled onto a wall, on which it sticks.
 fn motions(method: Method) -> [Motion; 2] {
     let mut fall = default_parameters();
     fall.start.theta[1] = 2.0 * PI / 3.0;
@@ -324,7 +324,7 @@ fn motions(method: Method) -> [Motion; 2] {
     [(fall, |_| default_inputs()), (wall, hand)]
 }
 
-/// Dissipated energy never falls.
+/// Dissipated energy never decreases.
 #[test]
 fn what_is_dissipated_never_falls() {
     for method in METHODS {
@@ -348,7 +348,7 @@ fn what_is_dissipated_never_falls() {
     }
 }
 
-/// However many macro steps a call has, and where one is stored and gone on from: the same bits.
+/// Any number of macro steps per call, and continuing from a stored state, gives the same bits.
 #[test]
 fn calls_and_copies_change_nothing() {
     for method in METHODS {
@@ -356,10 +356,10 @@ fn calls_and_copies_change_nothing() {
             let run = |size: u64| {
                 let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");
                 for call in 0..1200 / size {
-                    // Both runs have a communication point where the inputs change.
+                    // Both runs have a communication point at each change of the inputs.
                     simulation.advance(&inputs(1e-3 * (call * size) as f64), 1e-3, size).expect("steps");
                     if size == 1 {
-                        // Stored states can be read back, after many steps too.
+                        // Stored states can be read back, also after many steps.
                         let run = simulation.run().clone();
                         simulation = Simulation::restored(simulation.parameters(), run).expect("a stored state");
                     }
@@ -372,7 +372,7 @@ fn calls_and_copies_change_nothing() {
     }
 }
 
-/// Derivatives keep sticking joints where they are; where friction locks everything, they are refused.
+/// Derivatives keep sticking joints at rest; if friction locks everything, they are refused.
 #[test]
 fn derivatives_keep_what_is_held() {
     let parameters = pulled(Method::I3alp);
@@ -383,7 +383,7 @@ fn derivatives_keep_what_is_held() {
     let by_torque = Direction { inputs: Inputs { tau: [1.0, 0.0], ..Inputs::default() }, ..Direction::default() };
     let (resolve_motion, more) = (start(0.5), start(0.75));
     let varied = resolve_motion.state().varied(resolve_motion.model(), &by_torque).expect("one joint is held");
-    // The accelerations are affine in the torque: nothing but round-off.
+    // The accelerations are affine in the torque, so differences have only round-off.
     for link in [0, 3] {
         let difference = (more.state().core.a[THETA[link]] - resolve_motion.state().core.a[THETA[link]]) / 0.25;
         assert!((varied.a[THETA[link]] - difference).abs() < 1e-9 * (1.0 + difference.abs()), "{link}: {difference}");
@@ -394,7 +394,7 @@ fn derivatives_keep_what_is_held() {
     assert!(refused.contains("the tip sticks or friction locks") && refused.ends_with('.'), "{refused}");
 }
 
-/// Only methods whose steps can end where something stops take it: the others refuse with one sentence.
+/// Only methods with steps that can end at a stop accept it; the others refuse with one message.
 #[test]
 fn other_methods_refuse() {
     let fixed = Parameters {
@@ -417,8 +417,8 @@ fn other_methods_refuse() {
     }
 }
 
-/// A motor joint that holds while the other one moves, with a breakaway just below the most that it once has to hold, for no longer than a
-/// hundredth of a step: it lets go there. By places an eighth of a step apart one of four such moments was missed.
+/// A motor joint sticks while the other moves; its breakaway torque is just below the largest torque that it must hold, which lasts at
+/// most a hundredth of a step: it slips there. Checking only places an eighth of a step apart would miss one in four such instants.
 #[test]
 fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
     const STEP: f64 = 5e-5;
@@ -439,7 +439,7 @@ fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
         enable(&mut parameters, "servo");
         parameters.effects.servo.kp = [uniform(0.1, 20.0); 2];
         let inputs = Inputs { servo_theta: parameters.start.theta.map(|angle| angle + uniform(-0.5, 0.5)), ..default_inputs() };
-        // Torque that the joint would have to hold.
+        // Torque needed to hold the joint.
         let Ok(mut simulation) = Simulation::new(&parameters, &inputs) else { continue };
         let load = |simulation: &Simulation| simulation.state().holding(simulation.model())[joint].abs();
         let mut loads = vec![load(&simulation)];
@@ -459,16 +459,16 @@ fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
         for _ in 0..CALLS {
             simulation.advance(&inputs, STEP, 1).expect("a step");
             let load = load(&simulation);
-            // The holding torque is known to some tolerances, of some 1e2 rad/s² on 1e-3 kg·m².
+            // The holding torque is accurate to some tolerances, of some 1e2 rad/s² on 1e-3 kg·m².
             assert!(load <= bound * (1.0 + 1e-6) + 1e-7, "scene {scene} holds {load} N·m of {bound}");
         }
     }
     assert!(moments > 20, "{moments} moments");
 }
 
-/// A coaxial machine whose tip, 40 µm to 400 µm deep in a hard plane, sticks to it while the parallelogram of its legs goes through the
-/// stretched arm at some hundreds of rad/s: joint forces grow there beyond all bounds, and what holds the tip turns their round-off into
-/// rates. As it is, and as it goes on after the plane, the weight and friction have been tuned.
+/// A coaxial machine with its tip 40 µm to 400 µm deep in a hard plane, to which it sticks while the parallelogram of its legs passes the
+/// stretched arm at some hundreds of rad/s. Joint forces grow without bound there, and the sticking constraint turns their round-off into
+/// rates. As it is, and with plane, weight and friction tuned.
 fn stretched(method: Method, tolerance: f64) -> [Parameters; 2] {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;
@@ -512,7 +512,7 @@ fn farthest(one: [f64; 4], other: [f64; 4]) -> f64 {
     one.into_iter().zip(other).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max)
 }
 
-/// Whatever the tolerance and the length of calls, no call is given up, and the motion is that of the explicit method in the angles.
+/// For any tolerance and length of calls no call fails, and the motion equals the explicit method's in the angles.
 #[test]
 fn a_tip_that_sticks_goes_through_the_stretched_arm() {
     const CALL: f64 = 0.000980392156862745;
@@ -527,7 +527,7 @@ fn a_tip_that_sticks_goes_through_the_stretched_arm() {
     }
 }
 
-/// Scenes around that one: a third of them were given up.
+/// Scenes around this one, each of which must complete.
 #[test]
 fn tips_that_stick_go_through_the_stretched_arm() {
     let mut random = ChaCha8Rng::seed_from_u64(31);
@@ -549,8 +549,8 @@ fn tips_that_stick_go_through_the_stretched_arm() {
     }
 }
 
-/// Folded legs on coaxial motors: the elbows do not turn there, so friction in them neither slips nor holds, and no border is looked for
-/// where there is none. The cost is that of other postures at every tolerance, the motion that of elbows without friction.
+/// Folded legs on coaxial motors: the elbows do not turn there, so their friction neither slips nor sticks, and no event is located. At
+/// every tolerance the cost equals that of other postures, and the motion that of elbows without friction.
 #[test]
 fn elbows_of_folded_legs_cost_nothing() {
     let folded = |method, tolerance, elbows: f64| {
@@ -585,7 +585,7 @@ fn elbows_of_folded_legs_cost_nothing() {
             Simulation::restored(with.parameters(), run).expect("a stored state");
         }
     }
-    // By steps of third order, which were given up.
+    // By steps of third order.
     let [explicit, implicit] = [Method::Dop853, Method::I3alp].map(|method| angles(&folded(method, 1e-11, 1.0)));
     assert!(farthest(explicit, implicit) < 1e-8, "{explicit:?} {implicit:?}");
 }

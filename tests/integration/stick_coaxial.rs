@@ -1,5 +1,5 @@
-//! Dry friction that sticks on machines with coaxial motors, or nearly so: against closed forms of what turns about the axis as one piece,
-//! and against Moreau's time stepping. Inner joints hold the opening of such a machine, never its rotation about the axis.
+//! Dry friction that sticks on machines with coaxial motors, or nearly so: against closed forms of the rotation about the axis as one
+//! piece, and against Moreau's time stepping. Inner joints can lock the opening of such a machine, never its rotation about the axis.
 
 use std::f64::consts::PI;
 
@@ -13,7 +13,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::enable;
 
-/// The methods that can end a step where something stops or lets go.
+/// The methods that can end a step at the instant when friction starts or stops sticking.
 const METHODS: [Method; 3] = [Method::I3alp, Method::Dop853, Method::Automatic];
 
 /// Duration of each motion, s.
@@ -27,7 +27,7 @@ fn coaxial() -> Parameters {
     parameters
 }
 
-/// Friction in all inner joints holds the opening of the stretched machine, where the tip's joint is at a turning point.
+/// Friction in all inner joints locks the opening of the stretched machine, in which the tip's joint is at a turning point.
 fn at_a_turning_point() -> Parameters {
     let mut parameters = coaxial();
     enable(&mut parameters, "friction");
@@ -36,7 +36,7 @@ fn at_a_turning_point() -> Parameters {
     parameters
 }
 
-/// Light distal links and a payload: joint forces are large for the masses.
+/// Light distal links and a payload: joint forces are large compared with the masses.
 fn of_light_links() -> Parameters {
     let mut parameters = coaxial();
     enable(&mut parameters, "friction");
@@ -58,7 +58,7 @@ fn random(seed: u64) -> impl FnMut(f64, f64) -> f64 {
     move |low, high| low + (high - low) * ((random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64)
 }
 
-/// Random lengths, and angles that are those of a turning point of the opening in half of the machines; all is at rest.
+/// Random lengths; in half of the machines the angles are at a turning point of the opening; everything is at rest.
 fn random_machine(uniform: &mut impl FnMut(f64, f64) -> f64, distances: &[f64]) -> Parameters {
     let mut parameters = coaxial();
     parameters.geometry.base_distance = distances[uniform(0.0, distances.len() as f64) as usize];
@@ -83,7 +83,7 @@ fn farthest(one: [f64; 4], other: [f64; 4]) -> f64 {
     one.into_iter().zip(other).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max)
 }
 
-/// Motors push an arm whose inner joints are locked: it turns about the axis as one piece, against the friction of the motors alone.
+/// Motors push an arm with locked inner joints: it turns about the axis as one piece, with friction only in the motors.
 #[test]
 fn locked_inner_joints_do_not_hold_the_motors() {
     const MOTORS: f64 = 1e-3;
@@ -99,7 +99,7 @@ fn locked_inner_joints_do_not_hold_the_motors() {
         let inputs = Inputs { tau: [uniform(0.02, 0.04), uniform(0.0, 0.01)], ..default_inputs() };
         let Ok(start) = Simulation::new(&parameters, &inputs) else { continue };
         let start = start.state().angles();
-        // Next to a direct singularity the opening has so much inertia, or so little, that the inner joints give way.
+        // Near a direct singularity the opening has so much inertia, or so little, that the inner joints slip.
         if (start[1] - start[2]).sin().abs() < 0.3 {
             continue;
         }
@@ -114,15 +114,15 @@ fn locked_inner_joints_do_not_hold_the_motors() {
         for method in METHODS {
             let end = angles(&parameters, &inputs, method).unwrap_or_else(|failed| panic!("{scene}, {method:?}: {failed}"));
             let off = farthest(end, start.map(|angle| angle + turned));
-            // Some hundred local errors of 3e-9 rad; motors 1e-7 m apart move locked joints by a part of 1e-6 of the rotation, for which the
-            // motors pay a part of 1e-5 of their torque.
+            // Some hundred local errors of 3e-9 rad. Motors 1e-7 m apart move locked joints by 1e-6 of the rotation, which costs the motors
+            // 1e-5 of their torque.
             assert!(off < 1e-6 + 1e-5 * turned, "{scene}, {method:?}: turned {turned} rad, {off:e} off");
         }
     }
     assert!(judged >= 30, "{judged} machines");
 }
 
-/// The tip on the axis, pressed into a plane that grips: each folded leg turns as one piece, for the plane moves nothing there.
+/// The tip is on the axis, pressed into a plane and sticking: each folded leg turns as one piece, because the plane moves nothing there.
 #[test]
 fn a_tip_on_the_axis_does_not_hold_folded_legs() {
     let mut uniform = random(65);
@@ -158,7 +158,7 @@ fn a_tip_on_the_axis_does_not_hold_folded_legs() {
     }
 }
 
-/// Random frictions, loads, rates and base distances, and the two machines that rested against any load.
+/// Random frictions, loads, rates and base distances, and two machines that must not rest against any load.
 #[test]
 fn coaxial_machines_move_as_by_time_stepping() {
     let mut uniform = random(66);
@@ -189,7 +189,7 @@ fn coaxial_machines_move_as_by_time_stepping() {
         turned += u32::from(farthest(fine, start) > 1e-3);
         for method in METHODS {
             let end = angles(parameters, inputs, method).unwrap_or_else(|failed| panic!("{scene}, {method:?}: {failed}"));
-            // The time stepping is of first order; a step that begins or ends with a stop has a whole one of it.
+            // The time stepping is of first order; a step that begins or ends with a stop has a full first-order error.
             let (off, allowed) = (farthest(end, fine), 3.0 * farthest(coarse, fine) + 1e-4);
             assert!(off < allowed, "{scene}, {method:?}: {off:e} rad off, {allowed:e} allowed");
         }
@@ -197,8 +197,8 @@ fn coaxial_machines_move_as_by_time_stepping() {
     assert!(judged >= 20 && turned >= 10, "{judged} machines, of which {turned} moved");
 }
 
-/// Moreau's time stepping in the two motor angles: no events, no regularisation; the friction impulses of each step by projected
-/// Gauss–Seidel.
+/// Moreau's time stepping in the two motor angles: no events, no regularisation; projected Gauss–Seidel computes the friction impulses of
+/// each step.
 struct TimeStepping<'a> {
     scene: &'a Parameters,
     inputs: &'a Inputs,
@@ -206,7 +206,7 @@ struct TimeStepping<'a> {
     rates: [f64; 2],
 }
 
-/// Rates of the joints by those of the links.
+/// Joint rates from link rates.
 const JOINTS: [[f64; 4]; 5] =
     [[1.0, 0.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]];
 
@@ -219,7 +219,7 @@ impl<'a> TimeStepping<'a> {
         Self { scene, inputs, angles, rates: scene.start.omega }
     }
 
-    /// The link angles after the duration; `None` next to a direct singularity, where motor angles are no coordinates.
+    /// Link angles after the duration; `None` near a direct singularity, where motor angles are no coordinates.
     fn after(mut self, steps: u32) -> Option<[f64; 4]> {
         let h = DURATION / f64::from(steps);
         for _ in 0..steps {
@@ -234,7 +234,7 @@ impl<'a> TimeStepping<'a> {
         Some(self.angles)
     }
 
-    /// Moves the links by their rates; the distal ones then close the loop by Newton's iteration.
+    /// Moves the links by their rates; Newton's iteration over the distal ones then closes the loop.
     fn drift(&mut self, h: f64) {
         let rates = self.link_rates(&self.angles);
         (0..4).for_each(|link| self.angles[link] += h * rates[link]);
@@ -283,9 +283,9 @@ impl<'a> TimeStepping<'a> {
         (mass, torque)
     }
 
-    /// Motor rates after the loads and the friction of a step.
+    /// Motor rates after the loads and friction of a step.
     fn rates_after(&self, h: f64) -> [f64; 2] {
-        /// Difference for the change of the motions along the path, s.
+        /// Time difference for the change of the motions along the path, s.
         const LATER: f64 = 1e-6;
         let (motions, rates) = (self.motions(&self.angles), self.link_rates(&self.angles));
         let [ahead, behind] =

@@ -1,4 +1,4 @@
-//! Support of several tests: scenes, reference solutions, errors and slopes.
+//! Shared support of the tests: scenes, reference solutions, errors and slopes.
 
 use std::path::{Path, PathBuf};
 
@@ -8,20 +8,20 @@ use fivebar::observers;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 
-/// m g L of the paper's links, J: the unit in which energy errors are judged.
+/// m g L of the paper's links, J, the unit of energy errors.
 pub(crate) const MGL: f64 = 0.017 * 9.81 * 0.21;
 
-/// Whether tests run in their long form: `cargo xtask test --nightly`.
+/// Whether tests run in their long form, `cargo xtask test --nightly`.
 pub(crate) fn is_nightly() -> bool {
     std::env::var_os("FIVEBAR_NIGHTLY").is_some()
 }
 
-/// A file of the repository.
+/// Path of a file in the repository.
 pub(crate) fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// The paper's mechanism under gravity, proximal angles 90° and 120°, at rest, at strictly fixed step.
+/// The paper's mechanism under gravity, proximal angles 90° and 120°, at rest, with fixed steps.
 pub(crate) fn fall_90_120(method: Method) -> Parameters {
     let mut parameters = default_parameters();
     parameters.start.theta[1] = 120f64.to_radians();
@@ -37,7 +37,7 @@ pub(crate) fn torque() -> (Parameters, Inputs) {
     (parameters, Inputs { tau: [0.25, 0.0], ..default_inputs() })
 }
 
-/// A mechanism in which nothing is equal and no centre of mass is in the middle.
+/// A mechanism with all links different and no centre of mass in the middle.
 pub(crate) fn unequal() -> Parameters {
     let mut parameters = default_parameters();
     let geometry = &mut parameters.geometry;
@@ -55,7 +55,7 @@ pub(crate) fn unequal() -> Parameters {
     parameters
 }
 
-/// Switches an effect on.
+/// Enables an effect.
 pub(crate) fn enable(parameters: &mut Parameters, effect: &str) {
     let effects = &mut parameters.effects;
     let enabled = match effect {
@@ -82,7 +82,7 @@ pub(crate) struct Reference {
 }
 
 impl Reference {
-    /// Reads tests/data/reference/<name>.csv (its head says where it comes from).
+    /// Reads tests/data/reference/<name>.csv (its head states the origin).
     pub(crate) fn read(name: &str) -> Vec<Self> {
         let text = std::fs::read_to_string(file(&format!("tests/data/reference/{name}.csv"))).expect("reference file");
         text.lines()
@@ -105,7 +105,7 @@ impl Reference {
     }
 }
 
-/// The tip, m.
+/// Position of the tip, m.
 pub(crate) fn tip(simulation: &Simulation) -> [f64; 2] {
     let tip = observers::motion(simulation.model(), &simulation.state()).tip;
     [tip.x, tip.y]
