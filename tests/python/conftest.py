@@ -1,4 +1,4 @@
-"""The units under test, each extracted once per session: FIVEBAR_FMU and FIVEBAR_OWN, or what `cargo xtask package` wrote."""
+"""The units under test, each extracted once per session: FIVEBAR_FMU and FIVEBAR_OWN, or the files from `cargo xtask package`."""
 
 import os
 import shutil
@@ -17,20 +17,20 @@ from instance import Instance
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 PATIENCE = 300.0
-"""Seconds after which something counts as hanging. No test judges speed by it: a busy machine may be many times slower than an idle one."""
+"""Seconds after which something counts as hung. No test judges speed by it: a busy machine may be many times slower than an idle one."""
 
-# Files with the longest tests. Each of two processes begins with a half of all tests, and takes some of the other's when it has none left: a long test
-# that begins last would keep one process waiting.
+# Files with the longest tests. Each of two processes starts with half of all tests and takes some of the other's when it has none left: a long
+# test that starts last would keep one process waiting.
 LONGEST = ("test_conformance.py", "test_twin_full.py", "test_wheel.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The files that take longest come first."""
+    """Moves the slowest files to the front."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 def wait_until(holds: Callable[[], Any], seconds: float = PATIENCE) -> None:
-    """Waits until something holds; fewer seconds than `PATIENCE` are for what is tried again."""
+    """Waits until a condition is true; shorter times than `PATIENCE` are for retries."""
     begin = time.monotonic()
     while not holds():
         assert time.monotonic() - begin < seconds, f"not within {seconds:g} s"
@@ -38,7 +38,7 @@ def wait_until(holds: Callable[[], Any], seconds: float = PATIENCE) -> None:
 
 
 def started(run: "subprocess.Popen[str]") -> str:
-    """The line with which `fivebar twin` tells its addresses once all has started; on a busy machine a trouble may be told before."""
+    """The line in which `fivebar twin` prints its addresses after the start; on a busy machine warnings may come before it."""
     assert run.stdout is not None
     lines: list[str] = []
     for line in run.stdout:
@@ -50,7 +50,7 @@ def started(run: "subprocess.Popen[str]") -> str:
 
 @pytest.fixture(autouse=True)
 def working_directory() -> Iterator[None]:
-    """Each test leaves the process in the working directory that it found."""
+    """Each test leaves the process in the working directory in which it started."""
     before = os.getcwd()
     yield
     after = os.readlink("/proc/self/cwd")
@@ -68,7 +68,7 @@ def fmu() -> Path:
 
 @pytest.fixture(scope="session")
 def directory(fmu: Path) -> Iterator[str]:
-    """The folder the .fmu is extracted to."""
+    """The folder of the extracted .fmu."""
     folder = fmpy.extract(str(fmu))
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
@@ -82,7 +82,7 @@ def model(directory: str) -> ModelDescription:
 
 @pytest.fixture(scope="session")
 def outputs(model: ModelDescription) -> list[str]:
-    """The names of the outputs."""
+    """Names of the outputs."""
     return [v.name for v in model.modelVariables if v.causality == "output"]
 
 
@@ -96,7 +96,7 @@ class Unit(NamedTuple):
 
 @pytest.fixture(scope="session")
 def own(tmp_path_factory: pytest.TempPathFactory) -> Unit:
-    """The unit of one's own: FIVEBAR_OWN, or what `cargo xtask package --scene tests/data/own_machine.json` wrote."""
+    """The unit of one's own: FIVEBAR_OWN, or the file from `cargo xtask package --scene tests/data/own_machine.json`."""
     path = Path(os.environ.get("FIVEBAR_OWN", REPOSITORY / "target" / "fmu" / "OwnMachine.fmu")).resolve()
     assert path.is_file(), f"there is no .fmu at {path}: run `cargo xtask package --scene tests/data/own_machine.json`"
     directory = fmpy.extract(str(path), unzipdir=str(tmp_path_factory.mktemp("own")))
@@ -105,7 +105,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Unit:
 
 @pytest.fixture(scope="session")
 def scenes() -> Path:
-    """The folder of the shipped scenes."""
+    """Folder of the shipped scenes."""
     return REPOSITORY / "scenes"
 
 

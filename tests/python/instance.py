@@ -21,7 +21,7 @@ class Instance:
         self.computed = [v.name for v in computed(model)]
 
     def enter(self) -> "Instance":
-        """Goes to initialization mode, the first in which values can be read."""
+        """Enters initialization mode, the first in which values can be read."""
         self.slave.setupExperiment()
         self.slave.enterInitializationMode()
         return self
@@ -29,7 +29,7 @@ class Instance:
     def initialise(
         self, values: Values | None = None, start_time: float = 0.0, stop_time: float | None = None
     ) -> "Instance":
-        """Sets `values` and goes through initialisation."""
+        """Sets `values` and completes initialisation."""
         self.set(values or {})
         self.slave.setupExperiment(startTime=start_time, stopTime=stop_time)
         self.slave.enterInitializationMode()
@@ -49,17 +49,17 @@ class Instance:
         return self.get("tip.x"), self.get("tip.y")
 
     def steps(self, count: int, size: float, begin: float = 0.0) -> None:
-        """`count` communication steps of `size` seconds."""
+        """Makes `count` communication steps of `size` seconds."""
         for i in range(count):
             self.slave.doStep(begin + i * size, size)
 
     def bits(self) -> dict[str, bytes]:
-        """All that is computed, bit by bit."""
+        """All computed variables, bit by bit."""
         values = get_values(self.slave, self.model, self.computed)
         return {name: struct.pack("<d" if isinstance(v, float) else "<q", v) for name, v in values.items()}
 
     def refusal(self, call: Callable[..., Any], *arguments: Any) -> tuple[int, str]:
-        """Status and logged sentence of a call that must be refused."""
+        """Status and logged message of a call that must be refused."""
         before = len(self.log.messages)
         try:
             call(*arguments)

@@ -1,7 +1,7 @@
-"""Every master that can be had here drives the unit over the same fall and must end with the bits that FMPy ends with.
+"""Every available master runs the same fall with the unit and must end with the same bits as FMPy.
 
-The communication step lies on the unit's grid, so a master's way of keeping time leaves no trace. Masters are imported
-where they are used: only the full form of the tests installs them.
+The communication step is on the unit's grid, so that a master's clock does not matter. Each test imports its master, because only the
+full form of the tests installs them.
 """
 
 import csv
@@ -27,14 +27,14 @@ SIZE, STEPS = 0.01, 100
 STOP = SIZE * STEPS
 FALL: Values = {"init.theta[2]": 2.0943951023931953}
 
-# The partner of two robots: its servo holds the posture of the other one.
+# The partner of two robots: its servo holds the posture of the other.
 FOLLOWER: Values = {**FALL, "servo.enabled": True, "servo.kp[1]": 20.0, "servo.kp[2]": 20.0}
 WIRES = [(f"{sent}[{leg}]", f"servo.{sent}[{leg}]") for sent in ("theta", "omega") for leg in (1, 2)]
 
 
 @pytest.fixture(scope="module")
 def reals(model: ModelDescription) -> list[str]:
-    """The names of all Reals that are computed."""
+    """Names of all computed Reals."""
     return [v.name for v in computed(model) if v.type == "Real"]
 
 
@@ -46,7 +46,7 @@ def references(model: ModelDescription) -> dict[str, int]:
 
 @pytest.fixture
 def expected(new: New, reals: list[str]) -> list[float]:
-    """All of them at the end of the fall, through FMPy."""
+    """Their values at the end of the fall, through FMPy."""
     instance = new().initialise(FALL)
     instance.steps(STEPS, SIZE)
     return [instance.get(name) for name in reals]
@@ -60,7 +60,7 @@ def expected_outputs(reals: list[str], expected: list[float], outputs: list[str]
 
 
 def program(name: str) -> str:
-    """A program of the Python environment that runs these tests."""
+    """A program of this Python environment."""
     return str(Path(sys.executable).parent / name)
 
 
@@ -72,7 +72,7 @@ def test_fmuloader(
     reals: list[str],
     expected: list[float],
 ) -> None:
-    """Every call by hand, without callbacks for memory; a second run after a reset."""
+    """Every call by hand, without memory callbacks; a second run after a reset."""
     from fmuloader.fmi2 import Fmi2Slave, Fmi2Type
 
     with Fmi2Slave(directory, model_identifier=model.coSimulation.modelIdentifier) as slave:
@@ -94,7 +94,7 @@ def test_fmuloader(
 
 @pytest.mark.full
 def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expected: list[float]) -> None:
-    """A C++ master whose time is a whole number of nanoseconds."""
+    """A C++ master with time as a whole number of nanoseconds."""
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
@@ -111,7 +111,7 @@ def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expec
 
 @pytest.mark.full
 def test_two_robots_in_one_libcosim_system(fmu: Path, references: dict[str, int], reals: list[str], new: New) -> None:
-    """One robot falls, a servo-driven partner follows it: as two instances that a loop in Python connects, bit for bit."""
+    """One robot falls, a servo-driven partner follows it. Reference: two instances connected by a loop in Python, bit for bit."""
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
@@ -144,7 +144,7 @@ def test_two_robots_in_one_libcosim_system(fmu: Path, references: dict[str, int]
             else:
                 instance.slave.doStep((step - 1) * size, size)
     assert found == [[instance.get(name) for name in reals] for instance in (first, second)]
-    # The partner is where it was told to be, up to a lag of a gain that is finite: 0.05 rad, where the fall takes 1 rad.
+    # The partner follows its setpoint with a lag, because its gain is finite: 0.05 rad, while the fall moves 1 rad.
     for leg in (1, 2):
         assert abs(second.get(f"theta[{leg}]") - first.get(f"theta[{leg}]")) < 0.05
         assert abs(first.get(f"theta[{leg}]") - first.get("init.theta[1]")) > 0.5
@@ -154,8 +154,8 @@ def test_two_robots_in_one_libcosim_system(fmu: Path, references: dict[str, int]
 def test_two_units_of_different_names_in_one_libcosim_system(
     fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str]
 ) -> None:
-    """The plain unit and one of one's own, whose method and assembly are enumerations that libcosim cannot set, push each other: as two
-    instances that a loop in Python connects, bit for bit."""
+    """The plain unit and one of one's own push each other; libcosim cannot set the latter's method and assembly, which are enumerations.
+    Reference: two instances connected by a loop in Python, bit for bit."""
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
@@ -192,12 +192,12 @@ def test_two_units_of_different_names_in_one_libcosim_system(
 @pytest.mark.full
 @pytest.mark.parametrize("which", ["plain", "own"])
 def test_pathsim(which: str, fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str]) -> None:
-    """A block diagram in Python, which reads every output as a Real and draws what it has."""
+    """A block diagram in Python, which reads every output as a Real and plots it."""
     import pathsim
 
     size = 0.01
     with warnings.catch_warnings():
-        # The block is about to move to a package of its own.
+        # PathSim warns that the block will move to a package of its own.
         warnings.simplefilter("ignore", DeprecationWarning)
         unit = pathsim.blocks.CoSimulationFMU(str(fmu if which == "plain" else own.fmu), start_values=FALL, dt=size)
     torque, scope = pathsim.blocks.Constant(0.02), pathsim.blocks.Scope(labels=["tip.x"])
@@ -210,7 +210,7 @@ def test_pathsim(which: str, fmu: Path, own: Unit, new: New, new_own: New, outpu
     instance = (new if which == "plain" else new_own)().initialise(FALL)
     inputs = {v.name: 0.0 for v in instance.model.modelVariables if v.causality == "input"}
     course = []
-    # The master steps at 0 s already, and sets every input, with 0 where nothing is connected.
+    # The master already steps at 0 s, and sets every input, to 0 if not connected.
     for step in range(51):
         instance.set(inputs | {"tau[1]": 0.02})
         instance.slave.doStep(step * size, size)
@@ -234,7 +234,7 @@ print(json.dumps({unit: {name: values[-1] for (of, name), values in ((k, v) for 
 
 @pytest.mark.full
 def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str], tmp_path: Path) -> None:
-    """A master for digital twins, which sets and reads Reals only: the plain unit pushes the tip of one of one's own."""
+    """A master for digital twins, which sets and reads only Reals: the plain unit pushes the tip of one of one's own."""
     steps, size = 50, 0.01
     unit = {"plain": (fmu, FALL), "own": (own.fmu, {})}
     wire = {"source": {"id": "plain", "variable": "tip.x"}, "target": {"id": "own", "variable": "tip.fx"}}
@@ -257,7 +257,7 @@ def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
 
-    # The master begins with 0 at every input, and steps the pushed unit after the pushing one.
+    # The master starts with 0 at every input, and steps the pushed unit after the pushing one.
     inputs = {v.name: 0.0 for v in own.model.modelVariables if v.causality == "input"}
     plain, mine = new().initialise(FALL | inputs), new_own().initialise(inputs)
     for step in range(steps):
@@ -270,7 +270,7 @@ def test_cofmupy(fmu: Path, own: Unit, new: New, new_own: New, outputs: list[str
 
 @pytest.mark.full
 def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
-    """A C++ master whose clock accumulates, and which resets."""
+    """A C++ master with an accumulating clock, and with reset."""
     from ecospy import EcosSimulation, EcosSimulationStructure
 
     with EcosSimulationStructure() as structure:
@@ -287,7 +287,7 @@ def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
 
 @pytest.mark.full
 def test_ecos_runs_a_unit_of_one_s_own_with_nothing_set(own: Unit, new_own: New, reals: list[str]) -> None:
-    """Its enumerations included, which this master cannot set; and once more after a reset."""
+    """Also its enumerations, which this master cannot set; and again after a reset."""
     from ecospy import EcosSimulation, EcosSimulationStructure
 
     instance = new_own().initialise()
@@ -315,7 +315,7 @@ def test_fmutool_finds_no_problem(fmu: Path) -> None:
 
 @pytest.mark.full
 def test_fmucontainer(fmu: Path, tmp_path: Path, outputs: list[str], expected_outputs: list[float]) -> None:
-    """A container, whose master is in C, with the unit inside is a unit that gives the same numbers."""
+    """A container with the unit inside, with a master in C, is a unit with the same results."""
     container = {
         "name": "container.fmu",
         "fmu": [fmu.name],
@@ -342,7 +342,7 @@ def test_fmucontainer(fmu: Path, tmp_path: Path, outputs: list[str], expected_ou
 
 
 def fall_from(directory: str, angle: float) -> list[float]:
-    """Tip and energy after a fall from `angle`: a task for a scheduler, whole in one call."""
+    """Tip and energy after a fall from `angle`: a complete task for a scheduler."""
     model = fmpy.read_model_description(directory)
     slave = instantiate(model, directory, Log(), f"fall from {angle}")
     set_values(slave, model, {"init.theta[2]": angle})
@@ -360,7 +360,7 @@ def fall_from(directory: str, angle: float) -> list[float]:
 @pytest.mark.full
 @pytest.mark.parametrize("scheduler", ["threads", "processes"])
 def test_dask(directory: str, scheduler: str) -> None:
-    """Instances side by side have no influence on one another."""
+    """Parallel instances do not influence each other."""
     import dask
 
     angles = [1.6 + 0.1 * i for i in range(16)]
@@ -371,7 +371,7 @@ def test_dask(directory: str, scheduler: str) -> None:
 
 
 def by_fmi_sim(fmu: Path, folder: Path, outputs: list[str], values: Values) -> list[float]:
-    """The outputs at the end of a run by a master in Rust, with a reader of descriptions of its own; its table has the shortest text of each."""
+    """Outputs at the end of a run by a master in Rust with its own XML reader; its table has the shortest text of each number."""
     command = [os.environ["FMI_SIM"], "--model", str(fmu), "--output-file", "out.csv", "co-simulation"]
     command += ["-s", "0", "-f", repr(STOP), "--step", repr(SIZE), "--output-interval", repr(SIZE)]
     command += [f"--init-values={name}={value!r}" for name, value in values.items()]

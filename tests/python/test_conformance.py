@@ -1,4 +1,4 @@
-"""The programs of tests/conformance/ on the library inside the .fmu: masters in C, compiled against the standard's own headers."""
+"""The programs of tests/conformance/ on the library in the .fmu: masters in C, compiled with the standard's own headers."""
 
 import os
 import subprocess
@@ -28,12 +28,12 @@ MEMCHECK = (
 )
 HELGRIND = ("valgrind", "--quiet", "--error-exitcode=9", "--tool=helgrind")
 
-# Runs a program with arguments behind library, GUID and table: the line that it prints.
+# Runs a program with arguments after library, GUID and table; returns the printed line.
 Run = Callable[..., str]
 
 
 def row(variable: ScalarVariable) -> str:
-    """A variable as master.c reads it: reference, type, role, min, max, start, name; reals in hexadecimal."""
+    """Encodes a variable for master.c: reference, type, role, min, max, start, name; reals in hexadecimal."""
     kind = {"Real": "R", "Boolean": "B"}.get(variable.type, "I")
     parameter = "t" if variable.variability == "tunable" else "f"
     taken = "s" if variable.variability == "discrete" else "i"
@@ -50,10 +50,10 @@ def row(variable: ScalarVariable) -> str:
 
 
 def runner(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Compiles a program when it is first asked for, and runs it in an empty folder, which must stay empty."""
+    """Compiles a program at its first use and runs it in an empty folder, which must stay empty."""
     folder = tmp_path_factory.mktemp("conformance")
     table = folder / "variables.txt"
-    # A derivative shares its reference with another variable.
+    # A derivative shares its value reference with another variable.
     rows = {v.valueReference: row(v) for v in reversed(model.modelVariables)}
     table.write_text("".join(f"{text}\n" for text in rows.values()))
     shipped = Path(directory) / "binaries" / fmpy.platform / f"{model.coSimulation.modelIdentifier}.so"
@@ -94,17 +94,17 @@ def runner(directory: str, model: ModelDescription, tmp_path_factory: pytest.Tem
 
 @pytest.fixture(scope="session")
 def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """On the plain unit."""
+    """Runs programs on the plain unit."""
     return runner(directory, model, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def run_own(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """On the unit of one's own."""
+    """Runs programs on the unit of one's own."""
     return runner(own.directory, own.model, tmp_path_factory)
 
 
-# Calls, seed and magnitude of values, as a power of ten; one walk of one's own where `cargo xtask walk` says so.
+# Calls, seed and magnitude of values as a power of ten; `cargo xtask walk` sets a single walk of its own.
 OWN_WALK = os.environ.get("FIVEBAR_WALK")
 LONG = pytest.mark.nightly
 WALKS = [
@@ -127,12 +127,12 @@ def test_walk_on_a_unit_of_one_s_own(run_own: Run, calls: int) -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("calls", [25_000, pytest.param(250_000, marks=LONG)])
 def test_random_walk_under_valgrind(run: Run, calls: int) -> None:
-    # Values up to 1e2: steps of many sub-steps take fifty times as long here.
+    # Values up to 1e2: larger ones need many sub-steps and take fifty times as long here.
     assert "steps discarded" in run("walk", calls, 4, 2, under=MEMCHECK)
 
 
 def test_load_run_free_without_growth(run: Run) -> None:
-    # Without the caches of its threads the C library counts what is in use to the byte.
+    # Without caches per thread the C library counts used memory to the byte.
     assert "1500 cycles" in run("cycles", 1500, GLIBC_TUNABLES="glibc.malloc.tcache_count=0")
 
 
@@ -162,7 +162,7 @@ def test_surroundings_stay(run: Run, tmp_path: Path) -> None:
     locale = "de_DE.UTF-8"
     subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(tmp_path / locale)], check=True)
     line = run("surroundings", locale, LOCPATH=str(tmp_path))
-    # Round-off of 25 steps, magnified by the passes of a fall; a function that fails under another rounding would show at once.
+    # Round-off of 25 steps, amplified by the fall; a function that fails under another rounding mode would be obvious.
     assert float(line.split()[-2]) < 1e-8
 
 

@@ -1,4 +1,4 @@
-"""Derivatives through FMPy: directional ones against differences, those of inputs and outputs."""
+"""Derivatives through FMPy: directional derivatives against differences, and derivatives of inputs and outputs by time."""
 
 from collections.abc import Callable
 from ctypes import c_double, c_int, c_uint32
@@ -18,7 +18,7 @@ def reference(model: ModelDescription, name: str) -> int:
 
 
 def test_directional_derivatives_are_differences(new: New, model: ModelDescription) -> None:
-    """The matrix that a master would use: accelerations against torques and angles."""
+    """The matrix for a master: accelerations by torques and angles."""
     unknowns, step = ["alpha[1]", "alpha[2]", "tip.ax"], 1e-5
     references = [reference(model, name) for name in unknowns]
 
@@ -31,12 +31,12 @@ def test_directional_derivatives_are_differences(new: New, model: ModelDescripti
     for known, (start, value) in knowns.items():
         got = slave.getDirectionalDerivative(references, [reference(model, known)], [1.0])
         above, below = outputs({start: value + step}), outputs({start: value - step})
-        # Differences: step² times third derivatives of some 1e3, and ε·1e2/step.
+        # Errors of differences: step² times third derivatives of some 1e3, and ε·1e2/step.
         assert list(got) == pytest.approx([(a - b) / (2 * step) for a, b in zip(above, below)], rel=1e-6, abs=1e-6)
 
 
 def test_input_and_output_derivatives(new: New, model: ModelDescription) -> None:
-    """A ramp is set, and read back where it has come to; the output's derivative is the rate."""
+    """Sets a ramp and reads its final value; the output's derivative is the rate."""
     instance = new().initialise(START | {"tau[1]": 0.01})
     slave = instance.slave
     tau, theta = (c_uint32 * 1)(reference(model, "tau[1]")), (c_uint32 * 1)(reference(model, "theta[1]"))

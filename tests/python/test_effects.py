@@ -1,4 +1,4 @@
-"""Effects through FMPy: what each adds, what may be tuned, what is refused, and what is said about it."""
+"""Effects through FMPy: action of each effect, tunable parameters, refusals and log messages."""
 
 import math
 from collections.abc import Callable
@@ -34,7 +34,7 @@ def test_every_effect_has_a_switch_that_is_named_here(model: object) -> None:
 
 
 def test_masses_add_their_kinetic_energy(new: New) -> None:
-    """Half m v^2 of the tip, and half n^2 J omega^2 of each rotor; 1e-12 is round-off."""
+    """m v²/2 of the tip, and n² J ω²/2 of each rotor; 1e-12 is round-off."""
     loaded, bare = with_and_without(new, "payload", TURNING)
     speed = math.hypot(bare.get("tip.vx"), bare.get("tip.vy"))
     assert loaded.get("energy.kinetic") - bare.get("energy.kinetic") == pytest.approx(0.5 * 0.05 * speed**2, rel=1e-12)
@@ -51,13 +51,13 @@ def test_spring_stores_energy_and_pulls_back(new: New) -> None:
     assert sprung.get("energy.potential") - bare.get("energy.potential") == pytest.approx(stored, rel=1e-12)
     for instance in (sprung, bare):
         instance.steps(50, 1e-3)
-    # At rest without the springs, but for round-off.
+    # At rest without the springs, up to round-off.
     assert (bare.get("theta[1]"), bare.get("theta[2]")) == pytest.approx((2.2209, 0.9207), abs=1e-12)
     assert sprung.get("theta[1]") < 2.22 and sprung.get("theta[2]") > 0.921
 
 
 def test_viscous_friction_dissipates_its_power(new: New) -> None:
-    """Sum of b w^2 over the five joints; over 1 ms the rates change by some 1e-3 of themselves."""
+    """Sum of b w² over the five joints; during 1 ms the rates change by a relative 1e-3."""
     damped, bare = with_and_without(new, "viscous", TURNING)
     left, right = damped.get("passive.omega[1]"), damped.get("passive.omega[2]")
     rates = (3.0, left - 3.0, left - right, right - -2.0, -2.0)
@@ -68,7 +68,7 @@ def test_viscous_friction_dissipates_its_power(new: New) -> None:
 
 
 def test_dry_friction_holds_what_a_small_torque_would_move(new: New) -> None:
-    """Half of the Coulomb torque: the smooth law creeps at w_c/2 = 5e-3 rad/s or less over 0.5 s, the bare link runs away."""
+    """Half of the Coulomb torque: the smooth law creeps at w_c/2 = 5e-3 rad/s or less for 0.5 s; without friction the link accelerates away."""
     sticking, bare = with_and_without(new, "friction", FLAT | {"tau[1]": 5e-4})
     for instance in (sticking, bare):
         instance.steps(500, 1e-3)
@@ -90,7 +90,7 @@ def test_stop_ends_a_swing(new: New) -> None:
 
 
 def test_contact_carries_a_pressed_tip(new: New) -> None:
-    """2 N on a wall of 2e3 N/m: 1 mm deep at rest, and the wall pushes back with 2 N; 1 s lets the bouncing die away."""
+    """2 N on a wall of 2e3 N/m: at rest 1 mm deep, with a reaction of 2 N; bouncing decays within 1 s."""
     touching, bare = with_and_without(
         new, "contact", FLAT | {"contact.offset": 0.28, "tip.fy": -2.0, "viscous.enabled": True}
     )
@@ -102,7 +102,7 @@ def test_contact_carries_a_pressed_tip(new: New) -> None:
 
 
 def test_servo_goes_to_its_reference(new: New) -> None:
-    """PD control without friction or gravity ends at the reference; its torque is its output."""
+    """PD control without friction or gravity ends at the setpoint; the torque output is the servo's torque."""
     references = {"servo.theta[1]": 2.0, "servo.theta[2]": 1.0}
     driven, bare = with_and_without(new, "servo", FLAT | references)
     assert driven.get("servo.torque[1]") == pytest.approx(math.tanh(2.0 * (2.0 - 2.2209)), rel=1e-12)
@@ -113,7 +113,7 @@ def test_servo_goes_to_its_reference(new: New) -> None:
 
 
 def test_a_tunable_parameter_acts_from_the_next_step(new: New) -> None:
-    """Energy that a stiffer spring adds is counted as input, so that the balance stays."""
+    """Energy added by a stiffer spring counts as input, so that the balance holds."""
     tuned, left = (new().initialise(FLAT | {"spring.enabled": True}) for _ in range(2))
     for instance in (tuned, left):
         instance.steps(100, 1e-3)
@@ -185,7 +185,7 @@ def test_relations_are_refused_by_name_if_the_effect_is_on(
     instance.enter()
     status, text = instance.refusal(instance.slave.exitInitializationMode)
     assert status == fmi2.fmi2Error and sentence in text
-    # Nothing asks for the parameters of an effect that is off.
+    # Parameters of a disabled effect are not checked.
     new().initialise(FLAT | values)
 
 

@@ -1,4 +1,4 @@
-"""Refusals, and the sentence that says why: variable, value, allowed range."""
+"""Refusals and their messages: variable, value, allowed range."""
 
 import math
 from collections.abc import Callable
@@ -35,7 +35,7 @@ New = Callable[..., Instance]
     ids=lambda v: " ".join(v) if isinstance(v, dict) else "",
 )
 def test_starts_that_are_refused(new: New, values: Values, words: tuple[str, ...]) -> None:
-    """By the setter or, where it takes more than one variable to tell, at the end of initialisation."""
+    """By the setter, or at the end of initialisation if several variables are involved."""
     instance = new()
     status, text = instance.refusal(instance.initialise, values)
     assert status == fmi2.fmi2Error
@@ -116,7 +116,7 @@ def test_wrong_guid(model: ModelDescription, directory: str) -> None:
 
 
 def test_functions_of_capabilities_that_are_declared_false(new: New, model: ModelDescription) -> None:
-    """They are exported, answer fmi2Error and name the flag."""
+    """They are exported, return fmi2Error and name the flag."""
     instance = new().initialise()
     slave, flags = instance.slave, model.coSimulation
     calls = []
@@ -150,7 +150,7 @@ def test_cancel_and_status(new: New) -> None:
 
 
 def test_a_step_that_cannot_be_done_is_discarded(new: New) -> None:
-    """One iteration of the printed method is not enough: the state is untouched and the log says how far it came."""
+    """One iteration of the printed method is not enough: the state is unchanged and the log states the time reached."""
     hopeless = {"tau[1]": 50.0, "solver.method": 2, "solver.maxIterations": 1}
     instance = new().initialise(hopeless)
     bits = instance.bits()

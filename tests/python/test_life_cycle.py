@@ -1,6 +1,6 @@
-"""The packed unit in FMPy's hands: version, clocks of many kinds, many instances.
+"""The packed unit in FMPy: version, communication steps of many kinds, many instances.
 
-The order of calls, reset, independence and the step grid are proved by tests/integration/fmi_*.rs and by the masters in C.
+tests/integration/fmi_*.rs and the masters in C prove the order of calls, reset, independence and the step grid.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def test_version_and_platform(new: New) -> None:
 
 @pytest.mark.parametrize("size", [1 / 60, 1 / 48_000 * 37, 0.0123456789, 1e-4])
 def test_odd_communication_steps(new: New, size: float) -> None:
-    """A communication step that is no multiple of h changes the result within the method's error only."""
+    """A communication step that is not a multiple of h changes the result only within the method's error."""
     count = round(0.5 / size)
     odd, even = new().initialise(FALL), new().initialise(FALL)
     odd.steps(count, size)
@@ -36,7 +36,7 @@ def test_odd_communication_steps(new: New, size: float) -> None:
 
 
 def test_a_master_whose_clock_accumulates(new: New) -> None:
-    """t += h drifts away from i·h by rounding; the result keeps its bits."""
+    """t += h deviates from i·h by rounding; the result has the same bits."""
     accumulating, exact = new().initialise(FALL, stop_time=1.0), new().initialise(FALL, stop_time=1.0)
     exact.steps(1000, 1e-3)
     time = 0.0

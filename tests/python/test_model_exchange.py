@@ -1,4 +1,4 @@
-"""Model exchange: FMPy's CVode integrates what the unit steps by itself, and CasADi takes its equations and their derivatives."""
+"""Model exchange: FMPy's CVode integrates the unit's equations, and CasADi uses the equations and their derivatives."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ MOTION = ["theta[1]", "theta[2]", "omega[1]", "omega[2]", "tip.x", "tip.y"]
 
 
 def held(made: scene.Scene) -> np.ndarray:
-    """The signals of a scene for FMPy, each value from its communication point to the next: events to whoever integrates."""
+    """Signals of a scene for FMPy, constant between communication points; changes are events for the integrator."""
     points = scene.communication_points(made.stop_time, made.step_size)
     table = np.zeros(2 * len(points) - 2, dtype=[("time", float), *((name, float) for name in made.signals)])
     table["time"] = np.repeat(points, 2)[1:-1]
@@ -25,7 +25,7 @@ def held(made: scene.Scene) -> np.ndarray:
 
 
 def motion(fmu: Path, made: scene.Scene, kind: str | None, **settings: float) -> dict[str, np.ndarray]:
-    """Outputs of a scene at its communication points, by FMPy."""
+    """Outputs of a scene at its communication points, through FMPy."""
     result = simulate_fmu(
         str(fmu),
         fmi_type=kind,
@@ -41,34 +41,34 @@ def motion(fmu: Path, made: scene.Scene, kind: str | None, **settings: float) ->
 
 
 def test_cvode_agrees_with_co_simulation(fmu: Path, scenes: Path) -> None:
-    """pick_and_place, its references held for 10 ms in both: as exact as each is told to be. FMPy takes co-simulation unless asked."""
+    """pick_and_place with setpoints constant for 10 ms in both: each within its own tolerance. FMPy uses co-simulation unless asked."""
     made = scene.read(scenes / "pick_and_place.json").coarser(0.01)
     stepped = motion(fmu, made, None)
     assert np.ptp(stepped["tip.x"]) > 0.2
     finest = motion(fmu, made, "ModelExchange", relative_tolerance=1e-10)
     for name, bound in zip(MOTION, [3e-7, 3e-7, 3e-5, 3e-5, 1e-7, 1e-7]):
-        # The local error allowed by the unit, 3e-9 rad per sub-step, over some 1e3 of them; rates change within 1/100 s.
+        # The unit's local error of 3e-9 rad per sub-step over some 1e3 of them; rates change within 1/100 s.
         assert np.max(np.abs(stepped[name] - finest[name])) < bound, name
     for tolerance in (1e-4, 1e-6):
         coarse = motion(fmu, made, "ModelExchange", relative_tolerance=tolerance)
-        # CVode's, over 160 pieces of a motion that forgets its errors, at nominal values of 1 rad.
+        # CVode's tolerance over 160 intervals of a motion that forgets its errors, at nominal values of 1 rad.
         assert np.max(np.abs(coarse["theta[1]"] - finest["theta[1]"])) < 10 * tolerance
 
 
 def test_cvode_ends_its_steps_at_kinks(fmu: Path, scenes: Path) -> None:
-    """A tip that bounces on a floor, found by the indicators; until the first touch nothing but the fall, after it the same again."""
+    """A tip bounces on a floor, located by the indicators. Both motions agree before the first contact and after it."""
     made = scene.read(scenes / "bounce.json").coarser(0.01)
     stepped, integrated = (
         motion(fmu, made, kind, **tight)
         for kind, tight in ((None, {}), ("ModelExchange", {"relative_tolerance": 1e-9}))
     )
     assert np.min(stepped["tip.y"]) < 0.2 < np.max(stepped["tip.y"][-50:]) + 0.01
-    # Each touch magnifies what is off before it.
+    # Each contact amplifies earlier errors.
     assert np.max(np.abs(stepped["tip.y"] - integrated["tip.y"])) < 1e-5
 
 
 def test_a_trial_out_of_reach_can_be_tried_shorter(fmu: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A master that tells CVode of a refusal goes on by smaller steps; where the motion itself goes through the singularity it turns back there."""
+    """A master that reports a refusal to CVode continues with smaller steps; if the motion itself passes the singularity, it turns back there."""
     made, refused = scene.read(scenes / "end_stops.json").coarser(0.01, 0.3), []
     right_hand_side = CVodeSolver.f
 
@@ -88,7 +88,7 @@ def test_a_trial_out_of_reach_can_be_tried_shorter(fmu: Path, scenes: Path, monk
 
 @pytest.mark.full
 def test_casadi_takes_equations_and_derivatives(fmu: Path, model: ModelDescription) -> None:
-    """DaeBuilder's function is the unit's der(x), and its Jacobians, by directional derivatives, are central differences."""
+    """DaeBuilder's function is the unit's der(x); its Jacobians, from directional derivatives, agree with central differences."""
     import casadi as ca
 
     dae = ca.DaeBuilder("five_bar", str(fmu))
@@ -119,7 +119,7 @@ def test_casadi_takes_equations_and_derivatives(fmu: Path, model: ModelDescripti
 
     for i, found in enumerate(jacobians):
         expected = differences(i // 2, i % 2, (4, 8)[i % 2])
-        # Truncation: third derivatives times 1e-12; accelerations are some 1e2 rad/s2 and their derivatives some 1e3.
+        # Truncation: third derivatives times 1e-12; accelerations are some 1e2 rad/s² and their derivatives some 1e3.
         assert np.max(np.abs(np.array(found) - expected)) < 1e-7 * (1 + np.max(np.abs(expected)))
     assert np.max(np.abs(np.array(jacobians[0])[2:])) > 1 and np.max(np.abs(np.array(jacobians[1])[2:])) > 1
     assert np.array_equal(values(x, u)[0][:2], x[2:])

@@ -1,4 +1,4 @@
-"""Units of one's own as `fivebar.own_unit` writes them: names, values, bytes; and how their library finds its start values, or refuses."""
+"""Units of one's own written by `fivebar.own_unit`: names, values, bytes; and how their library finds or refuses its start values."""
 
 import os
 import platform
@@ -39,7 +39,7 @@ MINE: Values = {
 
 
 def scene(values: Values, name: str = "my_machine", description: str = "Mine") -> Scene:
-    """A scene of one run."""
+    """A scene with one run."""
     return Scene(name, description, 1.0, 0.01, [Variant("dop853", dict(values))])
 
 
@@ -54,7 +54,7 @@ def mine(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Unit:
 
 @pytest.fixture
 def copy(mine: Unit, tmp_path: Path) -> Path:
-    """A folder in which the unit is unpacked, to be spoilt."""
+    """A folder with the extracted unit, for tests that damage it."""
     return Path(shutil.copytree(mine.directory, tmp_path / "unit"))
 
 
@@ -63,9 +63,9 @@ class Refused(Exception):
 
 
 def started(unit: Unit, directory: Path, location: bytes | None, kind: int = fmi2.fmi2CoSimulation) -> Values:
-    """The values of MINE in an instance of the library in `directory`, which is told that its resources are at `location`.
+    """Values of MINE in an instance of the library in `directory`, with resources at `location`.
 
-    Raises Refused with all that it has logged if it gives no instance.
+    Raises Refused with the log if there is no instance.
     """
     log = Log()
     slave = fmi2.FMU2Slave(
@@ -98,7 +98,7 @@ def test_the_same_scene_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_the_guid_is_that_of_the_values(fmu: Path, tmp_path: Path) -> None:
-    """Another value, name, description or experiment gives another one; another folder does not."""
+    """Another value, name, description or experiment gives another GUID; another folder does not."""
 
     def guid(made: Scene, name: str | None = None) -> str:
         return str(read_model_description(str(write_unit(tmp_path, made, name, plain=fmu).file)).guid)
@@ -115,7 +115,7 @@ def test_the_guid_is_that_of_the_values(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_nothing_set_is_the_plain_unit_with_the_values_set(mine: Unit, new: New) -> None:
-    """Bit for bit, after a reset as well, which brings the unit's own values back."""
+    """Bit for bit, also after a reset, which restores the unit's own values."""
     plain, own = new().initialise(MINE), Instance(mine.model, mine.directory).initialise()
     for _ in range(2):
         for step in range(50):
@@ -140,7 +140,7 @@ def test_in_model_exchange(mine: Unit, fmu: Path) -> None:
 
 
 def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_path: Path) -> None:
-    """Five machines by turns, and each in a thread, are what they are alone."""
+    """Five machines, alternating and in threads, behave as each does alone."""
     angles = [1.7 + 0.1 * i for i in range(5)]
     units = [
         write_unit(tmp_path, scene({"init.theta[2]": angle, "solver.method": 1}), f"Unit{i}", plain=fmu).file
@@ -191,7 +191,7 @@ def test_units_of_one_process_have_values_of_their_own(fmu: Path, new: New, tmp_
     ],
 )
 def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, form: str) -> None:
-    """In a folder with a space, an umlaut and a percent sign; the library lies elsewhere, so that nothing else leads to the file."""
+    """In a folder with a space, an umlaut and a percent sign. The library is elsewhere, so that only this location leads to the file."""
     resources = tmp_path / "zwei Wörter, 100 %" / "resources"
     shutil.copytree(Path(mine.directory) / "resources", resources)
     shutil.copytree(Path(mine.directory) / "binaries", tmp_path / "library" / "binaries")
@@ -217,13 +217,13 @@ def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, for
 def test_without_a_location_the_archive_of_the_library_is_looked_at(
     mine: Unit, tmp_path: Path, location: bytes | None
 ) -> None:
-    """If a master gives none, or one that leads nowhere; in a folder with a space and an umlaut."""
+    """If a master gives no location, or one that does not exist; in a folder with a space and an umlaut."""
     folder = Path(shutil.copytree(mine.directory, tmp_path / "zwei Wörter"))
     assert started(mine, folder, location) == MINE
 
 
 def test_without_a_file_there_is_no_instance(mine: Unit, copy: Path) -> None:
-    """Never other values in silence: the sentence has both GUIDs and the place that was looked at."""
+    """It never silently uses other values: the message has both GUIDs and the searched place."""
     shutil.rmtree(copy / "resources")
     for location in (None, b"file:///nowhere"):
         with pytest.raises(Refused) as refusal:
@@ -234,24 +234,24 @@ def test_without_a_file_there_is_no_instance(mine: Unit, copy: Path) -> None:
 
 
 def text(change: Callable[[str], str]) -> Callable[[Path], None]:
-    """Spoils the text of a file."""
+    """Damages the text of a file."""
     return lambda file: file.write_text(change(file.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def folder(file: Path) -> None:
-    """Puts a folder in the place of a file."""
+    """Replaces a file by a folder."""
     file.unlink()
     file.mkdir()
 
 
 def pipe(file: Path) -> None:
-    """Puts a pipe in the place of a file, which whoever opens it would wait for."""
+    """Replaces a file by a pipe, on which opening would block."""
     file.unlink()
     os.mkfifo(file)
 
 
 def endless(file: Path) -> None:
-    """Puts a device in the place of a file, which has no end."""
+    """Replaces a file by a device without end."""
     file.unlink()
     file.symlink_to("/dev/zero")
 
@@ -322,7 +322,7 @@ def test_a_unit_with_another_unit_s_file_is_refused(mine: Unit, own: Unit, copy:
 
 
 def test_the_plain_unit_reads_no_file(model: ModelDescription, directory: str, tmp_path: Path) -> None:
-    """A file that would be refused lies there in vain."""
+    """A file that would be refused is ignored."""
     folder = Path(shutil.copytree(directory, tmp_path / "plain"))
     (folder / "resources").mkdir(exist_ok=True)
     (folder / "resources" / "unit.txt").write_text("broken")
@@ -460,7 +460,7 @@ def test_text_of_every_kind_comes_through(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_a_scene_that_names_no_method_gives_a_unit_by_automatic(fmu: Path, tmp_path: Path) -> None:
-    """As `fivebar run` takes it; a unit without a scene keeps the method of the plain one."""
+    """Like `fivebar run`; a unit without a scene keeps the plain unit's method."""
     written = write_unit(tmp_path, scene({}), plain=fmu)
     plain = write_unit(tmp_path, name="Second", plain=fmu)
     assert written.notes == ["The scene's method is automatic: it has no 'solver.method'."] and plain.notes == []
@@ -482,7 +482,7 @@ def test_what_a_unit_leaves_to_the_master_is_said(fmu: Path, tmp_path: Path) -> 
 
 
 def test_a_name_alone_makes_a_copy(fmu: Path, tmp_path: Path, model: ModelDescription, new: New) -> None:
-    """With the plain unit's machine under another name and GUID."""
+    """The plain unit's machine with another name and GUID."""
     file = write_unit(tmp_path, name="Second", plain=fmu).file
     copied = read_model_description(str(file))
     assert (copied.modelName, copied.description) == ("Second", model.description) and copied.guid != model.guid
@@ -493,7 +493,7 @@ def test_a_name_alone_makes_a_copy(fmu: Path, tmp_path: Path, model: ModelDescri
 
 
 def test_flat_names_are_the_same_names(fmu: Path, own: Unit, tmp_path: Path, model: ModelDescription, new: New) -> None:
-    """Only the convention is another: the plain unit keeps GUID and library, so that its states go from one to the other."""
+    """Only the naming convention differs: the plain unit keeps GUID and library, so that states can be exchanged."""
     flat = write_unit(tmp_path, naming="flat", plain=fmu).file
     assert flat.name == "FiveBar.fmu" and fmpy.validation.validate_fmu(str(flat)) == []
     with zipfile.ZipFile(flat) as one, zipfile.ZipFile(fmu) as other:

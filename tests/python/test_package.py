@@ -1,4 +1,4 @@
-"""The packed .fmu and its model description: what FMPy checks, and what validators miss."""
+"""The packed .fmu and its model description: FMPy's checks, and further rules that validators miss."""
 
 import copy
 import graphlib
@@ -12,7 +12,7 @@ import fmpy.validation
 import pytest
 from lxml import etree
 
-# FMI 2.0.4, section 2.2.9: names with dots and indices, and der() of one.
+# FMI 2.0.4, section 2.2.9: names with dots and indices, and der() of such a name.
 STRUCTURED_NAME = re.compile(r"(der\()?[A-Za-z_]\w*(\[\d+\])?(\.[A-Za-z_]\w*(\[\d+\])?)*(?(1)\))")
 
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
@@ -20,7 +20,7 @@ TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 
 @pytest.fixture(scope="module")
 def root(fmu: Path) -> etree._Element:
-    """The root of modelDescription.xml as it lies in the .fmu."""
+    """Root of modelDescription.xml in the .fmu."""
     with zipfile.ZipFile(fmu) as archive:
         return etree.fromstring(archive.read("modelDescription.xml"))
 
@@ -43,7 +43,7 @@ def simple_type(root: etree._Element, name: str) -> etree._Element:
 
 
 def attribute(root: etree._Element, variable: etree._Element, name: str) -> str | None:
-    """An attribute of a variable, from its type if it has none itself."""
+    """An attribute of a variable, or of its type if it has none itself."""
     own = value_element(variable)
     if own.get(name) is None and own.get("declaredType") is not None:
         return simple_type(root, own.get("declaredType")).get(name)
@@ -152,7 +152,7 @@ def test_types(root: etree._Element, variables: list[etree._Element]) -> None:
 
 
 def exponents(unit: str) -> dict[str, int]:
-    """Exponents of the base units in a unit's name such as N.m.s/rad."""
+    """Exponents of the base units in the name of a unit such as N.m.s/rad."""
     derived = {"N": {"kg": 1, "m": 1, "s": -2}, "J": {"kg": 1, "m": 2, "s": -2}}
     result: Counter[str] = Counter()
     for sign, part in zip((1, -1), unit.split("/"), strict=False):
@@ -201,12 +201,12 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
         if value_element(v).get("derivative")
     }
     assert [int(u.get("index")) for u in structure.findall("Derivatives/Unknown")] == sorted(derivatives)
-    # Every calculated output, continuous state and derivative is an initial unknown, once.
+    # Every calculated output, continuous state and derivative is an initial unknown, exactly once.
     initial = [int(u.get("index")) for u in structure.findall("InitialUnknowns/Unknown")]
     assert sorted(initial) == sorted({*outputs, *derivatives, *derivatives.values()})
     inputs = {i for i, v in enumerate(variables, 1) if v.get("causality") == "input"}
     running = inputs | set(derivatives.values())
-    # FMI 2.0.4, section 2.2.8: at the start, what is exact is known.
+    # FMI 2.0.4, section 2.2.8: at the start, variables with initial = exact are known.
     starting = inputs | {i for i, v in enumerate(variables, 1) if v.get("initial") == "exact"}
     for section, known in (("Outputs", running), ("Derivatives", running), ("InitialUnknowns", starting)):
         for unknown in structure.findall(f"{section}/Unknown"):
@@ -218,7 +218,7 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
 
 
 def test_outputs_are_what_one_connects(variables: list[etree._Element]) -> None:
-    """In this order; all else that is computed is local."""
+    """In this order; all other computed variables are local."""
     motion = ["tip.x", "tip.y", "tip.vx", "tip.vy", "theta[1]", "theta[2]", "omega[1]", "omega[2]"]
     forces = ["servo.torque[1]", "servo.torque[2]", "contact.fx", "contact.fy"]
     estimated = ["estimated.tau[1]", "estimated.tau[2]", "estimated.nis", "estimated.alarm"]
@@ -232,8 +232,8 @@ class Loop(Exception):
 def order_of_evaluation(
     root: etree._Element, units: list[str], section: str, wires: list[tuple[str, str]]
 ) -> list[str]:
-    """The order in which a master can compute coupled units, or a `Loop`. OMSimulator's rule: every unknown of the section comes after
-    its dependencies, or all inputs where none are declared; every input after the output that it is connected to."""
+    """The order in which a master can compute coupled units; raises `Loop` if there is none. OMSimulator's rule: every unknown of the section
+    comes after its dependencies, or after all inputs if none are declared; every input comes after its connected output."""
     names = [v.get("name") for v in root.findall("ModelVariables/ScalarVariable")]
     inputs = [v.get("name") for v in root.findall("ModelVariables/ScalarVariable") if v.get("causality") == "input"]
     after: dict[str, set[str]] = {}
@@ -242,7 +242,7 @@ def order_of_evaluation(
             declared = unknown.get("dependencies")
             needed = inputs if declared is None else [names[int(i) - 1] for i in declared.split()]
             mine = names[int(unknown.get("index")) - 1]
-            # A state that is listed with itself is no loop: it is known.
+            # A state listed as its own dependency is no loop: it is known.
             after[f"{unit}.{mine}"] = {f"{unit}.{name}" for name in needed if name != mine}
     for source, sink in wires:
         after.setdefault(sink, set()).add(source)
@@ -254,8 +254,8 @@ def order_of_evaluation(
 
 @pytest.mark.parametrize("section", ["Outputs", "InitialUnknowns"])
 def test_units_coupled_through_their_tips_form_no_loop(root: etree._Element, section: str) -> None:
-    """Each one's tip, angles and rates lead to forces and references of the other: neither at the start nor on the way is there a
-    loop. Torques of servos that follow each other are one, and without dependencies all would be."""
+    """Tip, angles and rates of each determine forces and setpoints of the other: there is no loop, neither at the start nor during the run.
+    Torques of servos that follow each other form one, and without dependencies everything would."""
 
     def both_ways(*pairs: tuple[str, str]) -> list[tuple[str, str]]:
         return [(f"{a}.{source}", f"{b}.{sink}") for a, b in (("one", "two"), ("two", "one")) for source, sink in pairs]

@@ -1,4 +1,4 @@
-"""The comparison with peers: who is ahead, what the report shows of it, and how programs are driven; no peer is needed here."""
+"""The comparison with peers: which is faster, what the report shows, and how programs are driven; needs no peer."""
 
 import ast
 import json
@@ -33,25 +33,25 @@ FALL = ahead.SCENES[0]
 
 
 def row(peer: str, settings: str, error: object, ms: object, note: str = "", scene: str = FALL) -> dict[str, str]:
-    """A row of peers.csv; the error after 2 s is a hundred times that after 1 s."""
+    """A row of peers.csv; the error after 2 s is a hundred times the error after 1 s."""
     later = 100 * error if error else ""
     return dict(zip(HEAD, map(str, (scene, peer, "1.0", settings, error, later, ms, "", note))))
 
 
 ROWS = [
     row("FiveBar dop853", "1e-4", 3e-3, 0.1),
-    # A lucky hit of ours: the next dearer setting is worse.
+    # A lucky result of ours: the next more expensive setting is worse.
     row("FiveBar dop853", "1e-5", 1e-7, 0.15),
     row("FiveBar dop853", "1e-6", 2e-5, 0.2),
     row("FiveBar dop853", "1e-12", 5e-10, 0.4),
     row("FiveBar rk4", "1 ms", 5e-6, 0.6),
     row("FiveBar rk4", "4 ms", "", "", "ended after 0 s: gave up"),
-    # A lucky hit of a peer counts.
+    # A lucky result of a peer counts.
     row("Fast & rough", "coarse", 1e-3, 0.05),
     row("Fast & rough", "lucky", 1e-6, 1.2),
     row("Fast & rough", "fine", 1e-5, 30),
     row("Never", "any", "", "", "ended after 0 s: NaN"),
-    # Another scene's.
+    # From another scene.
     row("Fast & rough", "fine", 1e-12, 0.01, scene="swing"),
     row("Absent", "", "", "", "left out: not installed (no <wheel>)", scene=""),
 ]
@@ -65,7 +65,7 @@ def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
         {"Fast & rough": 0.05 / 0.1, "Never": None},
     )
     assert answers["1e-03"].method == answers["1e-04"].method == "dop853, 1e-5"
-    # Not 1e-5, whose dearer neighbour is 2e-5 m off; nor rk4, which costs more than dop853 at 1e-12.
+    # Not 1e-5, because the next more expensive setting is 2e-5 m off; nor rk4, which costs more than dop853 at 1e-12.
     assert answers["1e-05"].method == answers["1e-06"].method == "dop853, 1e-12"
     assert answers["1e-06"].ratios["Fast & rough"] == pytest.approx(
         1.2 / 0.4
@@ -118,7 +118,7 @@ def test_the_report_shows_them_all(tmp_path: object) -> None:
     assert text.count("<svg") == 1
 
 
-# Answers like the peers' programs: each second costs 0.25 s and adds 1 to every number; after 2 s it gives up.
+# Answers like the peers' programs: each second costs 0.25 s and adds 1 to every number; fails after 2 s.
 FAKE = """
 import sys
 angles = [float(word) for word in sys.argv[1:]]
@@ -170,7 +170,7 @@ def test_a_compiler_that_is_not_there_is_named() -> None:
 
 
 def test_the_peers_have_the_loads_of_the_scene() -> None:
-    """In Python and in C, which state them each for itself."""
+    """Python and C each have their own copy of them."""
     scene = json.loads((native.REPOSITORY / "scenes/servo_friction.json").read_text(encoding="utf-8"))
     model = ET.parse(native.REPOSITORY / "modelDescription/modelDescription.xml")
     values = {v.get("name"): v[0].get("start") for v in model.iter("ScalarVariable")} | scene
@@ -191,7 +191,7 @@ def test_the_peers_have_the_loads_of_the_scene() -> None:
         if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Tuple):
             try:
                 in_python |= zip((name.id for name in line.targets[0].elts), ast.literal_eval(line.value))
-            except ValueError:  # it is worked out from others
+            except ValueError:  # computed from others
                 pass
     assert {name: {in_python[name]} for name in wanted} == wanted and list(in_python["REFERENCES"]) == references
     text = (native.SOURCES / "sundials.c").read_text(encoding="utf-8")

@@ -1,8 +1,7 @@
-"""The libraries for all machines against the one for this machine, which the other tests judge: same scenes, same bits.
+"""The libraries for all platforms against the library for this machine, which all other tests use: same scenes, same bits.
 
 Needs a .fmu from `cargo xtask package --all-platforms` and, as FIVEBAR_FMU_HERE, one from `cargo xtask package`;
-`cargo xtask test --platforms` makes both and runs this. Windows is wine here, and ARM is qemu; nothing here runs
-the library for macOS.
+`cargo xtask test --platforms` makes both and runs this. Windows is emulated by wine and ARM by qemu; the library for macOS is not run.
 """
 
 import os
@@ -27,24 +26,24 @@ from fivebar.variables import Values
 pytestmark = pytest.mark.platforms
 
 SOURCES = REPOSITORY / "tests" / "platforms"
-# Seconds of each scene, and the communication step: enough for whips, impacts and singularities under an emulator.
+# Seconds of each scene, and communication step: enough for fast passages, impacts and singularities under an emulator.
 LONGEST, SIZE = 2.0, 0.01
-# Seconds of a machine that is followed: the assembly of its start is doubted for some tenths of a second.
+# Duration of following, s: the assembly at the start is in doubt for some tenths of a second.
 FOLLOWED = 1.2
 
-# When a state is stored that another machine goes on with, s.
+# Time at which a state is stored for another machine, s.
 STORED_AT = 0.5
 
-# Lines of a driver's script; what a driver printed for each script, by name, for each round.
+# Lines of a driver's script; the driver's output for each script, by name, in each round.
 Script = list[str]
 Printed = dict[str, list[list[str]]]
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine: its folder of binaries/, the ending of its libraries, its C compiler (the one that links the library under
-    test), what runs its programs here, and how often a library is loaded and unloaded in one process: more than Windows has
-    indexes for thread locals (1,088), which no library may use up; less where each loading is translated anew."""
+    """A machine: its folder of binaries/, file ending of libraries, C compiler (which links the tested library), program that runs its
+    programs here, and number of times that a library is loaded and unloaded in one process. This number exceeds Windows' thread-local
+    indexes (1,088), which no library may use up; it is smaller if each loading is translated again."""
 
     name: str
     folder: str
@@ -67,14 +66,14 @@ on_every_machine = pytest.mark.parametrize("machine", SHIPPED, ids=lambda machin
 
 
 class Bench:
-    """Folders in which programs of all machines run, each with a driver of its own."""
+    """Folders in which programs of all machines run, each with its own driver."""
 
     def __init__(self, folder: Path, libraries: Callable[[Machine], Path], guid: str):
         self.folder, self.libraries, self.guid = folder, libraries, guid
         self.environment = os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all", "WINEARCH": "win64"}
 
     def place(self, machine: Machine) -> Path:
-        """The folder of a machine, with its driver."""
+        """Folder of a machine, with its driver."""
         place = self.folder / machine.name
         if not place.exists():
             place.mkdir()
@@ -83,7 +82,7 @@ class Bench:
         return place
 
     def run(self, machine: Machine, scripts: dict[str, Script], rounds: int = 1) -> Printed:
-        """Carries out all scripts in one process, `rounds` times, each with the library loaded before and unloaded after."""
+        """Runs all scripts in one process, `rounds` times; each round loads the library before and unloads it afterwards."""
         place = self.place(machine)
         for name, script in scripts.items():
             (place / name).write_text("".join(f"{line}\n" for line in script))
@@ -110,7 +109,7 @@ class Bench:
 
 
 def bench_of(folder: Path, packed_here: str, directory: str, model: ModelDescription) -> Bench:
-    """With the libraries under test, extracted to `directory`, and the one that all other tests judge."""
+    """A bench of the tested libraries, extracted to `directory`, and the library that all other tests use."""
     here = fmpy.extract(packed_here, unzipdir=str(folder / "fmu"))
 
     def library(machine: Machine) -> Path:
@@ -122,18 +121,18 @@ def bench_of(folder: Path, packed_here: str, directory: str, model: ModelDescrip
 
 @pytest.fixture(scope="module")
 def bench(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """Of the plain unit."""
+    """Bench of the plain unit."""
     return bench_of(tmp_path_factory.mktemp("platforms"), os.environ["FIVEBAR_FMU_HERE"], directory, model)
 
 
 @pytest.fixture(scope="module")
 def own_bench(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """Of the unit of one's own."""
+    """Bench of the unit of one's own."""
     return bench_of(tmp_path_factory.mktemp("platforms"), os.environ["FIVEBAR_OWN_HERE"], own.directory, own.model)
 
 
 def bits(value: float) -> str:
-    """A number as the driver takes and prints it."""
+    """A number in the driver's input and output format."""
     return struct.pack(">d", value).hex()
 
 
@@ -155,7 +154,7 @@ def motion(
     size: float = SIZE,
     inputs: dict[str, np.ndarray] | None = None,
 ) -> Script:
-    """A run from 0 to `stop_time`, with all that is computed read at every communication point, `size` seconds apart."""
+    """A run from 0 to `stop_time` that reads all computed variables at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
     readings = read_all(model)
     points = communication_points(stop_time, size)
@@ -168,7 +167,7 @@ def motion(
 
 
 def read_all(model: ModelDescription) -> Script:
-    """All that is computed, and the derivative of every number with respect to the first torque."""
+    """Reads all computed variables, and the derivative of every Real by the first torque."""
     reals = [str(v.valueReference) for v in computed(model) if v.type == "Real"]
     integers = [str(v.valueReference) for v in computed(model) if v.type != "Real"]
     (torque,) = [v.valueReference for v in model.modelVariables if v.name == "tau[1]"]
@@ -176,7 +175,7 @@ def read_all(model: ModelDescription) -> Script:
 
 
 def every_effect(model: ModelDescription) -> Values:
-    """All effects at once, the contact where the tip touches it, and inputs that do work."""
+    """All effects at once, with the plane at the tip and inputs that do work."""
     switches: Values = {v.name: True for v in model.modelVariables if v.name.endswith(".enabled")}
     return switches | {
         "init.theta[2]": 2.0944,
@@ -188,14 +187,14 @@ def every_effect(model: ModelDescription) -> Values:
 
 
 def methods(model: ModelDescription) -> dict[str, int]:
-    """The methods and their numbers."""
+    """Methods with their numbers."""
     (method,) = [v for v in model.modelVariables if v.name == "solver.method"]
     return {item.name: int(item.value) for item in method.declaredType.items}
 
 
 def followed(bench: Bench, model: ModelDescription, fall: Values) -> dict[str, Script]:
-    """The fall, which passes singularities, followed by every method with encoders of 16 bits, from a start that is 0.01 rad off; after
-    1 s no samples come, and sigma points foresee the rest."""
+    """The fall through singularities, followed by every method with encoders of 16 bits, from a start that is 0.01 rad off. After 1 s samples
+    stop, and the forecast by sigma points continues."""
     references = {v.name: v.valueReference for v in model.modelVariables}
     motors, count = [references[f"theta[{i}]"] for i in (1, 2)], 2 * np.pi / 2**16
     reading = [
@@ -226,7 +225,7 @@ def followed(bench: Bench, model: ModelDescription, fall: Values) -> dict[str, S
 
 @pytest.fixture(scope="module")
 def motions(bench: Bench, scenes: Path, model: ModelDescription) -> dict[str, Script]:
-    """Scripts that every machine has to carry out to their end: the scenes, every method, every effect at once, a machine that is followed."""
+    """Scripts that every machine must complete: the scenes, every method, every effect at once, and following."""
     named = {}
     for path in sorted(scenes.glob("*.json")):
         scene = read(path).coarser(SIZE, LONGEST)
@@ -239,17 +238,17 @@ def motions(bench: Bench, scenes: Path, model: ModelDescription) -> dict[str, Sc
 
 
 def sentence_of_a_discard(model: ModelDescription) -> Script:
-    """Steps too long for their method: discarded, with numbers in the sentence."""
+    """Steps too long for their method: discarded, with numbers in the message."""
     values: Values = {"solver.adaptive": False, "solver.stepSize": 0.05, "solver.maxIterations": 2, "tau[1]": 2.0}
     return motion(model, values, 1.0, 0.05)
 
 
 @pytest.fixture(scope="module")
 def expected(bench: Bench, motions: dict[str, Script]) -> Printed:
-    """Lines that the library for this machine prints of the motions."""
+    """Output of this machine's library for the motions."""
     printed = bench.run(HERE, motions)
     for name, (lines,) in printed.items():
-        # Directional derivatives are refused while friction holds the tip, or all.
+        # Directional derivatives are refused while friction holds the tip, or everything.
         refused = "fmi2GetDirectionalDerivative: status 3" if "stick" in name else None
         assert not [line for line in lines if ": status " in line and line != refused], (
             f"{name} does not run to its end"
@@ -270,7 +269,7 @@ def test_same_bits_on_every_machine(
 
 
 def test_machines_are_followed(model: ModelDescription, expected: Printed) -> None:
-    """The scripts that follow a machine do, and coast at the end: bits are compared of what they are meant to show."""
+    """The scripts of following do follow, and coast at the end, so that the compared bits are meaningful."""
     names = [v.name for v in computed(model) if v.type != "Real"]
     (status,) = [v for v in model.modelVariables if v.name == "estimated.status"]
     items = {int(item.value): item.name for item in status.declaredType.items}
@@ -290,14 +289,14 @@ def test_same_sentences_on_every_machine(bench: Bench, model: ModelDescription, 
 
 @on_every_machine
 def test_a_motion_goes_on_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
-    """A state that was stored here is the same bytes there, and continues there with the same bits."""
+    """A state stored here has the same bytes there and continues with the same bits."""
     scripts = {name: every_effect(model) | {"solver.method": number} for name, number in methods(model).items()}
     check_going_on(bench, machine, {name: motion(model, values, 1.0) for name, values in scripts.items()})
 
 
 @on_every_machine
 def test_a_unit_of_one_s_own_has_the_same_bits_on_every_machine(own_bench: Bench, own: Unit, machine: Machine) -> None:
-    """With nothing set; and a state that was stored on the way."""
+    """With no values set; also with a state stored on the way."""
     scripts = {"own": motion(own.model, {}, LONGEST)}
     here = own_bench.run(HERE, scripts)
     assert not [line for line in here["own"][0] if "status" in line], "it does not run to its end"
@@ -306,7 +305,7 @@ def test_a_unit_of_one_s_own_has_the_same_bits_on_every_machine(own_bench: Bench
 
 
 def check_going_on(bench: Bench, machine: Machine, scripts: dict[str, Script]) -> None:
-    """Stores a state on the way, here and there, which must be the same bytes, and goes on there from the bytes of here."""
+    """Stores a state on the way, here and there, with the same bytes; the other machine continues from the bytes stored here."""
     storing, going_on = {}, {}
     for name, script in scripts.items():
         first = next(i for i, line in enumerate(script) if line.startswith(f"step {bits(STORED_AT)} "))
@@ -328,14 +327,14 @@ def check_going_on(bench: Bench, machine: Machine, scripts: dict[str, Script]) -
 
 @on_every_machine
 def test_loading_and_unloading_uses_nothing_up(bench: Bench, model: ModelDescription, machine: Machine) -> None:
-    """The driver checks after each round that the library is gone."""
+    """After each round the driver checks that the library is gone."""
     script = motion(model, {}, SIZE)
     first, *others = bench.run(machine, {"once": script}, machine.loads)["once"]
     assert len(others) == machine.loads - 1 and all(lines == first for lines in others)
 
 
 def test_a_library_refuses_a_description_that_is_not_its_own(bench: Bench) -> None:
-    """The driver notices what it should: without its GUID no library gives an instance."""
+    """The driver detects failure: with a wrong GUID no library gives an instance."""
     other = Bench(bench.folder, bench.libraries, "{not this one}")
     with pytest.raises(AssertionError, match="gave null for the GUID"):
         other.run(HERE, {"nothing": []})

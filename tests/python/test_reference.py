@@ -1,6 +1,6 @@
-"""The unit as a user finds it, against values computed outside this repository; references belong to their scenes.
+"""The unit at its default settings against external reference values; references match their scenes.
 
-Orders and errors of the methods are proved by tests/integration/accuracy.rs, dop853.rs and effects_reference.rs.
+tests/integration/accuracy.rs, dop853.rs and effects_reference.rs prove orders and errors of the methods.
 """
 
 import csv
@@ -19,7 +19,7 @@ from instance import Instance, Values
 New = Callable[..., Instance]
 REFERENCE = REPOSITORY / "tests" / "data" / "reference"
 ELDER = ("fall-90-120", "torque")
-"""References older than the scenes: their heads say in words what they are of."""
+"""References older than the scenes, with heads in prose."""
 
 FALL_90_120: Values = {"init.theta[2]": 2.0943951023931953}
 
@@ -42,7 +42,7 @@ def deviations(instance: Instance, points: list[tuple[float, float, float]]) -> 
 
 
 def test_default_settings(new: New) -> None:
-    """The unit as a user finds it: 1 ms, divided where the local error asks."""
+    """Default settings: steps of 1 ms, divided if the local error requires it."""
     assert max(deviations(new().initialise(FALL_90_120), reference("fall-90-120.csv"))) < 1e-4
 
 
@@ -50,7 +50,7 @@ def test_default_settings(new: New) -> None:
     "path", [p for p in sorted(REFERENCE.glob("*.csv")) if p.stem not in ELDER], ids=lambda path: path.stem
 )
 def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription) -> None:
-    """The values in a reference's head are the scene's: one that was changed needs a new reference, unless it is how the motion is solved."""
+    """The values in a reference's head equal the scene's. A changed scene needs a new reference, unless only the solver's settings changed."""
     head = [line[2:].split(" = ") for line in path.read_text().splitlines() if line.startswith("# ") and " = " in line]
     content = json.loads((REPOSITORY / "scenes" / path.name).with_suffix(".json").read_text())
     moving = {"signals", *(v.name for v in model.modelVariables if not v.name.startswith("solver."))}
@@ -61,7 +61,7 @@ def test_references_are_those_of_the_scenes(path: Path, model: ModelDescription)
     "name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"]
 )
 def test_scenes_keep_their_energy(new: New, scenes: Path, name: str) -> None:
-    """Every scene to its end at its own settings: finite, |energy.error| <= 1e-2 mgL, constraints kept."""
+    """Every scene to its end with its own settings: finite, |energy.error| <= 1e-2 mgL, constraints satisfied."""
     instance = new()
     ready = scene.read(scenes / f"{name}.json")
     instance.initialise(ready.variants[0].values, stop_time=ready.stop_time)

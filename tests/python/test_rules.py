@@ -14,13 +14,13 @@ FOLDERS = ("modelDescription", "src", "tests", "xtask")
 
 
 def sources(suffix: str) -> list[Path]:
-    """The files of the repository whose path ends in that."""
+    """Files of the repository with paths that end in `suffix`."""
     found = (path for folder in FOLDERS for path in (REPOSITORY / folder).rglob(Path(suffix).name))
     return [path for path in found if f"/{path.relative_to(REPOSITORY).as_posix()}".endswith(f"/{suffix}")]
 
 
 def has_test(text: str, file: str, name: str) -> bool:
-    """Whether the text defines a test of that name, one that runs."""
+    """Whether the text defines a test of this name that runs."""
     form = rf"^def {name}\(" if file.endswith(".py") else rf"#\[test\]\n\s*fn {name}\("
     return re.search(form, text, re.MULTILINE) is not None
 

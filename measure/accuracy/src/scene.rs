@@ -92,7 +92,7 @@ const JUDGED: [Judged; 22] = [
 const QUICK: [&str; 5] = ["fall_90_120", "spring_payload", "bounce", "stiff_servo", "pick_and_place"];
 
 impl Scene {
-    /// The scenes that have a reference; `Quick`: only [`QUICK`].
+    /// The scenes that have a reference; `Quick`: one of each kind, except the smooth one.
     pub fn judged(extent: Extent) -> Result<Vec<Self>> {
         let wanted = |(name, _, end, _): &&Judged| extent == Extent::Full || (QUICK.contains(name) && *end < 2.0);
         JUDGED.iter().filter(wanted).map(Self::with_reference).collect()
