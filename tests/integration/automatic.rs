@@ -203,7 +203,7 @@ fn interpolated_outputs_are_as_good_as_steps() {
 
 /// A copy continues with the same bits, also between steps of different kinds.
 #[test]
-fn a_copy_goes_on_to_the_same_bits() {
+fn a_copy_continues_with_the_same_bits() {
     let (parameters, inputs) = clamped();
     let mut simulation = Simulation::new(&automatic(parameters, 1e-6), &default_inputs()).expect("scene");
     for i in 0..40 {

@@ -56,7 +56,7 @@ fn the_paper_start_is_a_direct_singularity() {
 }
 
 #[test]
-fn singular_postures_are_told_apart() {
+fn singular_postures_are_distinguished() {
     for (theta, assembly, kind) in [
         ([FRAC_PI_2, 2.0], Assembly::Plus, SingularityKind::None),
         ([FRAC_PI_2, FRAC_PI_2], Assembly::Plus, SingularityKind::Direct),

@@ -308,7 +308,7 @@ fn a_start_beside_a_straight_posture_is_on_its_branch() {
 /// another beside it; machines of other lengths stay far away. The energy reveals a jump: an admissible error of 3e-9 rad in each of some
 /// hundred steps is below 1e-6 J, which a jump exceeds a hundredfold.
 #[test]
-fn machines_that_miss_the_straight_posture_go_on() {
+fn machines_that_miss_the_straight_posture_continue() {
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let mut uniform = |low: f64, high: f64| low + (high - low) * (random.next_u64() as f64 / 2f64.powi(64));
     let mut runs = 0;

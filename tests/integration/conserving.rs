@@ -105,7 +105,7 @@ fn any_machine_keeps_its_energy() {
 
 /// Constant loads do exactly the work of force times displacement.
 #[test]
-fn held_loads_balance() {
+fn constant_loads_balance() {
     let inputs = Inputs { tau: [0.05, -0.02], tip_force: [0.1, 0.3], ..default_inputs() };
     let mut simulation = Simulation::new(&conserving(unequal(), 1e-3), &inputs).expect("scene");
     let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);

@@ -86,7 +86,8 @@ fn it_agrees_with_i3alp() {
     }
 }
 
-/// Communication points do not change the result: a master that reads every millisecond sees the same bits as one that reads every 50 ms.
+/// Communication points do not change the result: a master that reads every millisecond sees the same bits as a master that reads every 50
+/// ms.
 #[test]
 fn communication_points_on_the_grid_leave_no_trace() {
     let inputs = Inputs { tau: [0.05, 0.0], ..default_inputs() };
@@ -137,7 +138,7 @@ fn interpolated_outputs_are_on_the_constraints() {
 /// If one iteration does not project the interpolant of a long step onto the constraints, outputs show the interpolant itself. Its error is
 /// the method's, the norms report it, and the run continues undisturbed.
 #[test]
-fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
+fn an_interpolant_that_cannot_be_projected_is_shown_unchanged() {
     let seen = |iterations: u32| {
         let mut parameters = default_parameters();
         parameters.start.theta[1] = 120f64.to_radians();
@@ -158,7 +159,7 @@ fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
 
 /// A copy in the middle of a step continues with the same bits.
 #[test]
-fn a_copy_goes_on_to_the_same_bits() {
+fn a_copy_continues_with_the_same_bits() {
     let inputs = default_inputs();
     let mut simulation = fall(1e-9);
     simulation.advance(&inputs, 1e-3, 333).expect("steps");
@@ -174,7 +175,7 @@ fn a_copy_goes_on_to_the_same_bits() {
 /// Inputs that change at every communication point: each step then ends there, and the run is as accurate as with a much smaller tolerance;
 /// work and energy balance.
 #[test]
-fn changing_inputs_are_met_exactly() {
+fn steps_end_at_changing_inputs() {
     let mut parameters = default_parameters();
     parameters.start.theta[1] = 120f64.to_radians();
     let end = |tolerance: f64| {
@@ -252,7 +253,7 @@ fn work_is_of_the_methods_order() {
 
 /// A parameter tuned inside a step acts from then on, and the energy that it adds is counted.
 #[test]
-fn tuning_is_met_exactly() {
+fn a_tuned_parameter_acts_inside_a_step() {
     let end = |tolerance: f64| {
         let parameters = explicit(fall_90_120(Method::Dop853), tolerance);
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");

@@ -254,7 +254,7 @@ fn mirrored_effects_give_the_mirrored_motion() {
 
 /// A disabled effect is absent: it is not in the list, and no value of its parameters changes a bit.
 #[test]
-fn what_is_off_is_not_there() {
+fn disabled_effects_are_absent() {
     let bits = |parameters: &Parameters| {
         let mut simulation = Simulation::new(parameters, &default_inputs()).expect("scene");
         run(&mut simulation, &default_inputs(), 1e-3, 0.5);

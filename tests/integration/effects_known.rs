@@ -202,7 +202,7 @@ fn contact_at_rest_balances_the_weight() {
     assert!(force.x.abs() <= 0.8 * force.y, "{force}");
 }
 
-/// A payload equals a heavier distal link, on either side; kinetic energy and weight are those of a mass moving with the tip.
+/// A payload equals a heavier distal link, on either side; kinetic energy and weight equal a mass moving with the tip.
 #[test]
 fn a_payload_is_a_heavier_distal_link() {
     let mut loaded = unequal();

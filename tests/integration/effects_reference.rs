@@ -300,7 +300,7 @@ fn dop853_follows_inputs() {
 }
 
 /// Dry friction that sticks, by both methods that support it: errors of tip and angles, m and rad, at the default tolerance and at 1e-12
-/// rad. i3-ALP is of second order; the explicit method's error is that of a fall in which rates stop at 1e-11 rad/s.
+/// rad. i3-ALP is of second order; the explicit method's error equals a fall with rates that stop at 1e-11 rad/s.
 fn sticks(scene: &str, bounds: [[f64; 2]; 2]) {
     for (method, bounds) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
         for (tolerance, bound) in [3e-9, 1e-12].into_iter().zip(bounds) {

@@ -308,7 +308,7 @@ fn bands_are_honest() {
 /// Encoders that are silent while the machine comes to rest have not failed if one of them then repeats the same angle and the other shows
 /// a creep of 20 mrad/s. The estimate follows this, and the motion that starts afterwards, within 1 mm of the tip.
 #[test]
-fn encoders_that_were_silent_at_rest_are_believed() {
+fn encoders_that_were_silent_at_rest_are_trusted() {
     for (quantum, h, exact) in [(1e-4, 1e-3, true), (1e-4, 5e-3, true), (1e-4, 1e-3, false), (1e-4, 5e-3, false)] {
         let mut parameters = followed_by(Method::Dop853, exact);
         parameters.start.theta = [2.0, 1.1];
@@ -369,11 +369,11 @@ fn an_estimate_that_was_lost_keeps_its_turns() {
     }
 }
 
-/// A single encoder eventually loses falls with masses 5 % off. The status is then that of a forecast until both encoders have shown a
-/// motion for 0.1 s, and the tip is within three half-widths of its band. With both encoders the estimate restarts; if samples never come
-/// in pairs (odd seeds), it continues.
+/// A single encoder eventually loses falls with masses 5 % off. The status is then the status of a forecast until both encoders have shown
+/// a motion for 0.1 s, and the tip is within three half-widths of its band. With both encoders the estimate restarts; if samples never
+/// come in pairs (odd seeds), it continues.
 #[test]
-fn one_encoder_that_loses_the_machine_is_not_believed() {
+fn one_encoder_that_loses_the_machine_is_not_trusted() {
     let mut lost = 0;
     for seed in 0..16 {
         let mut parameters = followed_by(Method::Dop853, false);
@@ -463,7 +463,7 @@ fn a_machine_that_is_given_up_is_the_one_that_is_told() {
 /// any resolution and sampling interval, with exact geometry and with the unit's start values. The other encoder and the servos keep the
 /// tip within 10 mm. A reading that repeats because a servo, stiff or soft, holds its axis is no fault.
 #[test]
-fn a_frozen_encoder_is_told_from_an_axis_that_is_held() {
+fn a_frozen_encoder_is_distinguished_from_a_held_axis() {
     let swing = |time: f64, frequency: f64| {
         let (angle, rate) = (0.25 * (frequency * time).sin(), 0.25 * frequency * (frequency * time).cos());
         Inputs { servo_theta: [2.0 + angle, 1.1 - angle], servo_omega: [rate, -rate], ..default_inputs() }
@@ -637,7 +637,7 @@ fn encoders_that_are_exchanged_are_left_out() {
 /// While servos swing both axes, a start in the wrong assembly is in doubt and abandoned within 0.3 s; a right start is kept. Until then
 /// the tip is within the reported radius.
 #[test]
-fn a_start_in_the_wrong_assembly_is_left() {
+fn a_start_in_the_wrong_assembly_is_abandoned() {
     let h = 1e-3;
     for own in [Assembly::Plus, Assembly::Minus] {
         for told in [Assembly::Plus, Assembly::Minus] {
@@ -723,10 +723,10 @@ fn grouping_does_not_matter() {
 }
 
 /// While samples arrive, the prior of the models depends on their readings; without samples the prior is a realistic one. The weights of a
-/// forecast are those of the estimate divided by its prior, and stay constant. With quantisation intervals the prior of a push is large, so
-/// that the estimate's band is wider than with the forecast's weights; with white noise it is tiny, and the band is narrower.
+/// forecast equal the estimate's weights divided by its prior, and stay constant. With quantisation intervals the prior of a push is
+/// large, so that the estimate's band is wider than with the forecast's weights; with white noise it is tiny, and the band is narrower.
 #[test]
-fn a_forecast_is_of_what_is_likely() {
+fn a_forecast_uses_the_realistic_prior() {
     const LIKELY: [f64; 4] = [0.45, 0.45, 0.095, 0.005];
     let advance = |following: &mut Following| {
         following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
@@ -772,7 +772,7 @@ fn a_forecast_is_of_what_is_likely() {
 
 /// A sample ends a forecast, even if it is older than the history: the bands no longer describe motions without samples.
 #[test]
-fn forecasts_end_where_encoders_speak() {
+fn a_sample_ends_a_forecast() {
     let mut parameters = followed(Method::Dop853);
     parameters.estimator.forecast = Bands::SigmaPoints;
     parameters.estimator.max_delay = 5e-3;
@@ -876,7 +876,7 @@ impl Scene for Turning {
 }
 
 /// The forecast of singularities over the longest horizon takes bounded work at any rate of the machine. A machine too fast to be followed
-/// counts as one that meets a singularity; a slow one that turns as one body meets none.
+/// counts as meeting a singularity; a slow one that turns as one body meets none.
 #[test]
 fn a_forecast_of_singularities_takes_bounded_work() {
     // Steps of 1 ms: one each at rest, three with stiff forces.

@@ -201,7 +201,7 @@ fn declared_dependencies_are_central_differences_and_others_zero_with_all_effect
     }
 }
 
-/// Without effects, after a step: the derivatives are those of the new state and of the inputs set there.
+/// Without effects, after a step: the derivatives belong to the new state and the inputs set there.
 #[test]
 fn declared_dependencies_are_central_differences_on_the_way() {
     for enabled in [vec![], vec!["servo", "viscous", "spring"]] {

@@ -190,7 +190,7 @@ fn a_step_past_the_end_is_refused() {
 
 /// The warning comes once, as in co-simulation.
 #[test]
-fn references_that_nobody_reads_are_warned_of() {
+fn unused_references_give_a_warning() {
     let host = integrated(&[BENT]);
     assert_eq!(host.set_real(&[reference("servo.theta[1]")], &[1.0]), fmi2OK);
     assert_eq!((host.completed_step(), host.completed_step()), (fmi2OK, fmi2OK));

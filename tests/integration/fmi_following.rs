@@ -121,7 +121,7 @@ fn reals(host: &Host) -> Vec<u64> {
 }
 
 #[test]
-fn off_nothing_is_estimated() {
+fn a_disabled_estimator_estimates_nothing() {
     let host = Host::ready(&[]);
     measure(&host, [1.0, 2.0], [0.0, 0.0]);
     let plain = Host::ready(&[]);
@@ -197,7 +197,7 @@ fn samples_change_no_output() {
 
 /// Encoder faults: a status, a cause, one line in the log, and an estimate that continues.
 #[test]
-fn faults_are_told_once_and_survived() {
+fn faults_are_reported_once_and_survived() {
     type Seen = fn([f64; 2], f64) -> ([f64; 2], [f64; 2]);
     let cases: [(&str, f64, &str, Seen); 6] = [
         ("late", 7.0, "is older than estimator.maxDelay", |theta, time| (theta, [time - 0.02, time])),
@@ -234,7 +234,7 @@ fn faults_are_told_once_and_survived() {
 /// A stuck encoder remains the cause for a second after it recovers, whatever its first readings are; an encoder that never delivered is
 /// no cause.
 #[test]
-fn an_encoder_that_was_stuck_explains_what_follows() {
+fn a_stuck_encoder_stays_the_cause_for_a_second() {
     let (host, machine) = (following(1, &[]), machine());
     follow(&host, &machine, 0..300, at_once);
     let held = angles(&machine)[0];
@@ -257,7 +257,7 @@ fn an_encoder_that_was_stuck_explains_what_follows() {
 /// A push at the tip is reported as the cause, with equal bits also from a state stored during the evaluation; a second later there is no
 /// cause.
 #[test]
-fn a_push_is_named() {
+fn a_push_is_reported_as_the_cause() {
     let (host, machine) = (following(1, &[]), machine());
     follow(&host, &machine, 0..300, at_once);
     assert_eq!(machine.set_real(&[reference("tip.fx")], &[0.5]), fmi2OK);

@@ -123,7 +123,7 @@ impl Host {
         line.text
     }
 
-    /// Calls a function whose only argument is the instance.
+    /// Calls a function of the instance alone.
     pub(super) fn call(&self, function: unsafe extern "C" fn(fmi2Component) -> fmi2Status) -> fmi2Status {
         // SAFETY: the component is live.
         unsafe { function(self.component) }

@@ -120,8 +120,8 @@ fn initial_unknowns_depend_on_what_is_declared_and_on_nothing_else() {
     let unknowns = &description.structure.initial_unknowns;
     let is_known = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
     // The tip's position is computed from the centre of mass of a link, and by each method in its own coordinates. Dependent quantities
-    // have a round-off of 1e-16 m, and forces that of the contact's stiffness of 2e3 N/m and its damping. Round-off is relative to the
-    // largest of a kind, because one component may be small by chance. The smallest real change is some 1e-6.
+    // have a round-off of 1e-16 m, and forces also have round-off from the contact's stiffness of 2e3 N/m and its damping. Round-off is
+    // relative to the largest of a kind, because one component may be small by chance. The smallest real change is some 1e-6.
     let kind = |unknown: &Unknown| unknown.name.split(['[', '.']).next().unwrap_or_default().to_owned();
     let scales = |values: &[f64]| {
         let mut largest = BTreeMap::new();

@@ -94,7 +94,7 @@ fn calls_out_of_order_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn experiments_that_cannot_be_are_refused() {
+fn impossible_experiments_are_refused() {
     let host = Host::new();
     assert_eq!(host.setup(None, 1.0, Some(0.5)), fmi2Error);
     assert_eq!(host.line(), "fmi2SetupExperiment: stopTime is 0.5 s, must not be before startTime, which is 1.0 s.");
@@ -107,7 +107,7 @@ fn experiments_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn a_scene_that_cannot_be_made_ready_is_refused_and_can_be_mended() {
+fn a_scene_that_cannot_be_initialised_is_refused_and_can_be_corrected() {
     let host = Host::initializing(0.0, None);
     let base = [reference("base.distance")];
     assert_eq!(host.set_real(&base, &[5.0]), fmi2OK);

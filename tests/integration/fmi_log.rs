@@ -30,7 +30,7 @@ fn problems_pass_by_default_and_events_with_logging_on() {
 }
 
 #[test]
-fn the_masters_choice_of_categories_rules() {
+fn the_master_chooses_the_categories() {
     for (on, categories, expected) in [
         (false, &[][..], &[][..]),
         (false, &["logAll"], &[]),
@@ -57,7 +57,7 @@ fn an_unknown_category_is_refused_with_those_that_exist() {
 }
 
 #[test]
-fn the_line_of_a_scene_made_ready() {
+fn the_log_line_of_an_initialised_scene() {
     let host = logging(true);
     assert_eq!(host.setup(None, 0.0, None), fmi2OK);
     assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
@@ -76,7 +76,7 @@ fn the_line_of_a_scene_made_ready() {
 
 /// A master's tolerance gives an event in the log, not a warning: accuracy has its own parameters here.
 #[test]
-fn a_tolerance_is_answered_with_an_event() {
+fn a_tolerance_is_logged_as_an_event() {
     let host = logging(true);
     assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
     let line = &host.take()[0];

@@ -97,7 +97,7 @@ fn status_functions_when_there_is_nothing_to_tell() {
     assert_eq!(host.line(), "fmi2GetRealStatus: status kind is 4, must be 0 to 3.");
 }
 
-/// A scene whose first step fails: one iteration of the printed method is not enough for 0.1 s.
+/// A scene with a failing first step: one iteration of the printed method is not enough for 0.1 s.
 fn hopeless() -> Host {
     let host = Host::initializing(0.0, None);
     let printed = 2;

@@ -140,7 +140,7 @@ fn what_may_be_set_depends_on_role_and_state() {
 }
 
 #[test]
-fn what_is_set_is_read_back() {
+fn values_set_are_read_back() {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_boolean(&[reference("gravity.enabled")], &[0]), fmi2OK);
     assert_eq!(host.set_integer(&[reference("solver.method")], &[3]), fmi2OK);
@@ -151,7 +151,7 @@ fn what_is_set_is_read_back() {
 }
 
 #[test]
-fn initialization_outputs_follow_what_is_set() {
+fn initialization_outputs_follow_the_values_set() {
     let host = Host::initializing(0.0, None);
     let elbow = [reference("elbow[1].x")];
     let (mut before, mut after) = ([f64::NAN], [f64::NAN]);

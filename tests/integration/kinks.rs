@@ -156,7 +156,7 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
 /// A start inside a stop that separates: the energy left in its spring is dissipated, and dissipated energy never decreases. In all it is
 /// 2.4546e-2 J by the independent program.
 #[test]
-fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
+fn energy_left_in_a_stop_is_dissipated() {
     let mut parameters = close_motors([2.2, 0.9], [3.0, 0.0]);
     enable(&mut parameters, "stop");
     let stop = &mut parameters.effects.stop;
@@ -177,7 +177,7 @@ fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
 
 /// Separation near a vertex, where steps conserve energy: the energy left in a stop is dissipated there, too.
 #[test]
-fn what_has_let_go_is_lost_next_to_a_vertex() {
+fn energy_left_in_a_stop_near_a_vertex_is_dissipated() {
     // Through the vertex on its tangent cone: rates a, b, c of three links with a + b + c = 1 = a² + b² + c², and 1 of the fourth.
     let (sin, cos) = 0.7_f64.sin_cos();
     let (e1, e2) = (cos / 3.0_f64.sqrt(), sin / 3.0);

@@ -431,7 +431,7 @@ fn a_push_is_found_and_not_learned() {
 
 /// A payload set by the master restarts its learning; the learned masses stay.
 #[test]
-fn a_payload_that_is_set_is_learned_anew() {
+fn setting_a_payload_restarts_its_learning() {
     let mut model = learning();
     (model.effects.payload.enabled, model.effects.payload.mass) = (true, 0.02);
     let mut truth = five_percent_off(&model);
@@ -456,7 +456,7 @@ fn a_payload_that_is_set_is_learned_anew() {
 
 /// A refusal quotes the value set by the master, not the learned one.
 #[test]
-fn refusals_quote_what_has_been_set() {
+fn refusals_quote_the_values_set() {
     let mut model = learning();
     let friction = &mut model.effects.friction;
     (friction.enabled, friction.coulomb, friction.breakaway) = (true, [1e-3; 5], [1.2e-3; 5]);
@@ -488,7 +488,7 @@ fn host(learns: bool, values: &[(&str, f64)]) -> Host {
     host
 }
 
-/// Takes `steps` with samples of a machine whose first link is 5 % heavier.
+/// Takes `steps` with samples of a machine with a first link 5 % heavier.
 fn take(host: &Host, machine: &mut Simulation, steps: std::ops::Range<u32>) {
     take_beyond(host, machine, steps, 0.0);
 }
@@ -528,7 +528,7 @@ fn computed(host: &Host) -> Vec<u64> {
 
 /// If learning is off, priors have no influence and masses equal the parameters, to the bit; if on, they differ.
 #[test]
-fn off_nothing_is_learned() {
+fn disabled_learning_learns_nothing() {
     let ends = [(false, 0.05), (false, 0.5), (true, 0.05)].map(|(learns, mass)| {
         let host = host(learns, &[("estimator.learn.mass", mass)]);
         assert_eq!(host.call(fivebar::ffi::fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
@@ -547,7 +547,7 @@ fn off_nothing_is_learned() {
 /// A stored state contains the learned values: another instance continues with equal bits, with and without samples; a forged one is
 /// refused.
 #[test]
-fn stored_states_hold_what_is_learned() {
+fn stored_states_contain_learned_values() {
     for method in 1..=6 {
         let (host, mut machine) = (host(true, &[]), heavier());
         assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);

@@ -79,7 +79,7 @@ fn an_impact_keeps_the_momentum() {
 
 /// A payload at the tip's velocity joins and leaves without an impact; its energy comes from outside and returns there.
 #[test]
-fn what_moves_with_the_tip_changes_no_rate() {
+fn a_payload_at_the_velocity_of_the_tip_changes_no_rate() {
     for method in METHODS {
         let start = empty(method);
         let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
@@ -143,7 +143,7 @@ fn the_balance_stays_closed() {
 /// A payload that spreads the inertias too far for the run's linear solve is refused by name, with the allowed maximum; a run that started
 /// with the dense solve accepts it.
 #[test]
-fn a_payload_is_at_most_what_the_linear_solve_takes() {
+fn a_payload_is_limited_by_the_linear_solve() {
     let start = empty(Method::I3alp);
     let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
     run(&mut simulation, 10);
@@ -166,7 +166,7 @@ fn a_payload_is_at_most_what_the_linear_solve_takes() {
 
 /// A disabled payload may have any mass and changes nothing.
 #[test]
-fn without_a_payload_its_mass_is_nothing() {
+fn a_disabled_payload_has_no_influence() {
     let mut start = empty(Method::I3alp);
     start.effects.payload.enabled = false;
     let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");

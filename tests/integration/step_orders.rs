@@ -226,7 +226,7 @@ fn the_estimate_of_order_5_is_on_the_safe_side() {
         let mut state = State::start(&POLAR, sample.q, sample.v, 0.0);
         running.record(&sample, &mut state);
         let (to, rate) = (polar(ellipse(0.7 + h))[0], polar(ellipse(0.7 + h))[1]);
-        // Weighted as in the step: tolerances of rates are (10/s + their magnitude) times those of coordinates.
+        // Weighted as in the step: tolerances of rates are (10/s + their magnitude) times tolerances of coordinates.
         let off = |i: usize| (sample.q[i] - to[i]).powi(2) + ((sample.v[i] - rate[i]) / (10.0 + rate[i].abs())).powi(2);
         let error = ((off(0) + off(1)) / 4.0).sqrt();
         assert!(state.error_estimate > 3.0 * error, "{h} s: estimated {:e}, {error:e}", state.error_estimate);

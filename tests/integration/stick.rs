@@ -326,7 +326,7 @@ fn motions(method: Method) -> [Motion; 2] {
 
 /// Dissipated energy never decreases.
 #[test]
-fn what_is_dissipated_never_falls() {
+fn dissipated_energy_never_decreases() {
     for method in METHODS {
         for (parameters, inputs) in motions(method) {
             let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");
@@ -374,7 +374,7 @@ fn calls_and_copies_change_nothing() {
 
 /// Derivatives keep sticking joints at rest; if friction locks everything, they are refused.
 #[test]
-fn derivatives_keep_what_is_held() {
+fn derivatives_keep_sticking_joints_at_rest() {
     let parameters = pulled(Method::I3alp);
     let start = |torque: f64| {
         let inputs = Inputs { tau: [torque, 0.0], ..pulling(&parameters, 0.0) };
@@ -550,7 +550,7 @@ fn tips_that_stick_go_through_the_stretched_arm() {
 }
 
 /// Folded legs on coaxial motors: the elbows do not turn there, so their friction neither slips nor sticks, and no event is located. At
-/// every tolerance the cost equals that of other postures, and the motion that of elbows without friction.
+/// every tolerance cost equals the cost of other postures, and the motion equals the motion without friction in the elbows.
 #[test]
 fn elbows_of_folded_legs_cost_nothing() {
     let folded = |method, tolerance, elbows: f64| {

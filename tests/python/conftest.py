@@ -38,7 +38,7 @@ def wait_until(holds: Callable[[], Any], seconds: float = PATIENCE) -> None:
 
 
 def started(run: "subprocess.Popen[str]") -> str:
-    """The line in which `fivebar twin` prints its addresses after the start; on a busy machine warnings may come before it."""
+    """The line with the addresses that `fivebar twin` prints after the start; on a busy machine warnings may come before it."""
     assert run.stdout is not None
     lines: list[str] = []
     for line in run.stdout:
@@ -50,7 +50,7 @@ def started(run: "subprocess.Popen[str]") -> str:
 
 @pytest.fixture(autouse=True)
 def working_directory() -> Iterator[None]:
-    """Each test leaves the process in the working directory in which it started."""
+    """Each test leaves the working directory as it was."""
     before = os.getcwd()
     yield
     after = os.readlink("/proc/self/cwd")

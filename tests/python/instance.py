@@ -21,7 +21,7 @@ class Instance:
         self.computed = [v.name for v in computed(model)]
 
     def enter(self) -> "Instance":
-        """Enters initialization mode, the first in which values can be read."""
+        """Enters initialization mode, the first with values to read."""
         self.slave.setupExperiment()
         self.slave.enterInitializationMode()
         return self

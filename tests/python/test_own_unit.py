@@ -217,7 +217,7 @@ def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, for
 def test_without_a_location_the_archive_of_the_library_is_looked_at(
     mine: Unit, tmp_path: Path, location: bytes | None
 ) -> None:
-    """If a master gives no location, or one that does not exist; in a folder with a space and an umlaut."""
+    """If a master gives no location, or a missing one; in a folder with a space and an umlaut."""
     folder = Path(shutil.copytree(mine.directory, tmp_path / "zwei Wörter"))
     assert started(mine, folder, location) == MINE
 

@@ -1,4 +1,4 @@
-"""The comparison with peers: which is faster, what the report shows, and how programs are driven; needs no peer."""
+"""The comparison with peers: which is faster, contents of the report, and control of programs; needs no peer."""
 
 import ast
 import json

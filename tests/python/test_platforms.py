@@ -66,7 +66,7 @@ on_every_machine = pytest.mark.parametrize("machine", SHIPPED, ids=lambda machin
 
 
 class Bench:
-    """Folders in which programs of all machines run, each with its own driver."""
+    """Folders for the programs of all machines, each with its own driver."""
 
     def __init__(self, folder: Path, libraries: Callable[[Machine], Path], guid: str):
         self.folder, self.libraries, self.guid = folder, libraries, guid

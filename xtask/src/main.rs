@@ -88,7 +88,8 @@ enum Command {
     HardCases(hard_cases::Options),
     /// Measure how accurately machines are followed, print figures beside their targets; half an hour
     Estimator {
-        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes, foreign, geometry, workshop, learning
+        /// Only tables with this in their names: benchmark, quality, compare, singular, forecast, detection, faults, starts, causes,
+        /// foreign, geometry, workshop, learning
         #[arg(long, default_value = "")]
         only: String,
         /// Fraction of the runs

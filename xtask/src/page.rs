@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_licence_that_two_parts_have_stands_once() {
+    fn a_shared_licence_appears_once() {
         let files = [("a/licenses/x/LICENSE", "same"), ("a/licenses/y/LICENSE", "same"), ("a/licenses/license.txt", "list")];
         let files = files.map(|(name, text)| (name.to_owned(), text.as_bytes().to_vec()));
         assert_eq!(notices(&files.into()), "== license.txt ==\n\nlist\n\n== x/LICENSE\ny/LICENSE ==\n\nsame\n\n");

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_that_is_missing_is_told() {
+    fn a_missing_page_is_reported() {
         assert_eq!(missing(&paths::in_root("README.md")), None);
         let sentence = missing(&paths::in_root("target/no/fivebar.html")).unwrap();
         assert!(sentence.contains("no target/no/fivebar.html: `cargo xtask page`") && sentence.contains("`.ci/setup-page`"));

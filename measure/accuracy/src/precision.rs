@@ -16,7 +16,7 @@ fn rounds(extent: Extent) -> usize {
     }
 }
 
-/// Length of the laps by which a run is timed, s. Short, so that on a loaded machine most laps run without interruption; long enough
+/// Length of the timed laps of a run, s. Short, so that on a loaded machine most laps run without interruption; long enough
 /// that reading the clock costs little; a multiple of every step and a divisor of all reference times.
 const LAP: f64 = 0.02;
 

@@ -43,7 +43,7 @@ fn settings(tolerance: f64) -> [Setting; 3] {
 pub struct Sample {
     /// Numbers of the scenes of each kind.
     pub scenes: Vec<u64>,
-    /// Only kinds whose names contain this.
+    /// Only kinds with this in their names.
     pub only: String,
     /// Only this method, by its name in `solver.method`.
     pub by: Option<String>,

@@ -29,7 +29,7 @@ enum Task {
         /// Only a sample of every case
         #[arg(long)]
         quick: bool,
-        /// Only cases whose name contains this
+        /// Only cases with this in their names
         #[arg(long)]
         only: Option<String>,
         /// Only items 1 to 6 and 9 with this method, by its name in `solver.method`
@@ -72,7 +72,7 @@ enum Task {
         /// Number of the first scene
         #[arg(long, default_value_t = 200)]
         from: u64,
-        /// Only kinds whose name contains this
+        /// Only kinds with this in their names
         #[arg(long, default_value = "")]
         only: String,
         /// Only this method, by its name in `solver.method`
@@ -114,7 +114,7 @@ enum Task {
         /// The table
         #[arg(long, default_value = "measure/hard-cases/data/ends.csv")]
         table: PathBuf,
-        /// Only cases whose name contains this
+        /// Only cases with this in their names
         #[arg(long, default_value = "")]
         only: String,
         /// Maximum number of scenes of each

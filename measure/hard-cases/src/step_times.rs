@@ -78,7 +78,7 @@ pub fn measure(extent: Extent) -> Result<Vec<StepTimes>, String> {
     SETTINGS.iter().map(of).collect()
 }
 
-/// First index up to which `part` of all counts lies.
+/// Quantile `part` of the counts, as an index.
 fn quantile(counts: &[u64], part: f64) -> usize {
     let wanted = part * counts.iter().sum::<u64>() as f64;
     let mut sum = 0;

@@ -26,7 +26,7 @@ const SLOW: f64 = 1e-8;
 /// Longest step, s, short enough that a rate cannot pass 0 twice.
 const LONGEST: f64 = 1e-3;
 
-/// A scene whose friction sticks.
+/// A scene with friction that sticks.
 pub struct Sticking<'a> {
     scene: &'a Parameters,
     program: Independent<'a>,

@@ -33,7 +33,7 @@ pub enum Watch {
     Turns {
         /// The vertex.
         vertex: Vertex,
-        /// Interval, s, in which it is near enough to the vertex for sides to be meaningful.
+        /// Interval, s, while it is near enough to the vertex for sides to be meaningful.
         between: [f64; 2],
         /// Path of the reference at the same times; empty while the reference runs.
         reference: Vec<Sample>,

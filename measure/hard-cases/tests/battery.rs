@@ -79,7 +79,7 @@ fn other_singular_postures_are_passed() {
 }
 
 #[test]
-fn the_paper_torque_test_is_survived() {
+fn the_paper_torque_test_completes() {
     hold(5);
 }
 
@@ -114,7 +114,7 @@ fn two_processes_give_the_same_bits() {
 
 /// The requirements can fail: the printed method ends early, fixed Runge-Kutta steps lose energy.
 #[test]
-fn methods_that_do_not_hold_are_noticed() {
+fn failing_methods_are_noticed() {
     let falls = &Case::of_item(Extent::Quick, 1)[0];
     let printed = falls.measure(Setting::Printed(1e-3));
     assert!(printed.failures > 0 && printed.ended_early > 0 && !printed.statuses.is_empty(), "{printed}");

@@ -341,7 +341,7 @@ pub fn stuck_by_jitter(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| learned(fast(random)), Failure::Jitter(3e-4, &Failure::Nothing), &FINE, seeds, |outcome| outcome.early)
 }
 
-/// Number of falls with the unit's start values in which an encoder freezes without a warning.
+/// Number of falls with the unit's start values and no warning although an encoder freezes.
 pub fn silent_in_falls(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(|random| by_start_values(falling(random)), Failure::Frozen, &FINE, seeds, |outcome| outcome.silent)
 }
@@ -351,12 +351,12 @@ pub fn beyond_by_one_encoder(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(falling, Failure::Gone, &FINE, seeds, |outcome| outcome.beyond)
 }
 
-/// Number of falls in which both encoders freeze at once without a warning.
+/// Number of falls without a warning although both encoders freeze at once.
 pub fn silent_where_both_freeze(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(falling, Failure::BothFrozen, &FINE, seeds, |outcome| outcome.silent)
 }
 
-/// Number of swings in which a jump of 0.1 rad gets no warning while one in fifty samples is lost.
+/// Number of swings with a jump of 0.1 rad and no warning while one in fifty samples is lost.
 pub fn silent_with_lost_samples(seeds: impl IntoIterator<Item = u64>) -> usize {
     count(swing, Failure::Lossy(0.02, &Failure::Jump(0.1)), &FINE, seeds, |outcome| outcome.silent)
 }

@@ -14,7 +14,7 @@ use crate::report::{Figure, Table, median, most_of};
 const H: f64 = 1e-3;
 /// Time of learning, s.
 const LEARNED_FOR: f64 = 2.0;
-/// Interval in which forecasts start, s, and their horizon, s.
+/// Interval of the starts of forecasts, s, and their horizon, s.
 const FORECASTS: ([f64; 2], f64) = ([1.0, LEARNED_FOR], 0.3);
 /// Alarms before this time, s, belong to the start: an alarm lasts 0.1 s.
 pub(crate) const STARTED: f64 = 0.15;

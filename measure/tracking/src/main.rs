@@ -10,7 +10,7 @@ use tracking::{benchmark, causes, compare, detection, faults, forecast, foreign,
 /// Figures of the estimator
 #[derive(Parser)]
 struct Arguments {
-    /// Only tables whose name contains this
+    /// Only tables with this in their names
     #[arg(long, default_value = "")]
     only: String,
     /// Fraction of the runs

@@ -112,7 +112,7 @@ mod tests {
 
     /// The filter predicts a tip with constant velocity.
     #[test]
-    fn straight_motion_is_foretold() {
+    fn straight_motion_is_predicted() {
         let (mut filter, h) = (ConstantVelocity::default(), 1e-3);
         (0..1000).for_each(|k| filter.receive([0.1 + 0.5 * h * f64::from(k), -0.2], 1e-12, h));
         let [x, y] = filter.ahead(0.5);

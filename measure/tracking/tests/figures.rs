@@ -62,19 +62,19 @@ fn jitter_makes_no_encoder_stuck() {
 /// An encoder that freezes in a fall as its axis turns back is reported. In these three it is not if the rate before the first repeated
 /// reading is used in place of the rate at it.
 #[test]
-fn encoders_that_freeze_as_an_axis_turns_back_are_told() {
+fn encoders_that_freeze_as_an_axis_turns_back_are_reported() {
     assert_eq!(faults::silent_in_falls([11, 38, 149].map(|seed| 1_467_900_000 + seed)), 0);
 }
 
 /// One encoder alone keeps the tip within its band. These end outside if its readings are weighted as if the model had no errors.
 #[test]
-fn bands_of_one_encoder_hold() {
+fn one_encoder_keeps_the_tip_in_its_band() {
     assert_eq!(faults::beyond_by_one_encoder([3, 5].map(|seed| 1_497_900_000 + seed)), 0);
 }
 
 /// Encoders that freeze at once are reported if the machine turns too fast for a real stop.
 #[test]
-fn encoders_that_freeze_at_once_are_told() {
+fn encoders_that_freeze_at_once_are_reported() {
     assert_eq!(faults::silent_where_both_freeze((0..3).map(|seed| 1_497_900_000 + seed)), 0);
 }
 

@@ -90,7 +90,7 @@ mod tests {
     use cargo_metadata::PackageId;
 
     #[test]
-    fn licence_files_are_told_by_their_names() {
+    fn licence_files_are_recognised_by_name() {
         for name in ["LICENSE", "LICENSE-MIT.md", "license.txt", "COPYING", "NOTICE"] {
             assert!(is_license(Path::new(name)), "{name}");
         }

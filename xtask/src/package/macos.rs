@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_signature_is_of_every_byte_and_of_no_other() {
+    fn a_signature_covers_exactly_the_code() {
         let code: Vec<u8> = (0..10_000).map(|i| (i % 251) as u8).collect();
         let signature = sign(&code);
         assert!(check_signature(&code, &signature).is_ok());
