@@ -9,7 +9,7 @@ use crate::{paths, process};
 /// The comparison table, which also needs Python.
 const COMPARE: &str = "compare";
 
-/// Runs the tables with `only` in their names, with a part of their runs; fails if a figure misses its target.
+/// Runs the tables with `only` in their names, with the fraction `part` of their runs; fails if a figure misses its target.
 pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
     let tracking = || {
         let mut cargo = process::cargo();
@@ -17,7 +17,7 @@ pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
         cargo.args(["--seeds", &seeds.to_string()]);
         cargo
     };
-    // The program in Rust has all tables; the filters in Python add to the comparison.
+    // If only the comparison is requested, its runs are written below, for the filters in Python.
     let own = if COMPARE.contains(only) && !only.is_empty() { Ok(()) } else { process::run(tracking().args(["--only", only])) };
     if COMPARE.contains(only) {
         let folder = paths::in_root("target/estimator");

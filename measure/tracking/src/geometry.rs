@@ -40,7 +40,7 @@ struct Outcome {
     inside: f64,
     lost: bool,
     silently: bool,
-    /// Whether there was an alarm; all are false.
+    /// Whether there was an alarm, necessarily a false one.
     alarm: bool,
 }
 

@@ -25,8 +25,8 @@ const ELEMENTARY: [&str; 22] = [
     "_log", "_log10", "_log1p", "_log2", "_pow", "_sin", "_sinh", "_tan", "_tanh", "___powidf2", "___sincos_stret",
 ];
 
-/// The function of macOS's system library with which Rust resumes in a panic handler. Some linkers drop Rust's own landing function and
-/// the table of handlers.
+/// The function of macOS's system library with which Rust resumes in a panic handler. Some linkers drop Rust's personality
+/// function, which calls it, and the table of handlers.
 const CATCH: &str = "__Unwind_SetIP";
 
 /// One file from two libraries for different processors.

@@ -22,8 +22,8 @@ const SHIPPED: [(&str, &str, &str, &[&str]); 5] = [
     ("darwin64", "aarch64-apple-darwin", "dylib", MAC_FLAGS),
 ];
 
-/// Uses the thread locals of the Windows loader, which frees them with the library. This target's default takes one of the process's
-/// 1,088 indexes each time the library is loaded and never returns it. After some 1,000 runs the host would abort.
+/// Uses the thread locals of the Windows loader, which frees them with the library. This target's default uses up one of the
+/// process's 1,088 indexes each time the library is loaded and unloaded. After some 1,000 runs the host would abort.
 const WINDOWS_THREAD_LOCALS: &str = "-Zhas-thread-local=yes";
 
 /// Folder of Debian's cargo and rustc from the packages cargo-web and rustc-web.
