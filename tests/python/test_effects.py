@@ -67,7 +67,7 @@ def test_viscous_friction_dissipates_its_power(new: New) -> None:
     assert bare.get("energy.dissipated") == 0.0
 
 
-def test_dry_friction_holds_what_a_small_torque_would_move(new: New) -> None:
+def test_dry_friction_resists_a_small_torque(new: New) -> None:
     """Half of the Coulomb torque: the smooth law creeps at w_c/2 = 5e-3 rad/s or less for 0.5 s; without friction the link accelerates away."""
     sticking, bare = with_and_without(new, "friction", FLAT | {"tau[1]": 5e-4})
     for instance in (sticking, bare):

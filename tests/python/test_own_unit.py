@@ -214,7 +214,7 @@ def test_resource_locations_as_masters_give_them(mine: Unit, tmp_path: Path, for
         b"x" * 5000,
     ],
 )
-def test_without_a_location_the_archive_of_the_library_is_looked_at(
+def test_without_a_location_the_archive_of_the_library_is_searched(
     mine: Unit, tmp_path: Path, location: bytes | None
 ) -> None:
     """If a master gives no location, or a missing one; in a folder with a space and an umlaut."""

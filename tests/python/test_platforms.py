@@ -288,7 +288,7 @@ def test_same_sentences_on_every_machine(bench: Bench, model: ModelDescription, 
 
 
 @on_every_machine
-def test_a_motion_goes_on_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
+def test_a_motion_continues_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
     """A state stored here has the same bytes there and continues with the same bits."""
     scripts = {name: every_effect(model) | {"solver.method": number} for name, number in methods(model).items()}
     check_going_on(bench, machine, {name: motion(model, values, 1.0) for name, values in scripts.items()})

@@ -129,7 +129,7 @@ impl<'a> Independent<'a> {
 
     /// Longest step that cannot pass a gap, s.
     pub(crate) fn cap(&self, state: &Motion) -> f64 {
-        /// Fraction of a ramp by which a step may pass its beginning.
+        /// A step may always cross this fraction of a ramp.
         const PART: f64 = 0.3;
         let effects = &self.scene.effects;
         let mut cap = LONGEST;
