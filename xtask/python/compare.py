@@ -31,7 +31,7 @@ COARSEST = 0.01
 """Communication step, s, of scenes with shorter steps. Reading more often would show little more, because differences persist."""
 
 EARLY = 0.5
-"""Duration, s, in which round-off may not grow."""
+"""Duration, s, without growth of round-off."""
 
 ROUND_OFF = 1e-12
 """Largest difference of the tips until then, m."""

@@ -9,7 +9,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// Folder in which other revisions are built and kept.
+/// Folder with the builds of other revisions; they are kept.
 const FOLDER: &str = "target/compare";
 
 pub(crate) fn compare(revision: &str) -> Result<()> {

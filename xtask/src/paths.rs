@@ -31,7 +31,7 @@ pub(crate) fn page() -> PathBuf {
     in_root("target/page/fivebar.html")
 }
 
-/// Folder in which the master fmi-sim is installed.
+/// Installation folder of the master fmi-sim.
 pub(crate) fn fmi_sim() -> PathBuf {
     in_root("target/fmi-sim")
 }
