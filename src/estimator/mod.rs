@@ -893,7 +893,6 @@ struct Correction {
 }
 
 /// Outcome of the measurement update by a sample.
-#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
 enum Residual {
     /// There is no sample.
     None,

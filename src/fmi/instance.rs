@@ -160,17 +160,16 @@ impl Instance {
             return Err(CallError::error(format!("FMUstate is that of another unit with the GUID {other}, this one has {own}.")));
         }
         self.change().clone_from(snapshot);
-        if self.now.may_fail_midway() {
-            // Allocates for this scene: the earlier one may have been of another kind.
-            self.before.clone_from(&self.now.scene);
-        }
+        self.prepare_to_go_back();
         Ok(())
     }
 
-    /// Allocates the rollback copy for a step that may fail midway: the step itself allocates nothing.
+    /// Allocates the rollback copy for steps that may fail midway: neither they nor the calls that tune parameters allocate anything.
     fn prepare_to_go_back(&mut self) {
-        if let (Some(scene), None, true) = (&self.now.scene, &self.before, self.now.may_fail_midway()) {
-            self.before = Some(scene.clone());
+        let [before, now] = [&self.before, &self.now.scene].map(|scene| scene.as_ref().map(std::mem::discriminant));
+        // An estimator has parts of its own that depend on the scene.
+        if before != now || self.now.may_fail_midway() {
+            self.before.clone_from(&self.now.scene);
         }
     }
 
@@ -219,7 +218,6 @@ impl Instance {
                 now.set(variable, value);
             }
         }
-        self.prepare_to_go_back();
         Ok(())
     }
 

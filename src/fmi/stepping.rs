@@ -28,10 +28,8 @@ impl Instance {
         let restarted_before = scene.following().is_some_and(|following| following.estimator().has_restarted());
         let discarded = |failure| discarded(failure, point, size);
         if may_fail_midway {
-            match before {
-                Some(before) => before.clone_from(scene),
-                None => *before = Some(scene.clone()),
-            }
+            let Some(before) = before else { unreachable!("initialisation has made the rollback copy") };
+            before.clone_from(scene);
         }
         let taken = match scene {
             Scene::Ready(simulation) => {
