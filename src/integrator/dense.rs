@@ -74,7 +74,7 @@ impl Horizon {
 pub struct DenseStep<const N: usize, const M: usize, K> {
     /// State at the beginning of the step: the last accepted state that time has passed.
     start: State<N, M>,
-    /// State at the end of the step. After Tsit5 it lacks q̈, λ and power, which are evaluated when needed.
+    /// State at the end of the step. If the scheme does not evaluate it, it lacks q̈, λ and power until they are needed.
     end: State<N, M>,
     /// Length of the step, s.
     length: f64,
@@ -84,7 +84,7 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     elapsed: f64,
     /// Scheme of the step.
     scheme: Scheme,
-    /// Higher coefficients of the interpolant; 0 if no interpolant was needed.
+    /// Higher coefficients of the polynomials; 0 if no interpolant was needed.
     dense: [StageDerivative<N>; 4],
     /// Whether the step is a straight motion through a vertex; then nothing is projected.
     is_linear: bool,
@@ -132,7 +132,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             length: 0.0,
             truncated_from: 0.0,
             elapsed: 0.0,
-            scheme: Scheme::Dop853,
+            scheme: Scheme::GENERAL,
             dense: [StageDerivative::NONE; 4],
             is_linear: false,
             mode,

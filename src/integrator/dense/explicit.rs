@@ -214,7 +214,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Explicit<T, N> {
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let Stages { slopes, q, .. } = &self.stages;
         let [before, stage] = [&slopes[T::STAGES - 2], &slopes[T::STAGES - 1]];
-        rate_between(if const { T::SCHEME.evaluates_end() } {
+        rate_between(if const { T::SCHEME.properties().evaluates_end } {
             [end.q - *q - self.last[1], end.v - stage.q, end.a - stage.v]
         } else {
             [self.last[1] - self.last[0], stage.q - before.q, stage.v - before.v]

@@ -5,8 +5,9 @@
 //! Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31, 1989). The defect, integrated up to
 //! the event, is judged like the error of a step.
 
+use super::scheme::Polynomials;
 use super::trial::{ErrorWeights, StageDerivative, StepResult, project};
-use super::{DenseStep, Scheme, Settings};
+use super::{DenseStep, Settings};
 use crate::integrator::dense_output::{Interpolant, max_magnitude};
 use crate::integrator::events::separation_loss;
 use crate::integrator::locator::{EventWindow, Path};
@@ -55,7 +56,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 configuration_signs: end.configuration_signs,
             };
         }
-        let ([q, v], work) = self.shown(system, settings).interpolated(&*system.on(self.mode), settings);
+        let (shown, polynomials) = self.shown(system, settings);
+        let ([q, v], work) = shown.interpolated(polynomials, &*system.on(self.mode), settings);
         let (mut on_q, mut on_v, mut pose) = (q, v, system.pose(&q));
         let projected = if self.is_linear {
             None
@@ -68,14 +70,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// The step with the dense output that the caller sees: its own or, if that contradicts itself, the quintic of both ends.
-    fn shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> Self {
+    fn shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> (Self, Polynomials) {
         if !system.features().stiff || self.is_linear || self.interpolant_is_consistent(settings) {
-            return *self;
+            return (*self, self.polynomials());
         }
         let (Self { start, end, .. }, h) = (self, self.length);
         let positions = Interpolant::between([[start.q, start.v, start.a], [end.q, end.v, end.a]], h);
-        // Rodas5P stands for any scheme with one polynomial for coordinates and rates.
-        Self { dense: StageDerivative::of_positions(positions), scheme: Scheme::Rodas5p, ..*self }
+        (Self { dense: StageDerivative::of_positions(positions), ..*self }, Polynomials::OfCoordinates)
     }
 
     /// Writes the parts of a sample that do not depend on the coordinates into a state, which may have other coordinates.
@@ -93,10 +94,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Interpolant at the present time, not projected, and the work.
-    fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
+    fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(
+        &self,
+        polynomials: Polynomials,
+        system: &S,
+        settings: &Settings,
+    ) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
-        let [q, v] = self.interpolated_state(part);
+        let [q, v] = self.interpolated_state(polynomials, part);
         let work = if system.features().work {
             let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
             // The loss of separated springs is known at every state.
@@ -107,7 +113,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 lost = separation_loss(system, &from, [&q, &v]);
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
-            if self.scheme != Scheme::Dop853 && !self.is_linear {
+            if !polynomials.include_work() && !self.is_linear {
                 higher[0] = work_coefficient(system, [start, &end], *length, &self.positions()).pair();
             }
             let mut work = work_until(&work_interpolant([start, &end], *length, higher), part);
@@ -120,16 +126,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Interpolated q and q̇ at a fraction of the step.
-    pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
+    fn interpolated_state(&self, polynomials: Polynomials, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
-        let v = match self.scheme {
-            _ if self.is_linear => start.v + part * (end.v - start.v),
-            Scheme::Dop853 => self.velocities().at(part),
-            // One polynomial serves coordinates and rates.
-            Scheme::Tsit5 | Scheme::Rodas4 | Scheme::Rodas5p => (1.0 / self.length) * self.positions().rate_at(part),
+        let v = if self.is_linear {
+            start.v + part * (end.v - start.v)
+        } else if polynomials.differentiate() {
+            (1.0 / self.length) * self.positions().rate_at(part)
+        } else {
+            self.velocities().at(part)
         };
         [q, v]
+    }
+
+    /// Polynomials of the step's dense output.
+    fn polynomials(&self) -> Polynomials {
+        self.scheme.properties().polynomials
     }
 
     pub(super) fn positions(&self) -> Interpolant<N> {
@@ -143,9 +155,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the rates of the interpolant are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`]. Stages may miss a
-    /// force that the additional stages of the dense output meet. Schemes with one polynomial for both are always consistent.
+    /// force that the additional stages of the dense output meet. One polynomial for both is always consistent.
     pub(super) fn interpolant_is_consistent(&self, settings: &Settings) -> bool {
-        if self.scheme != Scheme::Dop853 {
+        if self.polynomials().differentiate() {
             return true;
         }
         let (positions, velocities) = (self.positions(), self.velocities());
@@ -174,7 +186,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         const ROUND_OFF: f64 = 4.0 * f64::EPSILON;
         let Self { start, end, length, .. } = self;
         let mut displacement = end.q - start.q;
-        if self.scheme == Scheme::Dop853 {
+        if !self.polynomials().differentiate() {
             let velocities = self.velocities();
             let integrated = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
             let is_round_off = |i: usize| (integrated[i] - displacement[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
@@ -191,11 +203,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     where
         S: Mechanics<N, M, Mode = K>,
     {
-        if self.scheme != Scheme::Dop853 || !system.can_project(&self.start.q) {
+        if !self.polynomials().can_be_truncated() || !system.can_project(&self.start.q) {
             return false;
         }
         for _ in 0..MOST_CORRECTIONS {
-            let [mut q, mut v] = self.interpolated_state(when / self.length);
+            let [mut q, mut v] = self.interpolated_state(self.polynomials(), when / self.length);
             let mut pose = system.pose(&q);
             let Ok((iterations, mass)) = project(settings, system, None, &mut pose, [&mut q, &mut v]) else { return false };
             // The interpolant's acceleration suffices, because only the remaining correction uses it.
@@ -241,7 +253,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         gained.dissipated -= self.start.work.dissipated;
         let tried = self.length;
         self.reset_to_start();
-        self.accept(&StepResult { iterations, end_state, work: gained }, when, Scheme::Dop853);
+        self.accept(&StepResult { iterations, end_state, work: gained }, when, self.scheme);
         self.dense = std::array::from_fn(|k| StageDerivative { q: q[k], v: v[k], power: Work::of_pair(w[k]) });
         self.truncated_from = tried;
         true

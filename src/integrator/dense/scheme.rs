@@ -12,48 +12,152 @@ use super::{DenseStep, Settings};
 use crate::integrator::System;
 use crate::integrator::controller::StepSizeController;
 
-/// Scheme of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Scheme {
-    /// DOP853: explicit, of order 8.
-    Dop853,
-    /// Tsit5: explicit, of order 5.
-    Tsit5,
-    /// Rodas4: linearly implicit, of order 4.
-    Rodas4,
-    /// Rodas5P: linearly implicit, of order 5.
-    Rodas5p,
+/// The schemes, a row each.
+macro_rules! schemes {
+    ($($(#[$doc:meta])* $name:ident: $properties:expr,)*) => {
+        /// Scheme of a step.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+        pub enum Scheme {
+            $($(#[$doc])* $name,)*
+        }
+
+        impl Scheme {
+            /// All schemes.
+            pub const LIST: &[Self] = &[$(Self::$name),*];
+
+            /// Properties of the scheme.
+            #[inline(always)]
+            pub(super) const fn properties(self) -> Properties {
+                match self {
+                    $(Self::$name => $properties,)*
+                }
+            }
+        }
+    };
+}
+
+schemes! {
+    /// DOP853: explicit, of order 8. With memory and a growth limit of 3 it has a quarter of the rejections of the classical controller.
+    Dop853: Properties {
+        order: 8,
+        is_implicit: false,
+        evaluates_end: true,
+        polynomials: Polynomials::OfEach,
+        memory: 0.02,
+        accepted: [0.3, 3.0],
+        rejected: [0.3, 0.85],
+        failed: 0.3,
+    },
+    /// Tsit5: explicit, of order 5. Inputs are expected to change at its ends.
+    Tsit5: Properties {
+        order: 5,
+        is_implicit: false,
+        evaluates_end: false,
+        polynomials: Polynomials::OfCoordinates,
+        memory: 0.04,
+        accepted: [0.3, 5.0],
+        rejected: [0.2, 0.85],
+        failed: 0.3,
+    },
+    /// Rodas4: linearly implicit, of order 4, with the controller of its authors' code.
+    Rodas4: Properties {
+        order: 4,
+        is_implicit: true,
+        evaluates_end: true,
+        polynomials: Polynomials::OfCoordinates,
+        memory: 0.04,
+        accepted: [0.2, 5.0],
+        rejected: [0.1, 0.85],
+        failed: 0.2,
+    },
+    /// Rodas5P: linearly implicit, of order 5, with the controller of its authors' code.
+    Rodas5p: Properties {
+        order: 5,
+        is_implicit: true,
+        evaluates_end: true,
+        polynomials: Polynomials::OfCoordinates,
+        memory: 0.04,
+        accepted: [0.2, 5.0],
+        rejected: [0.1, 0.85],
+        failed: 0.2,
+    },
+}
+
+/// How a scheme treats its steps.
+pub(super) struct Properties {
+    /// Order p: the local error falls with the power p + 1 of the step length.
+    order: u8,
+    /// Whether steps are linearly implicit: they need the tangents at their beginning.
+    pub(super) is_implicit: bool,
+    /// Whether forces are evaluated at the projected end of the step, which begins the next step. Otherwise q̈, λ and power are evaluated
+    /// when they are needed, which saves an evaluation if inputs change there.
+    pub(super) evaluates_end: bool,
+    /// Polynomials of the dense output.
+    pub(super) polynomials: Polynomials,
+    /// Exponent of the error before the last one in the step-size controller.
+    memory: f64,
+    /// Bounds on the factor after an accepted step.
+    accepted: [f64; 2],
+    /// Bounds on the factor after a rejected step.
+    rejected: [f64; 2],
+    /// Factor after a step without an error estimate.
+    failed: f64,
+}
+
+impl Properties {
+    /// Step-size controller.
+    #[inline(always)]
+    pub(super) const fn controller(&self) -> StepSizeController {
+        let &Self { order, memory, accepted, rejected, failed, .. } = self;
+        StepSizeController { exponent: 1.0 / order as f64 - 0.75 * memory, memory, accepted, rejected, failed }
+    }
+}
+
+/// Polynomials of a dense output.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Polynomials {
+    /// One for the coordinates.
+    OfCoordinates,
+    /// One each for coordinates, rates and work, from the stages.
+    OfEach,
+}
+
+impl Polynomials {
+    /// Whether the rates are the derivative of the coordinates' polynomial. Otherwise the two may contradict each other.
+    pub(super) const fn differentiate(self) -> bool {
+        matches!(self, Self::OfCoordinates)
+    }
+
+    /// Whether there is a polynomial of the work. Otherwise its coefficient is computed from forces when the work is read.
+    pub(super) const fn include_work(self) -> bool {
+        matches!(self, Self::OfEach)
+    }
+
+    /// Whether the part of a step before an event can become the step. The defects that judge it compare the polynomials of rates and work
+    /// with forces.
+    pub(super) const fn can_be_truncated(self) -> bool {
+        matches!(self, Self::OfEach)
+    }
 }
 
 impl Scheme {
-    /// Whether steps are linearly implicit.
-    pub(super) const fn is_implicit(self) -> bool {
-        matches!(self, Self::Rodas4 | Self::Rodas5p)
-    }
+    /// Scheme that every step can be made by: explicit, and its step can be truncated. It makes steps near vertices, where round-off dominates
+    /// tangents, with friction that may stick, and instead of an implicit step that cannot begin.
+    pub(super) const GENERAL: Self = Self::Dop853;
+    /// Scheme of the automatic choice while inputs are held for no longer than its step. The memory holds the length of its next step apart
+    /// from that of the other schemes.
+    pub(super) const BRIEF: Self = Self::Tsit5;
 
-    /// Whether forces are evaluated at the projected end of the step, which begins the next step. Tsit5 does not, because inputs are
-    /// expected to change there.
-    pub(super) const fn evaluates_end(self) -> bool {
-        !matches!(self, Self::Tsit5)
-    }
-
-    /// Step-size controller. The implicit schemes use the controller of their authors' codes. With memory and a growth limit of 3, DOP853
-    /// has a quarter of the rejections of the classical controller.
-    pub(super) const fn controller(self) -> StepSizeController {
-        let (order, memory, accepted, rejected, failed) = match self {
-            Self::Dop853 => (8.0, 0.02, [0.3, 3.0], [0.3, 0.85], 0.3),
-            Self::Tsit5 => (5.0, 0.04, [0.3, 5.0], [0.2, 0.85], 0.3),
-            Self::Rodas4 => (4.0, 0.04, [0.2, 5.0], [0.1, 0.85], 0.2),
-            Self::Rodas5p => (5.0, 0.04, [0.2, 5.0], [0.1, 0.85], 0.2),
-        };
-        StepSizeController { exponent: 1.0 / order - 0.75 * memory, memory, accepted, rejected, failed }
+    /// Order p: the local error falls with the power p + 1 of the step length.
+    pub fn order(self) -> u8 {
+        self.properties().order
     }
 }
 
 /// Schemes that a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Schemes {
-    /// One scheme; DOP853 replaces an implicit step that cannot begin.
+    /// One scheme, or [`Scheme::GENERAL`] for steps that it cannot make.
     Only(Scheme),
     /// Automatic choice of the cheapest scheme.
     Automatic,
@@ -62,8 +166,9 @@ pub enum Schemes {
 /// Error tolerance, rad, above which Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
 const RODAS4_TOLERANCE: f64 = 1e-5;
 
-/// Growth of the assumed Tsit5 step after each DOP853 step with frequent input changes, so that Tsit5 is tried again.
-const TSIT5_GROWTH: f64 = 1.05;
+/// Growth of the assumed step of [`Scheme::BRIEF`] after each step of [`Scheme::GENERAL`] with frequent input changes, so that the former is
+/// tried again.
+const BRIEF_STEP_GROWTH: f64 = 1.05;
 
 /// Number of explicit steps at the stability limit that switch to implicit steps; each return doubles it.
 const STEPS_AT_LIMIT: u8 = 3;
@@ -97,8 +202,8 @@ pub(super) struct StiffnessSwitch {
     /// Minus the length of the explicit step at the switch to implicit steps, s. After the first implicit step: the product of this length
     /// and the fastest rate of the tangents.
     stability_limit: f64,
-    /// Length of the next Tsit5 step, s.
-    pub(super) tsit5_step: f64,
+    /// Length of the next step of [`Scheme::BRIEF`], s; infinite if none has been made.
+    pub(super) brief_step: f64,
 }
 
 /// An accepted step, as input of a [`StiffnessSwitch`].
@@ -125,8 +230,8 @@ impl Schemes {
     /// Whether a run with these schemes may use the given scheme for a step.
     pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
-            Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
-            Self::Automatic => matches!(scheme, Scheme::Dop853 | Scheme::Tsit5) || scheme == Self::stiff(error_tolerance),
+            Self::Only(only) => scheme == only || scheme == Scheme::GENERAL,
+            Self::Automatic => [Scheme::GENERAL, Scheme::BRIEF, Self::stiff(error_tolerance)].contains(&scheme),
         }
     }
 
@@ -135,8 +240,8 @@ impl Schemes {
         match self {
             Self::Only(scheme) => scheme,
             Self::Automatic if stiffness_switch.stiff => Self::stiff(error_tolerance),
-            Self::Automatic if limit <= stiffness_switch.tsit5_step && limit.is_finite() => Scheme::Tsit5,
-            Self::Automatic => Scheme::Dop853,
+            Self::Automatic if limit <= stiffness_switch.brief_step && limit.is_finite() => Scheme::BRIEF,
+            Self::Automatic => Scheme::GENERAL,
         }
     }
 }
@@ -144,7 +249,7 @@ impl Schemes {
 impl StiffnessSwitch {
     /// Initial state, without observations.
     pub(super) const NEW: Self =
-        Self { stiff: false, contrary_steps: 0, explicit_steps: 0, returns: 0, stability_limit: 0.0, tsit5_step: f64::INFINITY };
+        Self { stiff: false, contrary_steps: 0, explicit_steps: 0, returns: 0, stability_limit: 0.0, brief_step: f64::INFINITY };
 
     /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate, 1/s.
     pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
@@ -169,12 +274,13 @@ impl StiffnessSwitch {
 
     /// Updates the switch from an accepted step.
     pub(super) fn learn(&mut self, seen: &AcceptedStep) {
-        match seen.scheme {
-            Scheme::Dop853 | Scheme::Tsit5 => self.learn_from_explicit(seen),
-            Scheme::Rodas4 | Scheme::Rodas5p => self.learn_from_implicit(seen),
+        if seen.scheme.properties().is_implicit {
+            self.learn_from_implicit(seen);
+        } else {
+            self.learn_from_explicit(seen);
         }
-        if seen.scheme == Scheme::Dop853 && seen.limit.is_finite() {
-            self.tsit5_step *= TSIT5_GROWTH;
+        if seen.scheme == Scheme::GENERAL && seen.limit.is_finite() {
+            self.brief_step *= BRIEF_STEP_GROWTH;
         }
     }
 
@@ -196,7 +302,7 @@ impl StiffnessSwitch {
         let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.stability_limit;
         self.contrary_steps = if could_be_explicit { self.contrary_steps + 1 } else { 0 };
         if self.contrary_steps >= STEPS_BELOW_LIMIT << self.returns {
-            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), tsit5_step: self.tsit5_step, ..Self::NEW };
+            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), brief_step: self.brief_step, ..Self::NEW };
         }
     }
 
@@ -220,7 +326,7 @@ impl StiffnessSwitch {
             && self.contrary_steps < most
             && count_is_possible
             && limit_is_possible
-            && self.tsit5_step > 0.0
+            && self.brief_step > 0.0
     }
 }
 

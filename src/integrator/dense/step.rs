@@ -76,22 +76,17 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         let sticks = system.features().may_stick;
         let longest = self.longest().min(near.map_or(f64::INFINITY, |limits| limits.longest)).min(lasting);
         let longest = if sticks { longest.min(self.step.longest_at_rest(system, settings, self.pose)) } else { longest };
-        // Steps are explicit, of order 8, if friction may stick, and near a vertex, because round-off dominates tangents there.
         let stiffness_switch = &self.step.memory.stiffness_switch;
         let scheme = if sticks || self.energy.is_some() {
-            Scheme::Dop853
+            Scheme::GENERAL
         } else {
             settings.schemes.next(stiffness_switch, settings.error_tolerance, horizon.limit)
         };
-        self.wanted = match scheme {
-            Scheme::Tsit5 if stiffness_switch.tsit5_step.is_finite() => stiffness_switch.tsit5_step,
-            Scheme::Tsit5 => settings.first_step,
-            _ if self.step.start.substep.is_finite() => self.step.start.substep,
-            _ => settings.first_step,
-        };
-        self.linearization =
-            if scheme.is_implicit() { Linearization::about(system, settings, (&self.step.start, self.pose)) } else { None };
-        self.scheme = if scheme.is_implicit() && self.linearization.is_none() { Scheme::Dop853 } else { scheme };
+        let wanted = if scheme == Scheme::BRIEF { stiffness_switch.brief_step } else { self.step.start.substep };
+        self.wanted = if wanted.is_finite() { wanted } else { settings.first_step };
+        let is_implicit = scheme.properties().is_implicit;
+        self.linearization = if is_implicit { Linearization::about(system, settings, (&self.step.start, self.pose)) } else { None };
+        self.scheme = if is_implicit && self.linearization.is_none() { Scheme::GENERAL } else { scheme };
         self.wanted.min(longest)
     }
 
@@ -107,7 +102,10 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
                 self.judge(trial, system, trials, from)
             }
             (Scheme::Tsit5, _) => self.judge(Explicit::<Tsit5, N>::new(start, h), system, trials, from),
-            _ => self.judge(Explicit::<Dop853, N>::new(start, h), system, trials, from),
+            // An implicit step cannot begin without tangents; `plan` has replaced its scheme.
+            (Scheme::Dop853, _) | (Scheme::Rodas4 | Scheme::Rodas5p, None) => {
+                self.judge(Explicit::<Dop853, N>::new(start, h), system, trials, from)
+            }
         })
     }
 
@@ -119,8 +117,9 @@ impl<S: Mechanics<N, M>, const N: usize, const M: usize> Method<N, M, S> for Att
         if h < SHORTEST {
             return Err(StepError::StepTooShort { substep: h, error: error * self.settings.error_tolerance });
         }
-        let before = rejected.filter(|[_, worst]| self.scheme.is_implicit() && worst.is_finite() && error > 1.0);
-        Ok(h * self.scheme.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
+        let properties = self.scheme.properties();
+        let before = rejected.filter(|[_, worst]| properties.is_implicit && worst.is_finite() && error > 1.0);
+        Ok(h * properties.controller().reduction_after(error, before.map(|[length, worst]| [length / h, worst / error])))
     }
 }
 
@@ -189,7 +188,11 @@ impl<'a, S: Mechanics<N, M>, const N: usize, const M: usize> Attempt<'a, S, N, M
                 limit: horizon.limit,
                 stiff_forces: features.stiff,
             });
-        } else if !chooses && !is_truncated && step.memory.stiffness.is_due(step.end.counters.substeps) {
+        } else if const { !T::SCHEME.properties().is_implicit }
+            && !chooses
+            && !is_truncated
+            && step.memory.stiffness.is_due(step.end.counters.substeps)
+        {
             step.memory.stiffness.check(h * trial.fastest_rate(&step.end));
         }
         Outcome::Accepted
@@ -214,7 +217,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.begin(system, settings, pose);
-        let (wanted, scheme) = (settings.first_step, Scheme::Dop853);
+        let (wanted, scheme) = (settings.first_step, Scheme::GENERAL);
         let mut attempt = Attempt { step: self, settings, pose, horizon, wanted, energy: None, scheme, linearization: None };
         let tolerance = settings.error_tolerance;
         let limits = Limits {
@@ -246,7 +249,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Whether the forces at the end of the step have not been evaluated yet.
     fn end_is_unevaluated(&self) -> bool {
-        !self.scheme.evaluates_end() && self.length > 0.0 && !self.is_linear
+        !self.scheme.properties().evaluates_end && self.length > 0.0 && !self.is_linear
     }
 
     /// State at the end of the step with q̈, λ and power; `system` is in the mode of the step.
@@ -284,7 +287,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // A rejected step is as long as its error allows; it is not cut short.
         let wanted = if rejected { h } else { wanted };
         let cut_short = is_cut_short(h, wanted);
-        let controller = const { T::SCHEME.controller() };
+        let controller = const { T::SCHEME.properties().controller() };
         let next = if cut_short && controller.longest_after(h) <= wanted {
             // Frequent input changes end a step so early that its error carries no information.
             wanted
@@ -301,7 +304,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Length of the next step of scheme `T`, s.
     fn next_length<T: Trial<N>>(&mut self) -> &mut f64 {
-        if T::SCHEME == Scheme::Tsit5 { &mut self.memory.stiffness_switch.tsit5_step } else { &mut self.end.substep }
+        if T::SCHEME == Scheme::BRIEF { &mut self.memory.stiffness_switch.brief_step } else { &mut self.end.substep }
     }
 
     /// Sets the mode of the step. If it changes, forces and accelerations are evaluated again.

@@ -58,7 +58,7 @@ pub(super) trait Trial<const N: usize>: Sized {
         if let Some((energy, h)) = &energy_target {
             v = system.energy_scale(energy, &q, &v, *h).ok()? * v;
         }
-        let end_state = match const { Self::SCHEME.evaluates_end() } {
+        let end_state = match const { Self::SCHEME.properties().evaluates_end } {
             true => StepEnd::in_balance(system, [q, v], &pose, &mass),
             false => StepEnd::without_balance(system, [q, v], &pose),
         };
