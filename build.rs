@@ -66,16 +66,21 @@ fn constants(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(code, "/// Number of event indicators.\npub const EVENT_INDICATORS: usize = {};", description.event_indicators)?;
     let variants = description.categories.iter().map(|category| (category.description.clone(), camel(&category.name)));
     rust_enum(code, "The declared log categories", "Category", variants)?;
-    writeln!(code, "\nimpl Category {{\n    /// All categories, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
-    for category in &description.categories {
-        writeln!(code, "        Self::{},", camel(&category.name))?;
+    list(code, "Category", description.categories.iter().map(|category| category.name.as_str()))
+}
+
+/// List and names of an enum's variants.
+fn list<'a>(code: &mut String, name: &str, items: impl Iterator<Item = &'a str> + Clone) -> Written {
+    writeln!(code, "\nimpl {name} {{\n    /// All variants, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
+    for item in items.clone() {
+        writeln!(code, "        Self::{},", camel(item))?;
     }
     writeln!(
         code,
-        "    ];\n\n    /// Name of the category in calls and log lines.\n    pub fn name(self) -> &'static str {{\n        match self {{"
+        "    ];\n\n    /// Name in the XML, in calls and in log lines.\n    pub fn name(self) -> &'static str {{\n        match self {{"
     )?;
-    for category in &description.categories {
-        writeln!(code, "            Self::{} => {:?},", camel(&category.name), category.name)?;
+    for item in items {
+        writeln!(code, "            Self::{} => {item:?},", camel(item))?;
     }
     writeln!(code, "        }}\n    }}\n}}")
 }
@@ -95,6 +100,7 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
             writeln!(code, "        Item {{ name: {:?}, value: {} }},", item.name, item.value)?;
         }
         writeln!(code, "    ];\n}}")?;
+        list(code, name, enumeration.items.iter().map(|item| item.name.as_str()))?;
     }
     Ok(())
 }
@@ -300,7 +306,7 @@ fn bounds(description: &ModelDescription, code: &mut String) -> Written {
 
 /// Enums of the library that correspond to enumeration types.
 const CHOICES: [(&str, &str); 6] = [
-    ("Method", "crate::simulation::Method"),
+    ("Method", "crate::variables::Method"),
     ("Join", "crate::effects::payload::Join"),
     ("Assembly", "crate::mechanism::Assembly"),
     ("Law", "crate::effects::Law"),

@@ -10,7 +10,6 @@ use super::snapshot::Scene;
 use super::values::{check_computed, check_finite, check_settable, check_value, find, lookup};
 use super::{CallError, Kind, Snapshot, Stage, computed, following};
 use crate::observers::{Observation, Observed};
-use crate::simulation::{Method, bindings};
 use crate::variables::{FmiType, VARIABLES, Value, Variable};
 
 /// An instance of the FMU.
@@ -121,11 +120,12 @@ impl Instance {
                 Kind::ModelExchange => format!("ready: {kind}, effects: {effects}"),
                 Kind::CoSimulation => format!(
                     "ready: method {}, h = {:?} s, {}, effects: {effects}",
-                    bindings::method_name(settings.method),
+                    settings.method.name(),
                     settings.step_size,
-                    match settings.method {
-                        Method::I3alp => format!("adaptive {}", settings.adaptive),
-                        _ => "solver.adaptive is not used".to_owned(),
+                    if settings.method.uses_adaptive() {
+                        format!("adaptive {}", settings.adaptive)
+                    } else {
+                        "solver.adaptive is not used".to_owned()
                     },
                 ),
             }

@@ -6,7 +6,7 @@ use super::messages::Status;
 use super::snapshot::Scene;
 use super::{CallError, Instance, Snapshot, Stage};
 use crate::integrator::CONFIGURATION_SIGNS;
-use crate::simulation::{Settings, StepFailure, bindings};
+use crate::simulation::{Settings, StepFailure};
 
 impl Instance {
     /// fmi2DoStep from `point`, s, by `size`, s. Refuses a point or size as [`Clock::plan`](super::clock::Clock::plan) does, inputs that
@@ -97,8 +97,9 @@ impl Instance {
             self.now.warned.stiffness = true;
             self.log.push(Status::Warning, || {
                 format!(
-                    "at {time:?} s: the steps of solver.method dop853 are limited by stability, not by accuracy: the loads are stiff; \
-                     automatic takes longer steps."
+                    "at {time:?} s: the steps of solver.method {} are limited by stability, not by accuracy: the loads are stiff; \
+                     automatic takes longer steps.",
+                    simulation.parameters().settings.method.name()
                 )
             });
         }
@@ -109,7 +110,7 @@ impl Instance {
                 format!(
                     "at {time:?} s: a step of solver.method {} failed its checks: it changed the energy by 1 % without a force, or a \
                      determinant's sign away from its singularity. solver.stepSize = {step_size:?} s is too long for this motion.",
-                    bindings::method_name(method)
+                    method.name()
                 )
             });
         }

@@ -3,11 +3,11 @@
 //! For each struct `build.rs` makes a function from a variable to the field with its name: a variable without a field does not compile.
 //! `src/fmi/computed.rs` has the other computed variables.
 
-use super::{Inputs, Method, Parameters};
+use super::{Inputs, Parameters};
 use crate::estimator::Measured;
 use crate::integrator::Counters;
 use crate::mechanism::SceneError;
-use crate::variables::{self, Input, IntegerComputed, Parameter, Sample, VARIABLES, Value, Variable, VariableId};
+use crate::variables::{Input, IntegerComputed, Parameter, Sample, VARIABLES, Value, Variable, VariableId};
 
 include!(concat!(env!("OUT_DIR"), "/bindings.rs"));
 
@@ -53,12 +53,6 @@ impl Field for u32 {
         let Value::Integer(value) = value else { return false };
         u32::try_from(value).map(|value| *self = value).is_ok()
     }
-}
-
-/// Name of a method in the XML.
-pub(crate) fn method_name(method: Method) -> &'static str {
-    let mut items = variables::Method::ITEMS.iter();
-    items.find(|item| Value::Integer(item.value) == method.value()).map_or("", |item| item.name)
 }
 
 /// Writes a parameter or input; returns false if the value has another type or the variable is neither.
@@ -114,7 +108,7 @@ fn start(field: &mut dyn Field, variable: &Variable) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::variables::FmiType;
+    use crate::variables::{FmiType, Method};
 
     fn read(parameters: &Parameters, inputs: &Inputs, variable: &Variable) -> Option<Value> {
         match variable.id {

@@ -9,11 +9,49 @@ use super::state::Core;
 use crate::hybrid::Mode;
 use crate::integrator::checks::count_breaches;
 use crate::integrator::dense::{Scheme, Schemes};
-use crate::integrator::{Implicit, StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
+use crate::integrator::{Bounds, Implicit, StepError, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-/// Method with steps that end with the macro step, and its settings.
+/// How a method treats its steps.
+#[derive(Clone, Copy, Debug)]
+pub struct Properties {
+    /// Length of the steps.
+    pub steps: Steps,
+    /// Tolerances of the constraints that the method keeps, relative. `None` if it keeps them to `solver.tolerance`, or to round-off.
+    pub(super) constraints: Option<Bounds>,
+}
+
+/// Length of a method's steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Steps {
+    /// The macro step.
+    Fixed,
+    /// With `solver.adaptive` as the error allows, within the macro step; otherwise the macro step.
+    Adaptive,
+    /// As the error allows, past macro steps: the state there is interpolated.
+    Dense,
+}
+
+impl Method {
+    /// Properties of the method.
+    pub const fn properties(self) -> Properties {
+        match self {
+            Self::I3alp => Properties { steps: Steps::Adaptive, constraints: None },
+            // Its Newton iteration stops at 1e-8, and its finite penalty leaves a sixth of the rates in short steps.
+            Self::I3alpPrinted => Properties { steps: Steps::Fixed, constraints: Some(Bounds { position: 1e-7, velocity: 0.5 }) },
+            Self::Rk4 | Self::I3alpConserving => Properties { steps: Steps::Fixed, constraints: None },
+            Self::Dop853 | Self::Automatic => Properties { steps: Steps::Dense, constraints: None },
+        }
+    }
+
+    /// Whether `solver.adaptive` is used.
+    pub(crate) fn uses_adaptive(self) -> bool {
+        self.properties().steps == Steps::Adaptive
+    }
+}
+
+/// Method whose steps end with the macro step, with its settings.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub enum MacroStepMethod {
     /// Index-3 augmented Lagrangian with projections in dual form, the default.

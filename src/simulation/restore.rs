@@ -4,18 +4,16 @@ use super::angles::AngleSystem;
 use super::five_bar::FiveBar;
 use super::model::Model;
 use super::run::{Integrator, Run};
-use super::{Method, Parameters, Settings};
+use super::{Parameters, Settings};
 use crate::hybrid::{Frictional, StickSlips};
 use crate::integrator::{Bounds, Inconsistency};
 use crate::mechanism::{Coordinates, SceneError};
 
 /// Tolerance of the constraints, relative to the machine's size, unless the solver's tolerance allows more.
 const POSITION_TOLERANCE: f64 = 1e-10;
-/// Tolerance of the constraints for the printed method, relative: its Newton iteration stops at 1e-8.
-const PRINTED_POSITION_TOLERANCE: f64 = 1e-7;
-/// Tolerances of the constraint rates, relative to their largest term. The first is for most methods, also next to a vertex. The second is
-/// for the printed method: its finite penalty leaves a sixth of the largest term in short steps.
-const RATE_TOLERANCES: [f64; 2] = [1e-5, 0.5];
+/// Tolerance of the constraint rates, relative to their largest term, also next to a vertex, unless the solver's tolerance allows more.
+const RATE_TOLERANCE: f64 = 1e-5;
+
 impl Run {
     /// Refuses a run that is inconsistent with this model.
     pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
@@ -53,10 +51,6 @@ pub(super) fn check_stick_slip(
 /// Tolerances within which the method satisfies the constraints.
 fn bounds(settings: &Settings) -> Bounds {
     let allowed = 4.0 * settings.tolerance;
-    match settings.method {
-        Method::I3alpPrinted => Bounds { position: PRINTED_POSITION_TOLERANCE, velocity: RATE_TOLERANCES[1] },
-        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => {
-            Bounds { position: POSITION_TOLERANCE.max(allowed), velocity: RATE_TOLERANCES[0].max(allowed) }
-        }
-    }
+    let usual = Bounds { position: POSITION_TOLERANCE.max(allowed), velocity: RATE_TOLERANCE.max(allowed) };
+    settings.method.properties().constraints.unwrap_or(usual)
 }

@@ -1,24 +1,15 @@
 //! Settings of the solver: the `solver.*` variables, and the friction laws that each method allows.
 
+use super::methods::Steps;
 use crate::effects::{self, Law};
 use crate::mechanism::SceneError;
+pub use crate::variables::Method;
 
-/// Integration method.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Method {
-    /// Index-3 augmented Lagrangian with projections in dual form.
-    #[default]
-    I3alp,
-    /// Index-3 augmented Lagrangian with the parameters and the approximate tangent of the paper.
-    I3alpPrinted,
-    /// Runge–Kutta of order 4 on the index-1 form with projection.
-    Rk4,
-    /// Runge–Kutta of order 8 in the link angles, error-controlled, with dense output.
-    Dop853,
-    /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
-    I3alpConserving,
-    /// Error control: Dop853, a pair of lower order if inputs change often, a Rosenbrock method while loads are stiff.
-    Automatic,
+/// Value before the start value of the XML is written.
+impl Default for Method {
+    fn default() -> Self {
+        Self::I3alp
+    }
 }
 
 /// Settings of the solver: the `solver.*` variables of the same names.
@@ -26,9 +17,9 @@ pub enum Method {
 pub struct Settings {
     /// Integration method.
     pub method: Method,
-    /// Macro step h, s; for [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
+    /// Macro step h, s; of methods with dense output also the first step tried.
     pub step_size: f64,
-    /// Whether macro steps are divided to meet the local error ([`Method::I3alp`] only).
+    /// Whether macro steps are divided where the local error asks ([`Steps::Adaptive`] only).
     pub adaptive: bool,
     /// Local error allowed per sub-step, rad.
     pub error_tolerance: f64,
@@ -60,26 +51,30 @@ pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str
 impl Settings {
     /// Whether the method controls its error, so that its steps may end at events.
     pub(super) fn follows_error(&self) -> bool {
-        match self.method {
-            Method::Dop853 | Method::Automatic => true,
-            Method::I3alp => self.adaptive,
-            Method::I3alpPrinted | Method::Rk4 | Method::I3alpConserving => false,
+        match self.method.properties().steps {
+            Steps::Fixed => false,
+            Steps::Adaptive => self.adaptive,
+            Steps::Dense => true,
         }
     }
 
     /// Refuses stick-slip friction with a method that cannot end its steps at events.
     pub(super) fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
         let Some(name) = sticking_law(effects).filter(|_| !self.follows_error()) else { return Ok(()) };
-        let steps = match self.method {
-            Method::Dop853 | Method::Automatic => return Ok(()),
-            Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
-            Method::I3alpPrinted => "solver.method = i3alpPrinted",
-            Method::Rk4 => "solver.method = rk4",
-            Method::I3alpConserving => "solver.method = i3alpConserving",
-        };
+        let fixed = if self.method.uses_adaptive() { " and solver.adaptive = false" } else { "" };
+        let others: Vec<String> = Method::LIST
+            .iter()
+            .filter_map(|method| match method.properties().steps {
+                Steps::Fixed => None,
+                Steps::Adaptive => Some(format!("{} with solver.adaptive = true", method.name())),
+                Steps::Dense => Some(method.name().to_owned()),
+            })
+            .collect();
         Err(SceneError(format!(
-            "{name} = stick is not allowed with {steps}, whose steps cannot end at stick-slip transitions: it must be smooth, or \
-             solver.method i3alp with solver.adaptive = true, dop853 or automatic."
+            "{name} = stick is not allowed with solver.method = {}{fixed}, whose steps cannot end at stick-slip transitions: it must be \
+             smooth, or solver.method one of {}.",
+            self.method.name(),
+            others.join(", ")
         )))
     }
 }

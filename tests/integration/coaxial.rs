@@ -11,7 +11,7 @@ use fivebar::simulation::{Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::enable;
+use crate::support::{dense_methods, enable};
 
 /// Pairs of links, numbered from 0, that may have equal lengths.
 const PAIRINGS: [[[usize; 2]; 2]; 3] = [[[0, 3], [1, 2]], [[0, 2], [1, 3]], [[0, 1], [3, 2]]];
@@ -211,8 +211,6 @@ enum Kind {
 const KINDS: [Kind; 3] = [Kind::Opposite, Kind::Mirrored, Kind::Equal];
 
 const EFFECTS: [&str; 4] = ["nothing", "contact", "stop", "friction"];
-const METHODS: [Method; 2] = [Method::Dop853, Method::Automatic];
-
 /// Runs one second in calls of 1 ms; returns the largest energy error, J.
 fn largest_energy_error(simulation: &mut Simulation, case: &str) -> f64 {
     (0..1000).fold(0.0, |largest: f64, call| {
@@ -233,7 +231,9 @@ fn random_machines_stay_on_their_branch() {
             for _ in 0..2 {
                 let case = Case::random(&mut random, pairs, kind);
                 let expected = case.expected(1.0);
-                for (effect, method) in EFFECTS.into_iter().flat_map(|effect| METHODS.map(|method| (effect, method))) {
+                for (effect, method) in
+                    EFFECTS.into_iter().flat_map(|effect| dense_methods().into_iter().map(move |method| (effect, method)))
+                {
                     let name = format!("{kind:?}, {pairs:?}, {effect}, {method:?}");
                     let mut simulation = case.simulation(method, 3e-9, effect);
                     let energy = largest_energy_error(&mut simulation, &name);
@@ -264,7 +264,9 @@ fn a_kite_stays_a_kite() {
     kite.start.theta = [2.2, 0.9];
     let mut ends = [[0.0; 4]; 2];
     for (tolerance, end) in [3e-9, 1e-11].into_iter().zip(&mut ends) {
-        for (effect, method) in EFFECTS.into_iter().flat_map(|effect| METHODS.map(|method| (effect, method))) {
+        for (effect, method) in
+            EFFECTS.into_iter().flat_map(|effect| dense_methods().into_iter().map(move |method| (effect, method)))
+        {
             let mut parameters = kite.clone();
             (parameters.settings.method, parameters.settings.error_tolerance) = (method, tolerance);
             switch_on(&mut parameters, effect);

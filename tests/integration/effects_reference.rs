@@ -5,7 +5,7 @@ use fivebar::variables::Method;
 use scenes::{Scene, Value, Variable};
 
 use crate::fmi_host::{Host, reference};
-use crate::support::Reference;
+use crate::support::{Reference, methods_with_events};
 
 /// Largest errors of tip and angles, and of rates, over all rows of the reference. Changing inputs are set at each communication point and
 /// stay constant until the next.
@@ -76,7 +76,7 @@ fn work_adds_up_where_forces_have_kinks() {
     let smooth = ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"];
     let others = ["friction_fall_stick", "haptic_stick", "run_down_stick", "stick_slip", "pick_and_place", "pick_up"];
     for scene in smooth.into_iter().chain(others) {
-        for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
+        for method in methods_with_events() {
             let [_, _, energy] = errors_and_energy(scene, method, &[]);
             assert!(energy < 1e-6, "{scene}, {method:?}: {energy:e} J");
         }
@@ -87,7 +87,7 @@ fn work_adds_up_where_forces_have_kinks() {
 #[test]
 fn work_adds_up_at_a_tight_tolerance() {
     for scene in ["bounce", "haptic", "servo_step", "pick_up"] {
-        for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
+        for method in methods_with_events() {
             let [_, _, energy] = errors_and_energy(scene, method, &[("solver.errorTolerance", 1e-12)]);
             assert!(energy < 1e-9, "{scene}, {method:?}: {energy:e} J");
         }

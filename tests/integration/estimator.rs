@@ -692,10 +692,9 @@ fn at_rest_the_assembly_is_doubted() {
 /// All methods and readings, with and without samples: n steps in one call equal n calls of one step, to the bit.
 #[test]
 fn grouping_does_not_matter() {
-    let methods = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving, Method::Automatic];
     // White noise, quantisation intervals, one of each; not all with all, which would take long.
     let readings = [([1e-3; 2], [0.0; 2]), ([0.0; 2], [1e-3; 2]), ([1e-3, 0.0], [0.0, 1e-3])];
-    for (k, method) in methods.into_iter().enumerate() {
+    for (k, method) in Method::LIST.iter().copied().enumerate() {
         let mut parameters = followed(method);
         enable(&mut parameters, "friction");
         parameters.estimator.forecast = Bands::SigmaPoints;

@@ -6,7 +6,7 @@ use std::ffi::{CStr, CString, c_void};
 use std::ptr::{null, null_mut};
 
 use fivebar::ffi::*;
-use fivebar::variables::{GUID, Variable};
+use fivebar::variables::{GUID, Method, Variable};
 
 /// Start values of an estimator for a machine with exact lengths and encoders.
 pub(super) const EXACT: [(&str, f64); 3] =
@@ -450,6 +450,11 @@ pub(super) fn version_and_platform() -> (String, String) {
     // SAFETY: both strings are static.
     let string = |pointer| unsafe { CStr::from_ptr(pointer) }.to_str().expect("ASCII").to_owned();
     (string(fmi2GetVersion()), string(fmi2GetTypesPlatform()))
+}
+
+/// Numbers of the methods.
+pub(crate) fn methods() -> impl Iterator<Item = i32> {
+    Method::LIST.iter().map(|method| *method as i32)
 }
 
 /// The value reference of a variable.

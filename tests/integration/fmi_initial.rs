@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::fmi_derivatives::{Scene, everything};
-use super::fmi_host::{Host, reference};
+use super::fmi_host::{Host, methods, reference};
 
 /// A scene, its proximal angles and rates, and the number of its method.
 struct Start {
@@ -38,7 +38,7 @@ fn starts() -> Vec<Start> {
         bare([PI, PI, 2.0, 2.0]),
     ];
     let mut random = ChaCha8Rng::seed_from_u64(43);
-    for method in 1..=4 {
+    for method in methods() {
         for (assembly, lower) in [(1, false), (2, true)] {
             let (mut scene, state) = everything(&mut random, assembly);
             // Wide enough for breakaway and ramps to matter at these rates and depths.

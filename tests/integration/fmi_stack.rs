@@ -5,7 +5,8 @@ use std::thread::Builder;
 use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
 
-use crate::fmi_host::{Host, reference};
+use crate::fmi_host::{Host, methods, reference};
+use crate::support::methods_with_events;
 
 /// Stack of a thread that suffices for a plain machine, bytes: within the value in `docs/fmi.md`, including the thread's own use.
 const PLAIN: usize = 48 * 1024;
@@ -77,8 +78,8 @@ const LOADS: [&str; 4] = ["gravity.enabled", "viscous.enabled", "friction.enable
 
 #[test]
 fn a_plain_machine_needs_little() {
-    for method in 1..=6 {
-        // Nearly massless links need the general solve.
+    for method in methods() {
+        // Links next to without inertia take the general solve.
         for (on, inertia) in [(&LOADS[..0], 6.23e-5), (&LOADS[..], 6.23e-5), (&LOADS[..0], 1e-9)] {
             let values = [("link[2].inertia", inertia)];
             let choices = [("solver.method", method)];
@@ -89,18 +90,17 @@ fn a_plain_machine_needs_little() {
 
 #[test]
 fn a_machine_that_sticks_needs_little() {
-    // The methods that can end their steps when friction sticks.
-    for method in [1, 4, 6] {
+    for method in methods_with_events() {
         for inertia in [6.23e-5, 1e-9] {
-            let (choices, values) = ([("solver.method", method), ("friction.law", 2)], [("link[2].inertia", inertia)]);
-            with_stack(PLAIN, format!("method {method}, {inertia}"), move || go(&ready(&choices, &LOADS, &values), false));
+            let (choices, values) = ([("solver.method", method as i32), ("friction.law", 2)], [("link[2].inertia", inertia)]);
+            with_stack(PLAIN, format!("{method:?}, {inertia}"), move || go(&ready(&choices, &LOADS, &values), false));
         }
     }
 }
 
 #[test]
 fn a_machine_that_is_followed_needs_more() {
-    for method in 1..=6 {
+    for method in methods() {
         for learn in [&["estimator.enabled"][..], &["estimator.enabled", "estimator.learn.enabled"]] {
             let choices = [("solver.method", method)];
             with_stack(FOLLOWED, format!("method {method}, {learn:?}"), move || go(&ready(&choices, learn, &START), true));

@@ -5,7 +5,7 @@ use std::ptr::null_mut;
 use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
 
-use crate::fmi_host::{Host, reference};
+use crate::fmi_host::{Host, methods, reference};
 
 /// Every Real that can be read, as bits.
 fn reals(host: &Host) -> Vec<u64> {
@@ -23,8 +23,6 @@ fn seen(host: &Host) -> (Vec<u64>, Vec<i32>, (fmi2Status, f64)) {
     assert_eq!(host.get_integer(&counters, &mut counts), fmi2OK);
     (reals(host), counts.to_vec(), host.real_status(2))
 }
-
-const METHODS: [i32; 5] = [1, 2, 3, 4, 5];
 
 /// A driven scene with effects, ready to step: servos, friction, a payload.
 fn machine(method: i32) -> Host {
@@ -51,7 +49,7 @@ fn steps(host: &Host, from: usize, to: usize) {
 
 #[test]
 fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
-    for method in METHODS {
+    for method in methods() {
         let host = machine(method);
         steps(&host, 0, 10);
         let mut early = host.state();
@@ -122,7 +120,7 @@ fn a_state_holds_what_is_pending() {
 
 #[test]
 fn bytes_bring_a_state_back_bit_for_bit() {
-    for method in METHODS {
+    for method in methods() {
         let host = machine(method);
         steps(&host, 0, 20);
         let mut state = host.state();

@@ -10,7 +10,7 @@ use fivebar::simulation::{Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::{enable, tip, tip_error};
+use crate::support::{dense_methods, enable, methods_with_events, tip, tip_error};
 
 /// A machine with motors 10 cm apart, without gravity.
 fn close_motors(theta: [f64; 2], omega: [f64; 2]) -> Parameters {
@@ -399,7 +399,7 @@ fn no_touch_within_a_step_is_missed() {
             let exact = run(&scene, Method::Dop853, 1e-12, end);
             let exact_free = run(&free, Method::Dop853, 1e-12, end);
             let without = tip_error(&exact_free, tip(&exact));
-            for method in [Method::Dop853, Method::Automatic] {
+            for method in dense_methods() {
                 let unaware = run(&free, method, tolerance, end);
                 // Errors of the motion before the contact at a loose tolerance are not judged.
                 if tip_error(&unaware, tip(&exact_free)) > 0.1 * depth || without < depth {
@@ -475,8 +475,9 @@ fn a_push_that_is_about_to_let_go_is_no_million_events() {
             all[uniform(0.0, all.len() as f64) as usize]
         }};
     }
+    let methods = dense_methods();
     for scene in 0..60 {
-        let method = [Method::Dop853, Method::Automatic][scene % 2];
+        let method = methods[scene % methods.len()];
         let theta = [uniform(1.8, 2.6), uniform(0.5, 1.3)];
         let mut parameters = close_motors(theta, [0, 1].map(|_| uniform(-1.0, 1.0)));
         parameters.settings.method = method;
@@ -528,7 +529,7 @@ fn what_stops_take_next_to_a_vertex_is_lost() {
         let deep = 10_f64.powf(uniform(-5.0, -1.0)) * if uniform(-1.0, 1.0) < 0.0 { -1.0 } else { 1.0 };
         (stop.lower, stop.upper) = ([theta[0] + deep, -9.0], [theta[0] + 3.0, 9.0]);
         let step = 10_f64.powf(uniform(-5.0, -3.0));
-        for method in [Method::Dop853, Method::Automatic, Method::I3alp] {
+        for method in methods_with_events() {
             parameters.settings.method = method;
             let rates = along.map(|rate| speed * rate);
             let mut simulation = Simulation::at(&parameters, &default_inputs(), theta, rates).expect("a scene");

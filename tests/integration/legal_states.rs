@@ -15,7 +15,7 @@ use fivebar::simulation::{Inputs, Method, Parameters, Run, Signal, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::{enable, unequal};
+use crate::support::{dense_methods, enable, methods_of_fixed_steps, methods_with_events, unequal};
 
 /// Masters may store states in one thread and continue them in another.
 #[test]
@@ -25,16 +25,11 @@ fn simulations_and_stored_states_may_change_threads() {
     const { may_change_threads::<Snapshot>() };
 }
 
-/// The methods; the default one also with fixed steps.
-const METHODS: [(Method, bool); 7] = [
-    (Method::I3alp, true),
-    (Method::I3alp, false),
-    (Method::I3alpPrinted, false),
-    (Method::Rk4, false),
-    (Method::Dop853, true),
-    (Method::Automatic, true),
-    (Method::I3alpConserving, false),
-];
+/// The methods with `solver.adaptive`, then without.
+fn methods() -> Vec<(Method, bool)> {
+    let with = methods_with_events().into_iter().map(|method| (method, true));
+    with.chain(methods_of_fixed_steps().into_iter().map(|method| (method, false))).collect()
+}
 
 /// Two runs of a scene: one undisturbed, one converted to bytes and back before every call.
 struct Twins {
@@ -155,9 +150,9 @@ impl Random {
 #[test]
 fn states_of_random_motions_are_read_back() {
     let mut random = Random(ChaCha8Rng::seed_from_u64(11));
-    let (mut scenes, mut calls) = (0, 0);
+    let (methods, mut scenes, mut calls) = (methods(), 0, 0);
     while scenes < 100 {
-        let method = METHODS[scenes % METHODS.len()];
+        let method = methods[scenes % methods.len()];
         let parameters = random.scene(method);
         let mut inputs = random.inputs();
         // Many of these machines cannot be assembled.
@@ -196,9 +191,9 @@ fn states_of_random_motions_are_read_back() {
 #[test]
 fn states_of_driven_runs_are_read_back() {
     let mut random = Random(ChaCha8Rng::seed_from_u64(12));
-    let (mut scenes, mut moves) = (0, 0);
+    let (methods, mut scenes, mut moves) = (methods(), 0, 0);
     while scenes < 30 {
-        let parameters = random.scene(METHODS[scenes % METHODS.len()]);
+        let parameters = random.scene(methods[scenes % methods.len()]);
         let Ok(start) = Simulation::for_model_exchange(&parameters, &random.inputs()) else { continue };
         let mut twins = Twins::new(format!("scene {scenes}: {parameters:?}"), start);
         scenes += 1;
@@ -241,7 +236,7 @@ fn vertices() -> impl Iterator<Item = [[f64; 4]; 2]> {
 /// Through vertices, from rest in them, and near them; with and without driving or dissipating loads.
 #[test]
 fn states_in_and_near_vertices_are_read_back() {
-    for (method, adaptive) in METHODS {
+    for (method, adaptive) in methods() {
         for [theta, omega] in vertices() {
             for (rate, gravity, friction) in [
                 (0.0, true, false),
@@ -280,13 +275,13 @@ fn states_in_and_near_vertices_are_read_back() {
 /// Within 1e-5 rad of a vertex, on a ray along which a steep spring prevents the motion: no straight passage, but the energy is conserved.
 #[test]
 fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
-    for (method, adaptive) in [(Method::Dop853, true), (Method::Automatic, true)] {
+    for method in dense_methods() {
         for ([theta, omega], stiffness, aside, rate) in vertices().flat_map(|vertex| {
             let cases = [1e3, 1e6].into_iter().flat_map(|k| [1e-7, 1e-6, 5e-6].map(|aside| (k, aside)));
             cases.flat_map(move |(k, aside)| [1e-3, 0.1, 3.0].map(|rate| (vertex, k, aside, rate)))
         }) {
             let mut parameters = default_parameters();
-            (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+            parameters.settings.method = method;
             enable(&mut parameters, "spring");
             parameters.effects.spring.k = [stiffness; 2];
             parameters.effects.spring.theta0 = [theta[0], theta[3]];
@@ -308,9 +303,7 @@ fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
 /// in the fall one of them continues to stick while the other slips.
 #[test]
 fn states_of_motors_that_stuck_as_one_are_read_back() {
-    for (method, error_tolerance) in
-        [Method::I3alp, Method::Dop853, Method::Automatic].into_iter().flat_map(|m| [3e-9, 1e-6].map(|t| (m, t)))
-    {
+    for (method, error_tolerance) in methods_with_events().into_iter().flat_map(|m| [3e-9, 1e-6].map(|t| (m, t))) {
         let mut parameters = default_parameters();
         enable(&mut parameters, "friction");
         parameters.effects.friction.law = Law::Stick;
@@ -335,7 +328,7 @@ fn states_of_motors_that_stuck_as_one_are_read_back() {
 /// Spinning links: whole turns move from the angles to their counters, also in the middle of a step.
 #[test]
 fn states_with_many_turns_are_read_back() {
-    for (method, adaptive) in METHODS {
+    for (method, adaptive) in methods() {
         for effect in ["spring", "gravity", "servo"] {
             let mut parameters = default_parameters();
             (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
@@ -362,7 +355,7 @@ fn states_with_many_turns_are_read_back() {
 /// A single folded leg that turns about the axis of the left motor: the determinants of its posture are round-off, of either sign.
 #[test]
 fn states_of_a_folded_leg_that_whirls_are_read_back() {
-    for (method, adaptive) in METHODS {
+    for (method, adaptive) in methods() {
         let mut parameters = default_parameters();
         (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
         parameters.effects.gravity.enabled = false;

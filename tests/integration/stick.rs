@@ -14,10 +14,7 @@ use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::{enable, tip};
-
-/// The methods that can end a step at the instant when friction starts or stops sticking.
-const METHODS: [Method; 3] = [Method::I3alp, Method::Dop853, Method::Automatic];
+use crate::support::{dense_methods, enable, methods_of_fixed_steps, methods_with_events, tip};
 
 /// A machine with motors 10 cm apart, and friction that sticks.
 fn sticking(method: Method, coulomb: [f64; 5], breakaway: [f64; 5]) -> Parameters {
@@ -59,7 +56,7 @@ fn angles(simulation: &Simulation) -> [f64; 4] {
 /// motion.
 #[test]
 fn below_breakaway_it_stays() {
-    for method in METHODS {
+    for method in methods_with_events() {
         let parameters = sticking(method, COULOMB, BREAKAWAY);
         let [left, right] = balancing(&parameters);
         let inputs = Inputs { tau: [left + 0.006, right - 0.006], ..default_inputs() };
@@ -87,7 +84,7 @@ fn below_breakaway_it_stays() {
 /// steps could be as long as stability allows.
 #[test]
 fn below_its_bound_the_tip_stays_on_the_plane() {
-    for method in METHODS {
+    for method in methods_with_events() {
         let mut parameters = default_parameters();
         parameters.geometry.base_distance = 0.1;
         parameters.start.theta = [2.2, 0.9];
@@ -116,7 +113,7 @@ fn below_its_bound_the_tip_stays_on_the_plane() {
 /// Just below breakaway the joint sticks, just above it slips, immediately with the excess of the torque over Coulomb's.
 #[test]
 fn it_lets_go_at_breakaway() {
-    for method in METHODS {
+    for method in methods_with_events() {
         let mut parameters = sticking(method, COULOMB, BREAKAWAY);
         parameters.effects.friction.breakaway_velocity = 1e-6;
         let [left, right] = balancing(&parameters);
@@ -180,7 +177,7 @@ fn inertia(parameters: &Parameters) -> f64 {
 /// inertia changes by 1e-3, and setpoints are constant for 1 ms, which is 1e-3 of a jump: agreement within 1 %.
 #[test]
 fn it_sticks_and_slips_as_the_closed_form_says() {
-    for method in METHODS {
+    for method in methods_with_events() {
         let parameters = pulled(method);
         let omega = (KP / inertia(&parameters)).sqrt();
         let slip = (2.0 * PI - 2.0 * (DROP * omega / (KP * PULL)).atan()) / omega;
@@ -261,7 +258,7 @@ fn a_place_that_friction_cannot_move_slips_as_it_is_driven() {
 /// turns about its motors as one piece.
 #[test]
 fn coaxial_links_stop_and_go_on_together() {
-    for method in METHODS {
+    for method in methods_with_events() {
         for strong in 1..4 {
             let mut friction = [0.0, 1e-4, 1.5e-4, 2e-4, 0.0];
             friction[strong] = 5e-3;
@@ -326,8 +323,8 @@ fn motions(method: Method) -> [Motion; 2] {
 
 /// Dissipated energy never decreases.
 #[test]
-fn dissipated_energy_never_decreases() {
-    for method in METHODS {
+fn what_is_dissipated_never_falls() {
+    for method in methods_with_events() {
         for (parameters, inputs) in motions(method) {
             let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");
             let (mut dissipated, mut rested) = (0.0, 0);
@@ -351,7 +348,7 @@ fn dissipated_energy_never_decreases() {
 /// Any number of macro steps per call, and continuing from a stored state, gives the same bits.
 #[test]
 fn calls_and_copies_change_nothing() {
-    for method in METHODS {
+    for method in methods_with_events() {
         for (parameters, inputs) in motions(method) {
             let run = |size: u64| {
                 let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");
@@ -397,23 +394,24 @@ fn derivatives_keep_sticking_joints_at_rest() {
 /// Only methods with steps that can end at a stop accept it; the others refuse with one message.
 #[test]
 fn other_methods_refuse() {
-    let fixed = Parameters {
-        settings: fivebar::simulation::Settings { adaptive: false, ..default_parameters().settings },
-        ..sticking(Method::I3alp, COULOMB, BREAKAWAY)
-    };
-    let others = [Method::Rk4, Method::I3alpPrinted, Method::I3alpConserving].map(|method| sticking(method, COULOMB, BREAKAWAY));
-    for (parameters, name) in
-        others.iter().chain([&fixed]).zip(["rk4", "i3alpPrinted", "i3alpConserving", "solver.adaptive = false"])
-    {
-        let refused = Simulation::new(parameters, &default_inputs()).expect_err("no steps that can end").to_string();
-        assert!(refused.contains("friction.law = stick") && refused.contains(name) && refused.ends_with('.'), "{refused}");
+    for method in methods_of_fixed_steps() {
+        let mut parameters = sticking(method, COULOMB, BREAKAWAY);
+        parameters.settings.adaptive = false;
+        let refused = Simulation::new(&parameters, &default_inputs()).expect_err("no steps that can end").to_string();
+        let fixed = if method == Method::I3alp { " and solver.adaptive = false" } else { "" };
+        let expected = format!("friction.law = stick is not allowed with solver.method = {}{fixed}, whose steps", method.name());
+        let takes_it = |other: &Method| refused.contains(&format!(" {}", other.name()));
+        assert!(
+            refused.starts_with(&expected) && methods_with_events().iter().all(takes_it) && refused.ends_with('.'),
+            "{refused}"
+        );
         let mut without = parameters.clone();
         without.effects.friction.law = Law::Smooth;
         Simulation::new(&without, &default_inputs()).expect("a scene");
         without.effects.contact.enabled = true;
         without.effects.contact.law = Law::Stick;
         let refused = Simulation::new(&without, &default_inputs()).expect_err("no steps that can end").to_string();
-        assert!(refused.contains("contact.law = stick") && refused.contains(name), "{refused}");
+        assert!(refused.contains("contact.law = stick") && refused.contains(method.name()), "{refused}");
     }
 }
 
@@ -425,13 +423,13 @@ fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
     const CALLS: usize = 600;
     let mut random = ChaCha8Rng::seed_from_u64(14);
     let mut uniform = |low: f64, high: f64| low + (high - low) * ((random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64);
-    let mut moments = 0;
+    let (methods, mut moments) = (dense_methods(), 0);
     for scene in 0..160 {
         let held = scene % 2;
         // The motors' joints are the first and the last.
         let joint = 4 * held;
         let only = |torque: f64| std::array::from_fn(|i| if i == joint { torque } else { 0.0 });
-        let mut parameters = sticking([Method::Dop853, Method::Automatic][scene / 2 % 2], only(1e6), only(1e6));
+        let mut parameters = sticking(methods[scene / 2 % methods.len()], only(1e6), only(1e6));
         parameters.settings.error_tolerance = 1e-8;
         parameters.effects.gravity.enabled = scene % 3 > 0;
         parameters.start.theta = [uniform(1.6, 2.6), uniform(0.3, 1.3)];

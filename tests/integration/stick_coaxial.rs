@@ -11,10 +11,7 @@ use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::enable;
-
-/// The methods that can end a step at the instant when friction starts or stops sticking.
-const METHODS: [Method; 3] = [Method::I3alp, Method::Dop853, Method::Automatic];
+use crate::support::{enable, methods_with_events};
 
 /// Duration of each motion, s.
 const DURATION: f64 = 0.1;
@@ -111,7 +108,7 @@ fn locked_inner_joints_do_not_hold_the_motors() {
             sum + p.inertia + p.mass * p.com * p.com + d.inertia + d.mass * far
         });
         let turned = (inputs.tau[0] + inputs.tau[1] - 2.0 * MOTORS) / inertia * DURATION * DURATION / 2.0;
-        for method in METHODS {
+        for method in methods_with_events() {
             let end = angles(&parameters, &inputs, method).unwrap_or_else(|failed| panic!("{scene}, {method:?}: {failed}"));
             let off = farthest(end, start.map(|angle| angle + turned));
             // Some hundred local errors of 3e-9 rad. Motors 1e-7 m apart move locked joints by 1e-6 of the rotation, which costs the motors
@@ -149,7 +146,7 @@ fn a_tip_on_the_axis_does_not_hold_folded_legs() {
         });
         let start = Simulation::new(&parameters, &inputs).expect("a scene").state().angles();
         assert!((start[0] - start[1]).cos() < -1.0 + 1e-9, "{scene}: {start:?}");
-        for method in METHODS {
+        for method in methods_with_events() {
             let end = angles(&parameters, &inputs, method).unwrap_or_else(|failed| panic!("{scene}, {method:?}: {failed}"));
             let off = farthest(end, [start[0] + left, start[1] + left, start[2] + right, start[3] + right]);
             // Some hundred local errors of 3e-9 rad.
@@ -187,7 +184,7 @@ fn coaxial_machines_move_as_by_time_stepping() {
         let (Some(coarse), Some(fine)) = (coarse, fine) else { continue };
         judged += 1;
         turned += u32::from(farthest(fine, start) > 1e-3);
-        for method in METHODS {
+        for method in methods_with_events() {
             let end = angles(parameters, inputs, method).unwrap_or_else(|failed| panic!("{scene}, {method:?}: {failed}"));
             // The time stepping is of first order; a step that begins or ends with a stop has a full first-order error.
             let (off, allowed) = (farthest(end, fine), 3.0 * farthest(coarse, fine) + 1e-4);

@@ -6,6 +6,7 @@ use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{Coordinates, Geometry, closure};
 use fivebar::observers;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
+use fivebar::simulation::methods::Steps;
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 
 /// m g L of the paper's links, J, the unit of energy errors.
@@ -16,7 +17,27 @@ pub(crate) fn is_nightly() -> bool {
     std::env::var_os("FIVEBAR_NIGHTLY").is_some()
 }
 
-/// Path of a file in the repository.
+/// The methods with a length of steps.
+fn methods(of: impl Fn(Steps) -> bool) -> Vec<Method> {
+    Method::LIST.iter().copied().filter(|method| of(method.properties().steps)).collect()
+}
+
+/// The methods whose steps can end at an event, with `solver.adaptive`.
+pub(crate) fn methods_with_events() -> Vec<Method> {
+    methods(|steps| steps != Steps::Fixed)
+}
+
+/// The methods whose steps run past communication points.
+pub(crate) fn dense_methods() -> Vec<Method> {
+    methods(|steps| steps == Steps::Dense)
+}
+
+/// The methods whose steps are the macro steps, the adaptive ones without `solver.adaptive`.
+pub(crate) fn methods_of_fixed_steps() -> Vec<Method> {
+    methods(|steps| steps != Steps::Dense)
+}
+
+/// A file of the repository.
 pub(crate) fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
