@@ -8,8 +8,10 @@ use crate::names::{items, model, settable, similar};
 use crate::{Overlay, Scene, Signal, Value, Values, json, signal};
 
 /// Keys of a scene that are not variables.
-const RESERVED: [&str; 4] = [DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY];
+const RESERVED: [&str; 5] = [SCHEMA, DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY];
 
+/// The key by which editors find the schema of scenes.
+const SCHEMA: &str = "$schema";
 const DESCRIPTION: &str = "description";
 const EXPERIMENT: &str = "experiment";
 const SIGNALS: &str = "signals";
@@ -25,6 +27,9 @@ impl Scene {
         let content = content.as_object().context("a scene must be an object of variable names and values")?;
         let own = content.iter().filter(|(key, _)| !RESERVED.contains(&key.as_str()));
         let values = values(own, &RESERVED)?;
+        if content.contains_key(SCHEMA) {
+            text_of(SCHEMA, content.get(SCHEMA))?;
+        }
         let (stop_time, step_size) = experiment(content.get(EXPERIMENT))?;
         let description = text_of(DESCRIPTION, content.get(DESCRIPTION))?;
         let overlays = overlays(content.get(OVERLAY), &values)?;

@@ -101,6 +101,7 @@ fn scenes_in_the_tip_s_coordinates_or_with_mounting_angles_are_the_package_s() {
 #[test]
 fn values_and_overlays_are_typed() {
     let scene = parse(json!({
+        "$schema": "fivebar.schema.json",
         "experiment": { "stopTime": 2 },
         "tau[1]": 1,
         "gravity.enabled": false,
@@ -178,6 +179,7 @@ fn what_is_wrong_is_named() {
         (json!({ "overlay": [{ "label": "a", "tau[3]": 1 }] }), &["overlay 1: ", "'tau[3]'", "'tau[1]'"]),
         (json!({ "overlay": [{ "label": "a" }, { "label": "a" }] }), &["two runs have the label 'a'"]),
         (json!({ "overlay": [{ "label": "i3alp" }] }), &["two runs have the label 'i3alp'"]),
+        (json!({ "$schema": 5 }), &["'$schema' must be a text, not 5"]),
         (json!({ "description": 5 }), &["'description' must be a text, not 5"]),
         (signals(json!([])), &["'signals' must be an object", "not []"]),
         (

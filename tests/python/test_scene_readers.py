@@ -45,6 +45,7 @@ TEXTS = (
     '{"description": "a", "signals": {"payload.mass": {"steps": [[0, 0], [0.1, 0.05]]}}, "experiment": {"stepSize": 0.01}}',
     '{"description": "a", "signals": {"tau[1]": {"linear": [[-2, 0], [-1, 1e-3]]}}}',
     '{"description": "a", "signals": {"servo.theta[1]": {"linear": [[0, 1], [0.4, 2]]}, "servo.omega[1]": {"rateOf": "servo.theta[1]"}}}',
+    '{"$schema": "./a.json", "description": "a"}', '{"$schema": 3, "description": "a"}', '{"$schema": " ", "description": "a"}',
     '{"description": "a", "x": "' + 4_000_000 * "a" + '"}',
 )  # fmt: skip
 

@@ -22,10 +22,13 @@ MOST_BRACKETS = 8
 
 DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY = ("description", "experiment", "signals", "overlay")
 
+SCHEMA = "$schema"
+"""The key by which editors find the schema of scenes."""
+
 OFFSETS = ("encoder.offset[1]", "encoder.offset[2]")
 """Keys of the mounting angles of a machine's encoders, rad: angles that they show beyond the true ones, which are all other angles of a scene."""
 
-RESERVED = (DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *OFFSETS, *tip_scenes.KEYS)
+RESERVED = (SCHEMA, DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY, *OFFSETS, *tip_scenes.KEYS)
 """Keys of a scene that are no variables to be set."""
 
 LABEL = "label"
@@ -43,6 +46,8 @@ class Content:
         self.values = _values(
             {name: value for name, value in content.items() if name not in RESERVED}, variables, RESERVED
         )
+        if SCHEMA in content:
+            _text(SCHEMA, content)
         self.offsets = {name: _angle(name, content[name]) for name in OFFSETS if name in content}
         """Mounting angles of encoders, rad, by key."""
         stop_time, self.step_size = _experiment(content, variables)

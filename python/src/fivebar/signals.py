@@ -83,12 +83,21 @@ def read(given: Any, variables: Variables) -> list[Signal]:
     return found
 
 
+def may_move(variable: Variable) -> bool:
+    """Whether a variable may have a signal."""
+    return variable.name in TIP or variable.causality == "input" or _takes_steps(variable)
+
+
+def _takes_steps(variable: Variable) -> bool:
+    return variable.type == "Real" and variable.variability == "tunable"
+
+
 def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal:
     kind, value = _kind(given[name])
     variable = variables.get(name)
     if name in TIP:
         variable = variables[name]
-    elif kind != STEPS or variable is None or variable.type != "Real" or variable.variability != "tunable":
+    elif kind != STEPS or variable is None or not _takes_steps(variable):
         variable = variables.input(name)
     if kind == RATE_OF:
         source = _source(given, value, variables)

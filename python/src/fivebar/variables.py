@@ -53,6 +53,8 @@ class Variable:
     items: Mapping[str, int]
     """Of an enumeration: names and numbers of its items."""
 
+    description: str
+
     @property
     def can_be_set(self) -> bool:
         return self.causality in ("parameter", "input")
@@ -198,6 +200,7 @@ def _variable(variable: "ScalarVariable") -> Variable:
         least,
         most,
         items,
+        variable.description or "",
     )
 
 
