@@ -34,18 +34,18 @@ class Row(NamedTuple):
 def find(run: Run, met: list[Event]) -> list[Row]:
     """All that a run met, in the order of time; `met` are its singularities."""
     rows = [Row(event.time, event.kind, str(event).removeprefix(f"{event.kind} singularity ")) for event in met]
-    return sorted([*rows, *_stops(run), *_plane(run), *_friction(run)], key=lambda row: row.time)
+    return sorted([*rows, *stops(run), *_plane(run), *_friction(run)], key=lambda row: row.time)
 
 
-def _stops(run: Run) -> list[Row]:
+def stops(run: Run) -> list[Row]:
     if not run.parameters["stop.enabled"]:
         return []
     rows = []
     for i, side in ((1, "left"), (2, "right")):
         angle = run[f"theta[{i}]"]
         for bound, beyond in (
-            (lower := f"stop.lower[{i}]", angle < _value(run, lower)),
-            (upper := f"stop.upper[{i}]", angle > _value(run, upper)),
+            (lower := f"stop.lower[{i}]", angle < value(run, lower)),
+            (upper := f"stop.upper[{i}]", angle > value(run, upper)),
         ):
             rows += _changes(run, beyond, "stop reached", "stop left", f"{side} motor, {bound}")
     return rows
@@ -65,7 +65,7 @@ def _friction(run: Run) -> list[Row]:
             run[name] for name in ("omega[1]", "omega[2]", "passive.omega[1]", "passive.omega[2]")
         )
         for i, rate in enumerate((left, first - left, second - first, second - right, right), 1):
-            rubs = np.maximum(_value(run, f"friction.coulomb[{i}]"), _value(run, f"friction.breakaway[{i}]")) > 0
+            rubs = np.maximum(value(run, f"friction.coulomb[{i}]"), value(run, f"friction.breakaway[{i}]")) > 0
             rows += _changes(run, rubs & (np.abs(rate) <= STILL), "sticks", "slips", JOINTS[i - 1])
     if given["contact.enabled"] and given["contact.law"] == STICK:
         (x, y), _ = plane(run)
@@ -82,7 +82,7 @@ def _touches(run: Run) -> NDArray[np.bool_]:
     return touches
 
 
-def _value(run: Run, name: str) -> NDArray[np.float64] | float:
+def value(run: Run, name: str) -> NDArray[np.float64] | float:
     """A parameter, which a signal may change."""
     return run.columns[name] if name in run.columns else float(run.parameters[name])
 

@@ -183,11 +183,16 @@ class Result(dict[str, np.ndarray]):
         return replace(self, runs=runs)
 
     def summary(self) -> str:
-        """Summary that the command prints: end of the tip, steps, times, errors, singularities."""
+        """Summary that the command prints: tracking, torques and stops of the motors; end of the tip, steps, times, errors, singularities."""
         blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.assumed(self.scene)])]
         for i, run in enumerate(self.runs):
             values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
-            lines = [run.label, *summary.lines(run, self._events[i]), *summary.servo_note(run, values)]
+            lines = [
+                run.label,
+                *summary.motor_lines(run, {**self.scene.start, **values}, self.scene.tip),
+                *summary.lines(run, self._events[i]),
+                *summary.servo_note(run, values),
+            ]
             blocks.append("\n".join(lines + ([summary.difference(self.own, run)] if i > 0 else [])))
         return "\n\n".join(blocks + self.refused)
 

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fivebar import singularities
+from fivebar import motors, singularities
 from fivebar.drive import Run
 from fivebar.scene import Scene
 from fivebar.singularities import Event
+from fivebar.tip_scenes import Tip
 from fivebar.variables import Value
 
 STANDARD_GRAVITY = 9.81
@@ -60,6 +61,12 @@ def lines(run: Run, events: list[Event]) -> list[str]:
     return (
         [_line(2, *fact) for fact in facts] + [f"  {sampling(run)}:"] + [_line(4, *fact) for fact in _seen(run, events)]
     )
+
+
+def motor_lines(run: Run, values: Mapping[str, Value], tip: Tip | None) -> list[str]:
+    """Lines on the motors, none if there is nothing to say; arguments as of `motors.facts`."""
+    found = [_line(4, *fact) for fact in motors.facts(run, values, tip)]
+    return [f"  motors, {sampling(run)}:", *found] if found else []
 
 
 def assumed(scene: Scene) -> list[str]:

@@ -88,7 +88,7 @@ class Tip:
         machine = _machine(values, unit)
         begin = np.array([float(values.get(name, unit[name])) for name in START[:2]])
         tip, velocity = (
-            np.stack([self._coordinate(name, points, rate) for name in TIP], axis=-1) for rate in (False, True)
+            np.stack([self.coordinate(name, points, rate) for name in TIP], axis=-1) for rate in (False, True)
         )
         mode = self.working or self._of_start(machine, begin, values)
         try:
@@ -107,7 +107,8 @@ class Tip:
         angles += [_nearest_turn(float(angle), middle) - float(angle) for angle, middle in zip(angles[0], begin)]
         return dict(zip(SERVO_ANGLES, angles.T)) | dict(zip(SERVO_RATES, omega.T))
 
-    def _coordinate(self, name: str, points: Floats, rate: bool) -> Floats:
+    def coordinate(self, name: str, points: Floats, rate: bool) -> Floats:
+        """A coordinate of the tip's reference at communication points, m, or its rate, m/s."""
         if name not in self.signals:
             return np.full(len(points), 0.0 if rate else self.start[name])
         signal = replace(self.signals[name], rate=True) if rate else self.signals[name]
