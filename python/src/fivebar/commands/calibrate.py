@@ -17,7 +17,10 @@ from fivebar.commands import options
     help="What is sought, once or more, groups as link[1,4].mass; else what is usual.",
 )
 @click.option(
-    "--scene", metavar="SCENE|FILE", help="What the machine is taken for before; without it the scene of the record."
+    "--scene",
+    type=options.SCENE,
+    metavar="SCENE|FILE",
+    help="What the machine is taken for before; without it the scene of the record.",
 )
 @click.option(
     "--from", "begin", type=float, default=0.0, show_default=True, metavar="S", help="s after the first sample."

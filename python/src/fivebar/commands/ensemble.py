@@ -10,7 +10,9 @@ from fivebar.commands import options
 
 @click.command()
 @click.option("--members", type=int, default=1000, show_default=True, metavar="N", help="How many motions.")
-@click.option("--scene", metavar="SCENE|FILE", help="Where and how they begin; fall_90_120 unless told.")
+@click.option(
+    "--scene", type=options.SCENE, metavar="SCENE|FILE", help="Where and how they begin; fall_90_120 unless told."
+)
 @click.option(
     "--state",
     type=options.FILE,

@@ -13,7 +13,11 @@ from fivebar.commands import options
     "--map", "map_file", type=options.FILE, metavar="MAP", help="Which column is which: JSON (docs/recordings.md)."
 )
 @click.option(
-    "--guess", "scene", metavar="SCENE|FILE", help="Propose signs, exchanges and zeros of the map for this machine."
+    "--guess",
+    "scene",
+    type=options.SCENE,
+    metavar="SCENE|FILE",
+    help="Propose signs, exchanges and zeros of the map for this machine.",
 )
 @click.option("--record", "-o", type=options.FILE, required=True, metavar="RECORD", help="The table to write, .csv.")
 def import_(files: tuple[Path, ...], map_file: Path | None, scene: str | None, record: Path) -> int:

@@ -9,7 +9,7 @@ from fivebar.commands import options
 
 
 @click.command("map")
-@click.argument("scene", metavar="SCENE|FILE")
+@click.argument("scene", type=options.SCENE, metavar="SCENE|FILE")
 @options.mode(multiple=True)
 @options.torque()
 @click.option("--no-motion", is_flag=True, help="Do not run the scene to show its motion.")

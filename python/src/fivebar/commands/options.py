@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fivebar.commands import completion
+
 if TYPE_CHECKING:
     from fivebar.kinematics import Working
 
 FILE = click.Path(path_type=Path)
 """A file or folder; who reads or makes it says what is wrong with it."""
+
+SCENE = completion.Scene()
 
 POSITIVE = click.FloatRange(min=0, min_open=True)
 

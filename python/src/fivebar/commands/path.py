@@ -24,7 +24,7 @@ def place(value: str) -> tuple[float, float]:
 
 
 @click.command()
-@click.argument("scene", metavar="SCENE|FILE")
+@click.argument("scene", type=options.SCENE, metavar="SCENE|FILE")
 @click.argument("drawing", type=options.FILE, metavar="DRAWING")
 @click.option("--at", type=place, required=True, metavar="X,Y", help="Where the middle of the drawing lies, m.")
 @click.option(

@@ -4,21 +4,25 @@ from pathlib import Path
 
 import click
 
-from fivebar.commands import options
+from fivebar.commands import completion, options
 
 
 @click.command()
-@click.argument("scene", metavar="SCENE|FILE")
+@click.argument("scene", type=options.SCENE, metavar="SCENE|FILE")
 @click.option(
     "--set",
     "changes",
+    type=completion.Assignment(),
     multiple=True,
     metavar="NAME=VALUE",
     help="Another start value, in the variable's unit; once or more.",
 )
-@click.option("--method", metavar="NAME", help="Another item of solver.method, such as automatic.")
+@click.option(
+    "--method", type=completion.Method(), metavar="NAME", help="Another item of solver.method, such as automatic."
+)
 @click.option(
     "--outputs",
+    type=completion.Columns(),
     multiple=True,
     metavar="NAMES",
     help="Columns of the table: names, or how they begin, such as tip,energy.error; once or more. All unless told.",

@@ -11,7 +11,12 @@ from fivebar.commands import options
 @click.command()
 @click.option("--hours", type=float, default=1.0, show_default=True, help="Of 200 samples a second.")
 @click.option(
-    "--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion."
+    "--scene",
+    type=options.SCENE,
+    default="pick_and_place",
+    show_default=True,
+    metavar="SCENE|FILE",
+    help="The machine and its motion.",
 )
 @click.option("--faults", default="", metavar="NAME=SHARE,...", help="As for `fivebar twin`.")
 @options.learn()

@@ -13,7 +13,12 @@ from fivebar.commands import options
     "--seconds", type=float, default=60.0, show_default=True, help="Real time that it runs; inf until Ctrl-C."
 )
 @click.option(
-    "--scene", default="pick_and_place", show_default=True, metavar="SCENE|FILE", help="The machine and its motion."
+    "--scene",
+    type=options.SCENE,
+    default="pick_and_place",
+    show_default=True,
+    metavar="SCENE|FILE",
+    help="The machine and its motion.",
 )
 @options.learn()
 @options.exact()

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option(
-    "--scene", metavar="SCENE|FILE", help="Start values, experiment and description of the unit: a machine of your own."
+    "--scene",
+    type=options.SCENE,
+    metavar="SCENE|FILE",
+    help="Start values, experiment and description of the unit: a machine of your own.",
 )
 @click.option("--name", help="Name of the unit; unless told FiveBar, or that of the scene in CamelCase.")
 @click.option(

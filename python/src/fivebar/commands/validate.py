@@ -10,7 +10,11 @@ from fivebar.commands import options
 @click.command()
 @click.argument("record", type=options.FILE)
 @click.option(
-    "--scene", required=True, metavar="SCENE|FILE", help="The machine, and what is known of it and its encoders."
+    "--scene",
+    type=options.SCENE,
+    required=True,
+    metavar="SCENE|FILE",
+    help="The machine, and what is known of it and its encoders.",
 )
 @options.fmu()
 @options.out("./validate/")
