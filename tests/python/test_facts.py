@@ -100,6 +100,21 @@ def test_readme_prints_what_a_run_prints(model: ModelDescription, directory: str
     assert lasting(block.splitlines()) == lasting(summary.lines(run, singularities.find(run)))
 
 
+def test_readme_has_all_environment_variables() -> None:
+    """Those that the package, its scripts and the shared parts of the tests read."""
+    table = text("README.md").split("| environment variable |")[1].split("\n\n")[0]
+    files = [
+        *REPOSITORY.glob("python/src/**/*.py"),
+        *(file for file in REPOSITORY.glob("python/lifecycle/*") if file.is_file()),
+        *(REPOSITORY / "tests" / "python" / name for name in ("conftest.py", "test_wheel.py", "test_import.py")),
+    ]
+    found = set()
+    for file in files:
+        source = file.read_text(encoding="utf-8")
+        found |= {*re.findall(r"environ\.\w+\(\"(\w+)\"", source), *re.findall(r"\bFIVEBAR_[A-Z]+", source)}
+    assert len(found) > 12 and [name for name in sorted(found) if f"`{name}`" not in table] == []
+
+
 SIZES = dict(re.findall(r"^  binaries/([\w-]+)/FiveBar\.\w+: (\d+) bytes", text("docs/platforms.md"), re.MULTILINE))
 
 

@@ -2,7 +2,9 @@
 
 import csv
 import json
+import logging
 import math
+import os
 import pickle
 import re
 import subprocess
@@ -291,6 +293,23 @@ def test_a_step_that_fails_raises_what_there_is(fmu: Path) -> None:
     assert str(again) == str(failure.value) and again.result["tip.x"].tolist() == result["tip.x"].tolist()
     short = fivebar.run(hopeless, on_failure="return")
     assert short.failure == result.failure and short["tip.x"].tolist() == result["tip.x"].tolist()
+
+
+def test_warnings_of_a_run_are_logged(fmu: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """By the logger of units; a program that sets up no logging has nothing on its standard error."""
+    with caplog.at_level(logging.WARNING, "fivebar"):
+        result = fivebar.run("swing", stop_time=0.01, inputs={"servo.theta[1]": ([0, 0.01], [0, 1])})
+    [record] = caplog.records
+    assert (record.name, record.levelno, [record.getMessage()]) == (
+        "fivebar.unit",
+        logging.WARNING,
+        result.own.warnings,
+    )
+    assert "servo.enabled is false" in record.getMessage() and record.getMessage() in result.summary()
+    code = "import fivebar; fivebar.run('swing', stop_time=0.01, inputs={'servo.theta[1]': ([0, 0.01], [0, 1])})"
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
+    silent = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert silent.stderr == ""
 
 
 def test_another_stop_time_and_step(fmu: Path) -> None:

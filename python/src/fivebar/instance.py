@@ -10,13 +10,11 @@
 at 0.100 s the tip is at 0.1494, 0.3183 m
 """
 
-import logging
 import threading
 import weakref
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import CDLL, byref, c_double, c_size_t, c_void_p, create_string_buffer
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -28,32 +26,12 @@ from numpy.typing import NDArray
 from fivebar import scene as scenes
 from fivebar.errors import FiveBarError, StepFailed, UnitError
 from fivebar.library import Block, Library, shared
+from fivebar.log import STATUS, Message, callbacks
 from fivebar.scene import Scene
 from fivebar.variables import Value, Variable, Variables
 
 MESSAGES = 1000
 """Messages that a log keeps: the newest."""
-
-STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-
-logger = logging.getLogger("fivebar.unit")
-# A program that has not set up logging is not answered on its standard error.
-logging.getLogger("fivebar").addHandler(logging.NullHandler())
-
-
-@dataclass(frozen=True)
-class Message:
-    """One message of a unit."""
-
-    instance: str
-    status: int
-    """Number of FMI's status: 0 is OK, 1 a warning, more a call that failed."""
-
-    category: str
-    text: str
-
-    def __str__(self) -> str:
-        return f"{STATUS[self.status]}: {self.text}"
 
 
 class Instance:
@@ -64,7 +42,7 @@ class Instance:
         self.log: deque[Message] = deque(maxlen=MESSAGES)
         self._lock = threading.RLock()
         self._functions = library.model_exchange if exchange else library.co_simulation
-        self._callbacks = _callbacks(self.log)
+        self._callbacks = callbacks(self.log.append)
         self._handles: list[c_void_p] = []
         """Every state that was stored."""
 
@@ -657,21 +635,6 @@ def _value(variable: Variable, number: Value) -> Value | str:
     if variable.type == "Enumeration":
         return variable.item(int(number))
     return bool(number) if variable.type == "Boolean" else number
-
-
-def _callbacks(messages: deque[Message]) -> fmi2.fmi2CallbackFunctions:
-    def append(_environment: int | None, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-        # The text is a printf format by contract: a percent sign comes doubled.
-        sentence = text.decode(errors="replace").replace("%%", "%")
-        messages.append(Message(instance.decode(errors="replace"), status, category.decode(), sentence))
-        # A call that fails is raised as well.
-        logger.log(logging.WARNING if status == fmi2.fmi2Warning else logging.DEBUG, "%s", sentence)
-
-    callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(append)
-    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
-    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
-    return callbacks
 
 
 def _free(

@@ -7,22 +7,8 @@ from typing import TypeVar
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fivebar.log import Message, callbacks
 from fivebar.shipped import library
-
-STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-
-
-@dataclass(frozen=True)
-class Message:
-    """One call of the FMU's logger."""
-
-    instance: str
-    status: int
-    category: str
-    text: str
-
-    def __str__(self) -> str:
-        return f"{STATUS[self.status]}: {self.text}"
 
 
 @dataclass
@@ -33,17 +19,7 @@ class Log:
 
     def callbacks(self) -> fmi2.fmi2CallbackFunctions:
         """Callbacks that append to this log. FMPy keeps them alive as long as the instance."""
-
-        def append(_environment: int | None, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-            # The text is a printf format by contract: a percent sign comes doubled.
-            message = Message(instance.decode(), status, category.decode(), text.decode().replace("%%", "%"))
-            self.messages.append(message)
-
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(append)
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
-        return callbacks
+        return callbacks(self.messages.append)
 
     def last(self) -> str:
         """The last sentence of a warning or worse, or "" if there is none."""
