@@ -1,5 +1,5 @@
-//! The method of a scene: its settings, from the solver's settings and the scales of the machine, and one macro step by the methods whose
-//! steps end with macro steps.
+//! The methods: their properties, the settings of the method of a scene, and one macro step by the methods whose steps end with macro
+//! steps. Settings follow from those of the solver and from the scales of the machine.
 
 use super::bifurcation;
 use super::five_bar::FiveBar;

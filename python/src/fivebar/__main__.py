@@ -1,4 +1,4 @@
-"""`python -m fivebar`: the command under another name."""
+"""Lets `python -m fivebar` run the command `fivebar`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""One self-contained page that animates a scene: `animation.html` with the data of the runs put in."""
+"""One self-contained page that animates a scene: the template `animation.html`, filled with the data of the runs."""
 
 import base64
 import html
@@ -21,16 +21,16 @@ ANGLES = ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
 ENERGIES = ("energy.kinetic", "energy.potential", "energy.input", "energy.dissipated", "energy.error")
 
 SHORT_RUN = 3000
-"""A run of at most so many samples is shown sample by sample."""
+"""Runs with at most this many samples are shown sample by sample."""
 
 FRAME = 0.01
 """Longest time between two samples of a longer run, s."""
 
 TURN = 0.05
-"""Largest turn of a link between two samples of a longer run, rad: between them the page interpolates the angles."""
+"""Largest turn of a link between two samples of a longer run, rad: the page interpolates the angles between samples."""
 
 MOST_SAMPLES = 40_000
-"""Samples, over all runs of a page, above which `TURN` is relaxed: keeps the page below 3 MB."""
+"""Largest number of samples of all runs of a page; beyond it `TURN` is relaxed. This keeps the page below 3 MB."""
 
 
 def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> None:
@@ -42,7 +42,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
         "sampling": f"Singularities: {count(events)}; {sampling(runs[0])}.",
         "events": [{"t": e.time, "kind": e.kind, "text": str(e)} for e in events],
     }
-    # "</" would end the script element that holds the data.
+    # "</" would end the script element with the data.
     packed = json.dumps(data, ensure_ascii=False).replace("</", "<\\/")
     page = TEMPLATE.read_text(encoding="utf-8")
     page = (
@@ -55,7 +55,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
 
 
 def _pack(run: Run, events: list[Event], most: int) -> dict[str, object]:
-    """Geometry and barriers as numbers; time, angles and energies as little-endian float32 in base64, column after column."""
+    """Data of a run: geometry and barriers as numbers; time, angles and energies as base64 of little-endian float32, column by column."""
     kept = samples_to_keep(run, events, most)
     columns = [run["time"], *(run[name] for name in ANGLES + ENERGIES)]
     table = np.array([column[kept] for column in columns], dtype="<f4")
@@ -90,7 +90,7 @@ def _stops(run: Run) -> list[list[float]] | None:
 
 
 def samples_to_keep(run: Run, events: list[Event], most: int) -> np.ndarray:
-    """Indices of the samples to show: regular ones, more where a link turns fast, and those around events."""
+    """Indices of the samples to show: at regular times, more often while a link turns fast, and around events."""
     count = len(run.time)
     if count <= SHORT_RUN:
         return np.arange(count)
@@ -102,7 +102,7 @@ def samples_to_keep(run: Run, events: list[Event], most: int) -> np.ndarray:
         around.update(j for j in (i - 1, i) if 0 <= j < count)
     turn = TURN
     while True:
-        # A sample is kept where the regular grid or the grid of turned angle enters its next cell.
+        # Keep a sample if it enters the next cell of the time grid or of the grid of the angle turned so far.
         cells = np.floor(run.time / FRAME + 1e-9), np.floor(turned / turn)
         regular = np.flatnonzero(np.any([np.diff(c, prepend=-1) > 0 for c in cells], axis=0))
         kept = np.array(sorted(around.union(regular.tolist())))

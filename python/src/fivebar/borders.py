@@ -1,5 +1,5 @@
-"""Borders of the regions in which the tip can move: circles of inverse singularities, direct loci by working mode, arcs of
-stops; how far a place is from them; their points for pages.
+"""Borders of the regions in which the tip can move: circles of inverse singularities, loci of direct singularities in each
+working mode, and arcs at end stops. Also the distance of a point from the borders, and their points for pages.
 """
 
 from pathlib import Path
@@ -15,10 +15,10 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 CURVE_POINTS = 8000
-"""Points of a whole direct locus; its pieces between them are taken as straight."""
+"""Points of a whole direct locus; it counts as straight between them."""
 
 BLOCK = 100_000
-"""Distances that are computed at a time."""
+"""Number of distances computed at once: bounds the memory."""
 
 
 class Curve(NamedTuple):
@@ -28,17 +28,20 @@ class Curve(NamedTuple):
     """`direct`: distal links in line; `stop`: a motor at one of its stops."""
 
     detail: str
-    """`stretched` or `folded`; the limit's name."""
+    """`stretched` or `folded` for a direct locus; the name of the limit for a stop."""
 
     tip: Floats
-    """m, shape (n, 2)."""
+    """Positions of the tip, m, shape (n, 2)."""
 
     theta: Floats
     """Angles of the links 1 to 4, rad, shape (n, 4)."""
 
 
 def stop_margin(scene: Scene, motors: Floats) -> Floats:
-    """How far motor angles (..., 2), rad, are from the nearest of the scene's stops, rad, negative beyond it; in the best of their turns."""
+    """Margin of motor angles (..., 2), rad, to the nearest end stop of the scene, rad: negative beyond it.
+
+    Each angle counts at the whole turn with the largest margin.
+    """
     margin = np.full(motors.shape[:-1], np.inf)
     if scene["stop.enabled"]:
         for leg in (0, 1):
@@ -50,13 +53,13 @@ def stop_margin(scene: Scene, motors: Floats) -> Floats:
 
 
 def bends_like(theta: Floats, working: Working) -> Flags:
-    """Whether postures (..., 4) are in a working mode, its rim included."""
+    """Whether postures (..., 4) are in a working mode or on its boundary."""
     alike: Flags = np.all(sines(theta)[..., 1:] * np.array([SIGN[bend] for bend in working]) >= -1e-12, axis=-1)
     return alike
 
 
 def stretches(flags: Flags, beyond: int = 0) -> list[slice]:
-    """Ranges of at least two points along which the flags are set, or so many points beyond those."""
+    """Ranges of at least two consecutive points with set flags, extended by `beyond` points at both ends."""
     for _ in range(beyond):
         flags = flags | np.append(flags[1:], False) | np.append(False, flags[:-1])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
@@ -64,12 +67,12 @@ def stretches(flags: Flags, beyond: int = 0) -> list[slice]:
 
 
 def borders(scene: Scene, machine: Machine, working: Working) -> list[Curve]:
-    """Direct loci and arcs of stops of a working mode, each a point longer than in that mode: where they meet, they leave no gap."""
+    """Direct loci and stop arcs of a working mode, each extended by one point at both ends so that no gap remains between them."""
     return direct_curves(machine, working, 1) + stop_curves(scene, machine, working, 1)
 
 
 def direct_curves(machine: Machine, working: Working, beyond: int = 0) -> list[Curve]:
-    """Pieces of the direct loci that belong to a working mode, or are so many points beyond: in the others the same place may be regular."""
+    """Pieces of the direct loci in a working mode, extended by `beyond` points. The same point may be regular in another mode."""
     return [
         Curve("direct", locus.posture, locus.tip[part], locus.theta[part])
         for locus in machine.direct_singularities(CURVE_POINTS)
@@ -78,7 +81,7 @@ def direct_curves(machine: Machine, working: Working, beyond: int = 0) -> list[C
 
 
 def stop_curves(scene: Scene, machine: Machine, working: Working, beyond: int = 0) -> list[Curve]:
-    """Arcs of the tip with a motor at one of its stops and the other within its own, or so many points beyond."""
+    """Arcs of the tip while one motor is at a stop and the other within its stops, extended by `beyond` points."""
     if not scene["stop.enabled"]:
         return []
     curves = []
@@ -94,7 +97,7 @@ def stop_curves(scene: Scene, machine: Machine, working: Working, beyond: int = 
             posture, reached = machine.field(tip, working)
             bend = np.sin(phi - angle) * SIGN[working[leg]] >= 0
             other = posture.motors.copy()
-            # The leg at its stop is there but for round-off.
+            # This leg is at its stop except for round-off; its middle angle passes the test.
             other[:, leg] = (lower + upper) / 2
             on = reached & bend & (stop_margin(scene, other) >= 0)
             curves += [
@@ -108,7 +111,7 @@ def stop_curves(scene: Scene, machine: Machine, working: Working, beyond: int = 
 
 
 class Obstacles:
-    """Borders that discs and paths must not touch: the circles of inverse singularities, and pieces of curves as chains of straight ones."""
+    """Borders that discs and paths must not touch: circles of inverse singularities, and curves as chains of straight segments."""
 
     def __init__(self, circles: list[Circle], chains: list[Floats]):
         self.circles = circles
@@ -117,21 +120,21 @@ class Obstacles:
         self.squared = np.maximum(np.sum(self.along**2, axis=-1), np.finfo(float).tiny)
 
     def near(self, middle: Floats, radius: float) -> "Obstacles":
-        """Those that may matter within a radius of a place."""
+        """The obstacles that may lie within a radius of a point."""
         near = Obstacles(self.circles, [])
         kept = np.hypot(*(self.begin - middle).T) <= radius + np.sqrt(self.squared)
         near.begin, near.along, near.squared = self.begin[kept], self.along[kept], self.squared[kept]
         return near
 
     def distance(self, places: Floats) -> Floats:
-        """Distances of places (n, 2) from the nearest obstacle."""
+        """Distances of points (n, 2) from the nearest obstacle."""
         nearest = self._from_chains(places)
         for circle in self.circles:
             nearest = np.minimum(nearest, np.abs(np.hypot(*(places - np.array(circle.centre)).T) - circle.radius))
         return nearest
 
     def _from_chains(self, places: Floats) -> Floats:
-        """Distances from the chains: places that are far from each other are divided, each half looks at what is near it."""
+        """Distances from the chains. Large sets of points are split in two, and each half considers only segments near it."""
         if len(places) > 1 and len(places) * len(self.begin) > BLOCK:
             order = np.argsort(places[:, np.argmax(np.ptp(places, axis=0))])
             distances = np.empty(len(places))
@@ -154,14 +157,14 @@ class Obstacles:
 # For pages
 
 REACH = Path(__file__).with_name("reach.js")
-"""The script by which pages draw an outline."""
+"""The script with which pages draw an outline."""
 
 SHOWN_POINTS = 400
 """Points of a whole direct locus on a page."""
 
 
 def outline(machine: Machine) -> dict[str, Any]:
-    """Reach and direct loci for pages, in m: `rings` about the motors, and for each working mode the curves that belong to it."""
+    """Reach and direct loci for pages, m: `rings` about the motors, and `loci` as the curves of each working mode."""
     return {
         "rings": [
             {"centre": [float(x), float(y)], "inner": float(inner), "outer": float(outer)}
@@ -175,7 +178,7 @@ def outline(machine: Machine) -> dict[str, Any]:
 
 
 def shown(tip: Floats, machine: Machine, stride: int = CURVE_POINTS // SHOWN_POINTS) -> list[list[float]]:
-    """Every so many points of a curve (n, 2), and its last one, to 1e-5 of the machine's size."""
+    """Every `stride`-th point of a curve (n, 2) and its last point, rounded to 1e-5 of the machine's size."""
     digits = 5 - int(np.floor(np.log10(machine.size)))
     rows = np.unique(np.append(np.arange(0, len(tip), stride), len(tip) - 1))
     return [[round(float(x), digits), round(float(y), digits)] for x, y in tip[rows]]

@@ -1,4 +1,4 @@
-"""Colours of the mechanism's parts and its singularities: `colours.css` defines them once, for pictures and pages."""
+"""Colours of the mechanism's parts and of singularities. `colours.css` defines them for pictures and pages."""
 
 import re
 from pathlib import Path

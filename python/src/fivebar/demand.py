@@ -1,6 +1,7 @@
-"""Torques that a motion needs, asked from the unit: it says how its motors accelerate, by model exchange, and the torques follow.
+"""Inverse dynamics: motor torques that a motion needs, from accelerations that the unit computes by model exchange.
 
-All effects of the scene count but servos, stops and the estimator; friction is the smooth one, which a state determines.
+Servos, stops and the estimator of the scene are off; all other effects count. Friction follows the smooth law, since its
+torque depends on the state alone.
 """
 
 import shutil
@@ -22,16 +23,16 @@ from fivebar.slave import Log, load, set_values
 Floats = NDArray[np.float64]
 
 OFF = ("servo.enabled", "stop.enabled", "estimator.enabled")
-"""Switches of effects that are no load on the motors."""
+"""Switches of effects that do not load the motors."""
 
 SMOOTH = 1
 """The item of friction.law and contact.law whose torque follows from the state."""
 
 
 class Demand:
-    """An instance of the unit that is asked for accelerations at one state after another; a context.
+    """Context manager of a unit that computes accelerations at given states.
 
-    It is in the assembly of `theta`, a posture (4,) of the scene's machine.
+    The unit is in the assembly of `theta`, a posture (4,) of the scene's machine.
     """
 
     def __init__(self, scene: Scene, theta: Floats):
@@ -66,7 +67,7 @@ class Demand:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def torques(self, theta: Floats, omega: Floats, alpha: Floats) -> Floats:
-        """Torques, N·m, (n, 2), by which the motors accelerate by `alpha` (n, 2), rad/s2, at postures (n, 4) and rates (n, 2), rad/s."""
+        """Motor torques, N·m, (n, 2), for accelerations `alpha` (n, 2), rad/s2, at postures (n, 4) and rates (n, 2), rad/s."""
         found = np.empty((len(theta), 2))
         for row, (motors, rates, wanted) in enumerate(zip(theta[:, [0, 3]].tolist(), omega.tolist(), alpha.tolist())):
             free, by_left, by_right = self._accelerations([*motors, *rates])
@@ -76,7 +77,7 @@ class Demand:
         return found
 
     def _accelerations(self, states: list[float]) -> list[tuple[float, float]]:
-        """Accelerations of the motors without torque, and with 1 N·m of the left or of the right one: they go linearly with the torques."""
+        """Motor accelerations with zero torque, with 1 N·m left and with 1 N·m right: they are affine in the torques."""
         unit, derivatives = self._unit, (c_double * 4)()
         try:
             unit.fmi2SetContinuousStates(unit.component, (c_double * 4)(*states), 4)

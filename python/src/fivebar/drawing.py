@@ -1,4 +1,4 @@
-"""Common parts of pictures: colours, style, axes, and the surroundings of the mechanism."""
+"""Common parts of pictures: colours, style, axes and the obstacles around the mechanism."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
     from fivebar.plot import Plot
 
-# The page and the moving picture are made without matplotlib, whose import takes longer than most runs.
+# matplotlib is imported only if needed: the import takes longer than most runs, and page and moving picture do without it.
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 INK, FAINT, BARRIER = "#212529", "#adb5bd", "#f1f3f5"
 WRONG = "#c2255c"
 
 ABOVE: Final[dict[str, Any]] = {"loc": "lower right", "bbox_to_anchor": (1, 1.0), "borderaxespad": 0.2}
-"""Place of a legend above its axes."""
+"""Arguments for a legend above its axes."""
 
 STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
@@ -48,7 +48,7 @@ STYLE: Final["dict[RcKeyType, Any]"] = {
 
 
 def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple["Plot", Any]:
-    """A figure with panels in a grid, which pyplot does not keep."""
+    """A figure with a grid of panels; pyplot keeps no reference to it."""
     from fivebar.plot import Plot
 
     figure = Plot(figsize=figsize)
@@ -56,7 +56,7 @@ def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **share
 
 
 def lay_out(figure: "Figure") -> None:
-    """Computes the layout of a finished figure, once for all its files: a figure with a layout engine is laid out and drawn twice for each."""
+    """Computes the layout of a finished figure once. With a layout engine, each file would lay out and draw the figure twice."""
     import matplotlib
 
     if engine := figure.get_layout_engine():
@@ -69,7 +69,7 @@ def save(figure: "Figure", file: Path) -> Path:
     """Writes a picture and closes it: the same figure gives the same bytes."""
     import matplotlib.pyplot as plt
 
-    # Texts beside the axes, as names of unknowns, may need more room.
+    # Text beside the axes may need more room than the figure has.
     figure.savefig(
         file,
         bbox_inches="tight",
@@ -81,7 +81,7 @@ def save(figure: "Figure", file: Path) -> Path:
 
 
 def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list[np.ndarray]:
-    """Time and signals with at most about 2·buckets points per signal, every bucket's extremes kept."""
+    """Time and signals thinned to about 2·buckets points per signal; the extremes of each bucket are kept."""
     if len(time) <= 2 * buckets:
         return [time, *signals]
     edges = np.linspace(0, len(time), buckets + 1).astype(int)
@@ -94,19 +94,19 @@ def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list
 
 
 def time_axis(axes: "Axes", runs: list[Run]) -> None:
-    """Labels and limits the axis of time."""
+    """Sets label and limits of the time axis."""
     axes.set_xlabel("time  (s)")
     begin, end = float(runs[0].time[0]), max(float(run.time[-1]) for run in runs)
     axes.set_xlim(begin, end if end > begin else begin + runs[0].step_size)
 
 
 def drawing_order(runs: list[Run]) -> list[tuple[int, Run]]:
-    """The scene's own run last, on top."""
+    """Runs with their indices; the scene's own run comes last and so is on top."""
     return list(enumerate(runs))[::-1]
 
 
 def run_style(i: int) -> dict[str, float]:
-    """Overlays lie as a broad band under the scene's own thin line, so that both show where they agree."""
+    """Line style of a run: overlays are broad bands under the scene's thin line, so that both are visible if they agree."""
     return {"linewidth": 1.2} if i == 0 else {"linewidth": 3.2, "alpha": 0.55}
 
 
@@ -116,18 +116,18 @@ def run_label(run: Run) -> str:
 
 
 def ordered_legend(axes: "Axes", count: int) -> None:
-    """A legend above the axes, the scene's own run first."""
+    """Adds a legend above the axes, with the scene's own run first."""
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], labels[::-1], ncols=count, **ABOVE)
 
 
 def legend_above(axes: "Axes", columns: int = 4) -> None:
-    """A legend above the axes, where no curve is."""
+    """Adds a legend above the axes, clear of the curves."""
     axes.legend(ncols=columns, **ABOVE)
 
 
 def legend_below(axes: "Axes", columns: int = 4) -> None:
-    """A legend below the only axes of a figure whose title needs the room above them."""
+    """Adds a legend below the axes, for a figure with a title in the room above them."""
     handles, labels = axes.get_legend_handles_labels()
     figure = axes.get_figure(root=True)
     assert figure is not None
@@ -135,12 +135,12 @@ def legend_below(axes: "Axes", columns: int = 4) -> None:
 
 
 def positive(values: np.ndarray) -> np.ndarray:
-    """An exact zero has no place on a logarithmic axis."""
+    """Values for a logarithmic axis: zeros become NaN, since they cannot be drawn."""
     return np.where(values > 0, values, np.nan)
 
 
 def full_decades(axes: "Axes", values: np.ndarray) -> None:
-    """Limits of a logarithmic axis at powers of ten, not below 1e-8, and no labels between them."""
+    """Sets limits of a logarithmic axis to powers of ten of at least 1e-8, without labels between the powers."""
     from matplotlib.ticker import NullFormatter
 
     positive = values[values > 0]
@@ -151,7 +151,7 @@ def full_decades(axes: "Axes", values: np.ndarray) -> None:
 
 
 def extent(run: Run, axis: str) -> tuple[float, float]:
-    """Limits along x or y that show the base, the elbows and the tip all the time."""
+    """Limits along x or y that contain the base, the elbows and the tip at all times."""
     feet = np.array([0.0, run.parameters["base.distance"] if axis == "x" else 0.0])
     parts = [feet, run[f"tip.{axis}"], run[f"elbow[1].{axis}"], run[f"elbow[2].{axis}"]]
     low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)

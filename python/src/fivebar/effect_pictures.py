@@ -1,4 +1,4 @@
-"""Pictures of loads and obstacles of a scene: changing loads, servos, end stops, a plane."""
+"""Pictures of the loads and obstacles of a scene: time-varying loads, servos, end stops and the contact plane."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +18,12 @@ SIDES = ((1, "left", LEFT), (2, "right", RIGHT))
 
 
 def loads(scene: Scene) -> list[str]:
-    """The motor torques and tip forces that change with time."""
+    """Names of the time-varying motor torques and tip forces."""
     return [name for name in scene.signals if not name.startswith("servo.")]
 
 
 def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
-    """Torques and forces over time, one axes for each."""
+    """Torques and forces over time, each in its own axes."""
     run, names = runs[0], loads(scene)
     figure, all_axes = panels(len(names), sharex=True, squeeze=False, figsize=(10, 1.4 + 1.7 * len(names)))
     for axes, name in zip(all_axes[:, 0], names):
@@ -35,7 +35,7 @@ def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 
 
 def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
-    """Angles with their references, their differences, and the torques."""
+    """Motor angles and references, tracking errors and servo torques."""
     figure, (angles, errors, torques) = panels(3, sharex=True, figsize=(10, 7), height_ratios=(3, 2, 2))
     run = runs[0]
     for i, side, colour in SIDES:
@@ -55,7 +55,7 @@ def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 
 
 def stop(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
-    """Motor angles between their stops, and how deep they go into them."""
+    """Motor angles between their stops, and their penetration into the stops."""
     figure, (*angles, depth) = panels(3, sharex=True, figsize=(10, 6.4), height_ratios=(3, 3, 2))
     run, p = runs[0], runs[0].parameters
     for axes, (i, side, colour) in zip(angles, SIDES):
@@ -75,7 +75,7 @@ def stop(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 
 
 def contact(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
-    """How far the tip is from the plane, how deep in it, and the force between them."""
+    """Distance of the tip from the plane, penetration and contact force."""
     figure, (gap, depth, forces) = panels(3, sharex=True, figsize=(10, 7), height_ratios=(2, 2, 3))
     run = runs[0]
     normal, offset = plane(run)
@@ -96,7 +96,7 @@ def contact(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 
 
 def _input(scene: Scene, run: Run, name: str) -> np.ndarray:
-    """An input over time: a signal, or the value that the scene gives it once."""
+    """An input over time: its signal, or the constant value of the scene."""
     return run[name] if name in scene.signals else np.full(len(run.time), scene.variants[0].values.get(name, 0.0))
 
 
@@ -106,7 +106,7 @@ def _curve(axes: "Axes", run: Run, values: np.ndarray, colour: str, **style: Any
 
 
 def _limits(axes: "Axes", limit: float) -> None:
-    """Lines at plus and minus `limit`, where the curves come near it."""
+    """Draws lines at plus and minus `limit` if the curves come near it."""
     if max(map(abs, axes.get_ylim())) > limit / 2:
         for value in (-limit, limit):
             axes.axhline(value, color=FAINT, linewidth=1, linestyle="--")

@@ -1,4 +1,4 @@
-"""Text of files that users give: UTF-8, with or without a byte order mark, or UTF-16 with one, as editors and spreadsheets write it."""
+"""Reads text files of users: UTF-8 with or without a byte order mark, or UTF-16 with one, as editors and spreadsheets write them."""
 
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
@@ -9,7 +9,7 @@ ALLOWED = "text in UTF-8, or in UTF-16 with a byte order mark, is allowed"
 
 
 def content(file: Path, largest: int) -> bytes:
-    """The bytes of a file of limited size. Raises FiveBarError with one sentence about `it`, the file."""
+    """The bytes of a file of limited size. Raises FiveBarError; its sentence calls the file `it`."""
     try:
         with file.open("rb") as stream:
             found = stream.read(largest + 1)
@@ -21,7 +21,7 @@ def content(file: Path, largest: int) -> bytes:
 
 
 def decoded(given: bytes) -> str:
-    """The text of such bytes, without a byte order mark."""
+    """The text in these bytes, without a byte order mark."""
     encoding = "utf-16" if given.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
     try:
         text = given.decode(encoding)

@@ -1,4 +1,4 @@
-"""Errors and warnings that the caller can mend: one sentence that names the object, its value, and the allowed ones."""
+"""Errors and warnings that the caller can fix: one sentence names the object, its value and the allowed values."""
 
 from typing import TYPE_CHECKING
 
@@ -7,15 +7,17 @@ if TYPE_CHECKING:
 
 
 class FiveBarError(ValueError):
-    """A file, a name, a value or a setting that is refused; the command prints it and ends with exit code 2."""
+    """A file, a name, a value or a setting was refused. The command prints the sentence and ends with exit code 2."""
 
 
 class UnitError(FiveBarError):
-    """The unit refused a call; the text is its own sentence."""
+    """The unit refused a call; the text is the unit's sentence."""
 
 
 class StepFailed(UnitError):
-    """A step that the unit could not make: it is discarded, and the unit is as before. `result` is that of the run up to then, if there is a run.
+    """A step failed. The unit discards it and stays in its state before the step.
+
+    `result` has the run up to the failure, or is None outside a run.
 
     Examples
     --------
@@ -34,4 +36,4 @@ class StepFailed(UnitError):
 
 
 class MachineWarning(UserWarning):
-    """A machine that cannot be as its scene says; the command prints it and goes on."""
+    """A scene describes a machine that cannot exist. The command prints the sentence and continues."""

@@ -1,4 +1,4 @@
-"""Table of what a run met, as its communication points show it: singularities, stops, the plane, friction that sticks and slips."""
+"""Table of the events of a run at its communication points: singularities, stops, contact with the plane, stick and slip."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,19 @@ from fivebar.drive import Run
 from fivebar.singularities import Event
 
 STILL = 1e-9
-"""Rates of what sticks, rad/s and m/s, at most: round-off leaves 1e-11, and what slips passes this within a fraction of any step."""
+"""Largest rate, rad/s and m/s, that counts as sticking: round-off leaves 1e-11, and slip exceeds it in a fraction of a step."""
 
 JOINTS = ("left base joint", "left elbow", "tip joint", "right elbow", "right base joint")
 
 STICK = 2
-"""The item of friction.law and contact.law that is set-valued."""
+"""Number of the set-valued item of friction.law and contact.law."""
 
 
 class Row(NamedTuple):
-    """Something that a run met."""
+    """An event of a run."""
 
     time: float
-    """Of the communication point that shows it first, s; of a singularity interpolated."""
+    """Time of the first communication point that shows the event, s; interpolated for a singularity."""
 
     event: str
     """`direct`, `inverse`, `combined` or `constraint` (singularities), `stop reached`, `stop left`, `plane touched`, `plane left`,
@@ -32,7 +32,7 @@ class Row(NamedTuple):
 
 
 def find(run: Run, met: list[Event]) -> list[Row]:
-    """All that a run met, in the order of time; `met` are its singularities."""
+    """All events of a run, sorted by time; `met` are its singularities."""
     rows = [Row(event.time, event.kind, str(event).removeprefix(f"{event.kind} singularity ")) for event in met]
     return sorted([*rows, *stops(run), *_plane(run), *_friction(run)], key=lambda row: row.time)
 
@@ -58,7 +58,7 @@ def _plane(run: Run) -> list[Row]:
 
 
 def _friction(run: Run) -> list[Row]:
-    """Joints, and the tip on the plane, that stick: only where the law lets them."""
+    """Stick and slip of the joints and of the tip on the plane, if the law is set-valued."""
     given, rows = run.parameters, []
     if given["friction.enabled"] and given["friction.law"] == STICK:
         left, right, first, second = (
@@ -71,7 +71,7 @@ def _friction(run: Run) -> list[Row]:
         (x, y), _ = plane(run)
         along = np.abs(x * run["tip.vy"] - y * run["tip.vx"])
         moves = _changes(run, _touches(run) & (along <= STILL), "sticks", "slips", "tip on the plane")
-        # What leaves the plane does not slip on it.
+        # A tip that leaves the plane does not slip on it.
         leaves = {row.time for row in _plane(run) if row.event == "plane left"}
         rows += [row for row in moves if row.time not in leaves]
     return rows
@@ -82,12 +82,12 @@ def _touches(run: Run) -> NDArray[np.bool_]:
     return touches
 
 
-def value(run: Run, name: str) -> NDArray[np.float64] | float:
-    """A parameter, which a signal may change."""
+def _value(run: Run, name: str) -> NDArray[np.float64] | float:
+    """Value of a parameter: over time if a signal changes it, otherwise constant."""
     return run.columns[name] if name in run.columns else float(run.parameters[name])
 
 
 def _changes(run: Run, holds: NDArray[np.bool_], begins: str, ends: str, where: str) -> list[Row]:
-    """Rows at which something begins, also at the first communication point, or ends."""
+    """Rows for the beginnings and ends of a condition; it may begin at the first communication point."""
     changes = np.diff(np.concatenate(([False], holds)).astype(np.int8))
     return [Row(float(run.time[row]), begins if changes[row] > 0 else ends, where) for row in np.flatnonzero(changes)]

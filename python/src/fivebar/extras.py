@@ -1,4 +1,4 @@
-"""The extras of the package: what they need stands in pyproject.toml, from where the package's metadata have it."""
+"""Extras of the package. Their requirements come from the package's metadata, which pyproject.toml defines."""
 
 from importlib.metadata import PackageNotFoundError, requires, version
 
@@ -8,7 +8,10 @@ from fivebar.errors import FiveBarError
 
 
 def need(extra: str, *packages: str) -> None:
-    """Refuses with one sentence if packages that an extra needs are missing or too old; `packages` are those of them that count, all unless given."""
+    """Raises FiveBarError if packages of an extra are missing or too old.
+
+    `packages` restricts the check to some packages of the extra; by default all are checked.
+    """
     needed = [
         (requirement, _installed(requirement.name))
         for requirement in requirements(extra)
@@ -28,7 +31,7 @@ def need(extra: str, *packages: str) -> None:
 
 
 def requirements(extra: str) -> list[Requirement]:
-    """Packages that an extra needs on this machine beside those that the package always needs."""
+    """Requirements that an extra adds to the package on this machine."""
     found = [Requirement(text) for text in requires("fivebar") or ()]
     return [
         r
@@ -42,7 +45,7 @@ def _listed(names: list[str]) -> str:
 
 
 def _installed(name: str) -> str | None:
-    """The version that is installed, None if there is none."""
+    """The installed version of a package, or None."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Inputs that change with time, as callers in Python give them, at the communication points of a run."""
+"""Samples time-varying inputs of Python callers at the communication points of a run."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,14 +12,17 @@ from fivebar.variables import Variables, shown
 Floats = NDArray[np.float64]
 
 Inputs = Mapping[str, Any] | Callable[[float], Mapping[str, float]] | Any
-"""By name a number, values at the communication points, or a pair (times, values) that straight lines join; with a key `time` all other
-values are at those times, s; also a frame of pandas with a column or index `time`, or a function of time that returns values by name."""
+"""A mapping from name to a number, to values at the communication points, or to a pair (times, values) for linear interpolation.
+
+With a key `time`, s, all other values belong to these times. A pandas frame with a column or an index `time` and a function of
+time that returns values by name are allowed too.
+"""
 
 TIME = "time"
 
 
 def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[str, Floats]:
-    """Values at the communication points, s, each held over the step that follows."""
+    """Values of the inputs by name at the communication points, s; each is constant over the following step."""
     if given is None:
         return {}
     courses = _of_function(given, points) if callable(given) else _of_table(_columns(given), points)
@@ -35,7 +38,7 @@ def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[
 
 
 def _columns(given: Any) -> Mapping[str, Any]:
-    """A mapping, or a frame as one."""
+    """The mapping itself, or the columns of a frame by name."""
     if isinstance(given, Mapping):
         return given
     if not (hasattr(given, "columns") and hasattr(given, "index")):
@@ -80,7 +83,7 @@ def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
 
 
 def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
-    """Straight lines through values at times, constant before and after them."""
+    """Linear interpolation of values at times, constant before the first and after the last time."""
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
     if at.ndim != 1 or at.shape != course.shape or not len(at):
         raise FiveBarError(

@@ -1,4 +1,4 @@
-"""The extracted .fmu of a unit: its model description and its loaded library, which any number of instances share."""
+"""An extracted .fmu: its model description and loaded library, shared by any number of instances."""
 
 import os
 import re
@@ -24,34 +24,34 @@ INDEX = re.compile(r"\[\d+\]")
 """The index in a name."""
 
 TYPES: dict[str, Any] = {"Real": c_double, "Integer": c_int, "Boolean": c_int}
-"""C types of values, by the types of FMI's calls."""
+"""C types of values by FMI type."""
 
 _LOADING = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Block:
-    """Variables of one type, which one call reads or sets."""
+    """Variables of one type, read or set by one call."""
 
     getter: str
     setter: str
-    """C functions that read and set the type; enumerations are integers."""
+    """C functions that read and set variables of this type; enumerations are integers."""
 
     references: "Array[c_uint]"
     places: Sequence[int]
-    """Where each stands in the list that the block is a part of."""
+    """Index of each variable in the whole list of names."""
 
     values: Any
-    """Constructor of an array of values."""
+    """C array type of the values."""
 
     orders: "Array[c_int]"
-    """1 for each: the order of first derivatives."""
+    """Orders of input derivatives: 1 for each variable."""
 
 
 class Library:
-    """An extracted .fmu, whose files are removed when nothing uses it any longer, or by `close`.
+    """An extracted .fmu. Its files are removed by `close`, or when the object is no longer used.
 
-    `model` is FMPy's model description, `variables` has its variables by name, `known` what scenes may set.
+    `model` is FMPy's model description. `variables` has FMPy's variables by name, `known` the package's own.
     """
 
     def __init__(self, fmu: Path):
@@ -61,7 +61,7 @@ class Library:
         self.directory = fmpy.extract(str(fmu))
         self.loaded: list[fmi2._FMU2] = []
         self.open: set[int] = set()
-        """Addresses of the instances that are not freed."""
+        """Addresses of instances that have not been freed yet."""
 
         self._discard = weakref.finalize(self, _discard, self.directory, os.getpid(), self.loaded, self.open)
         self.model: ModelDescription = fmpy.read_model_description(self.directory, validate=False)
@@ -81,18 +81,18 @@ class Library:
 
     @cached_property
     def co_simulation(self) -> CDLL:
-        """C functions of co-simulation."""
+        """C functions for co-simulation."""
         return self._load(fmi2.FMU2Slave)
 
     @cached_property
     def model_exchange(self) -> CDLL:
-        """C functions of model exchange."""
+        """C functions for model exchange."""
         return self._load(fmi2.FMU2Model)
 
     def _load(self, kind: type[fmi2._FMU2]) -> CDLL:
         identifier = self.model.coSimulation.modelIdentifier
         path = shipped.library(self.directory, identifier)
-        # FMPy changes the working directory of the process while it loads a library, so one thread at a time does.
+        # FMPy changes the working directory of the process while it loads a library, so only one thread may load at a time.
         with _LOADING:
             loaded = kind(
                 guid=self.guid,
@@ -106,14 +106,14 @@ class Library:
         return functions
 
     def variable(self, name: str) -> ScalarVariable:
-        """FMPy's description of the variable of that name."""
+        """FMPy's description of a variable."""
         if name not in self.variables:
             raise FiveBarError(f"the unit has no variable {name!r}")
         return self.variables[name]
 
     @cached_property
     def arrays(self) -> dict[str, tuple[Variable, ...]]:
-        """Elements of each array, by its name without the index: `theta` has `theta[1]` and `theta[2]`."""
+        """Elements of each array by its name without index: `theta` has `theta[1]` and `theta[2]`."""
         found: dict[str, tuple[Variable, ...]] = {}
         for name, variable in self.known.items():
             if INDEX.search(name) and not name.startswith("der("):
@@ -123,12 +123,12 @@ class Library:
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Units by the names of variables and arrays."""
+        """Units by name, for variables and arrays."""
         of_arrays = {name: elements[0].unit for name, elements in self.arrays.items()}
         return of_arrays | {name: variable.unit for name, variable in self.known.items()}
 
     def elements(self, name: str) -> tuple[Variable, ...]:
-        """The variable of that name, or the elements of the array."""
+        """The variable of this name, or the elements of the array of this name."""
         if (found := self._elements.get(name)) is None:
             raise FiveBarError(f"there is no variable '{name}'{similar(name, self._elements)}")
         return found
@@ -138,13 +138,13 @@ class Library:
         return {name: (variable,) for name, variable in self.known.items()} | self.arrays
 
     def blocks(self, names: tuple[str, ...]) -> tuple[Block, ...]:
-        """The variables of those names, by type: one call for each block."""
+        """The named variables in blocks, one for each type."""
         if (found := self._blocks.get(names)) is None:
             found = self._blocks[names] = tuple(self._by_type(names))
         return found
 
     def reals(self, names: tuple[str, ...]) -> Block | None:
-        """The block of those names if each is a variable, none an array, and all are Real."""
+        """The block of these names if all are Real variables and none is an array, otherwise None."""
         if names not in self._reals:
             are_real = bool(names) and all(name in self.known and self.known[name].type == "Real" for name in names)
             self._reals[names] = self.blocks(names)[0] if are_real else None
@@ -160,12 +160,12 @@ class Library:
                 yield Block(f"fmi2Get{kind}", f"fmi2Set{kind}", references, own, c_type * len(own), orders)
 
     def close(self) -> None:
-        """Removes the extracted files now; instances that are open go on."""
+        """Removes the extracted files now; open instances keep working."""
         shutil.rmtree(self.directory, ignore_errors=True)
 
 
 def _discard(directory: str, process: int, loaded: list[fmi2._FMU2], used: set[int]) -> None:
-    """Unloads what no instance uses, and removes the files; a fork leaves them to the process that made them."""
+    """Unloads the library if no instance is open, and removes the files. A forked child leaves them to its parent."""
     if not used:
         for each in loaded:
             each.freeLibrary()
@@ -174,7 +174,7 @@ def _discard(directory: str, process: int, loaded: list[fmi2._FMU2], used: set[i
 
 
 def shared(fmu: Path | None = None) -> Library:
-    """The library of a packed unit, of the shipped one if none is given, extracted once in a process."""
+    """The library of a packed unit, by default the shipped one. It is extracted once per process."""
     file = shipped.unit() if fmu is None else fmu
     if not file.is_file():
         raise FiveBarError(f"there is no .fmu at {file}")

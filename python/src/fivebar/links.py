@@ -1,6 +1,7 @@
-"""Links that no machine has whose mass lies between its joints: their centre of mass is there too, and their inertia is bounded.
+"""Finds links whose data cannot be right if all their mass lies between their joints.
 
-Of a mass m between 0 and l, with its centre at c, the inertia about the centre is largest where all lies at the ends: m c (l - c).
+The centre of mass c of such a link of length l lies between the joints too. The inertia of its mass m about c is at most
+m c (l - c), if all mass is at the two joints.
 """
 
 from collections.abc import Mapping
@@ -9,7 +10,7 @@ from fivebar.variables import Value
 
 
 def doubts(values: Mapping[str, Value]) -> list[str]:
-    """Sentences on links, of a machine given by all its start values, whose mass cannot lie between their joints."""
+    """Sentences on links whose mass cannot lie between their joints; `values` are all start values of a machine."""
     found = []
     for link in (f"link[{i}]" for i in (1, 2, 3, 4)):
         length, mass, com, inertia = (float(values[f"{link}.{name}"]) for name in ("length", "mass", "com", "inertia"))
@@ -17,7 +18,7 @@ def doubts(values: Mapping[str, Value]) -> list[str]:
             found.append(
                 f"{link}.com is {com:g} m, beyond the joints of a link of {length:g} m: are both of the same link?"
             )
-        # Rods with their mass at both ends are as they are by rounding only.
+        # A rod with its mass at both ends meets the bound exactly: the factor allows for rounding.
         elif inertia > (most := mass * com * (length - com)) * (1 + 1e-9):
             found.append(
                 f"{link}.inertia is {inertia:g} kg.m2 about the centre of mass, more than the {most:.3g} kg.m2 that {mass:g} kg between the joints "

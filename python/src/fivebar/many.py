@@ -1,4 +1,4 @@
-"""Many runs on the processors of this machine."""
+"""Runs many scenes in parallel on this computer."""
 
 import multiprocessing
 import os
@@ -17,12 +17,12 @@ from fivebar.scene import Scene
 from fivebar.simulate import OnFailure
 
 MOST_PROCESSES = 61
-"""Processes that a pool may have on Windows."""
+"""Largest number of processes in a pool on Windows."""
 
 Given = str | Path | Mapping[str, Any] | Scene
 Reduce = Callable[[Result], Any]
 Outcome = tuple[int, FiveBarError | None, Any]
-"""The number of a run, why it has no whole result, and its result."""
+"""Number of a run, the error if it has no complete result, and its result."""
 
 
 def run_many(
@@ -61,7 +61,7 @@ def run_many(
 def _scenes(
     given: Given | Iterable[Given], values: Sequence[Mapping[str, Any]] | None, changes: Mapping[str, Any]
 ) -> list[Scene]:
-    """A scene for each run, ready to be sent to a process."""
+    """One scene per run, ready to be sent to a process."""
     one = isinstance(given, (str, Path, Mapping, Scene))
     bases = [scenes.read(given)] if one else [scenes.read(each) for each in given]  # type: ignore[union-attr,arg-type]
     told = [{}] * len(bases) if values is None else list(values)
@@ -81,7 +81,7 @@ def _scenes(
 
 
 def _run(task: tuple[int, str, Scene, list[str], Reduce | None]) -> Outcome:
-    """A run, in whichever process."""
+    """Runs one task, in this process or in a worker."""
     number, directory, scene, outputs, reduce = task
     try:
         result = simulate.run_in(directory, scene, outputs=outputs)
@@ -93,7 +93,7 @@ def _run(task: tuple[int, str, Scene, list[str], Reduce | None]) -> Outcome:
 
 
 def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]], count: int) -> Iterator[Outcome]:
-    """Outcomes as they come. Processes are not forked: threads of other libraries would not go on in a copy."""
+    """Outcomes in order of completion. Processes are spawned: a fork would not copy the threads of other libraries."""
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
         try:
             for future in as_completed([pool.submit(_run, task) for task in tasks]):
@@ -108,5 +108,5 @@ def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]],
 
 
 def _processors() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

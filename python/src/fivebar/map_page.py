@@ -1,4 +1,6 @@
-"""The map of a scene as one self-contained page: `map.html` with the fields put in. The machine follows the pointer, in each working mode."""
+"""The map of a scene as one self-contained page: the template `map.html`, filled with the fields of each working mode. The
+machine follows the pointer.
+"""
 
 import base64
 import html
@@ -17,7 +19,7 @@ from fivebar.workspace_pictures import KAPPAS, force_levels, load_words, scale_c
 TEMPLATE = Path(__file__).with_name("map.html")
 
 MOST = 1e9
-"""Forces in N and margins in rad are kept up to so much: infinity is no number of JSON's."""
+"""Forces, N, and margins, rad, are clipped to this magnitude: JSON has no infinity."""
 
 
 def write(survey: Map, file: Path) -> Path:
@@ -39,7 +41,7 @@ def write(survey: Map, file: Path) -> Path:
         "load": "" if survey.limits is None else load_words(survey),
         "modes": [_mode(survey, mode) for mode in survey.modes],
     }
-    # "</" would end the script element that holds the data.
+    # "</" would end the script element with the data.
     packed = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("</", "<\\/")
     page = TEMPLATE.read_text(encoding="utf-8")
     page = (
@@ -74,7 +76,7 @@ def _mode(survey: Map, mode: Mode) -> dict[str, Any]:
 
 
 def _field(name: str, unit: str, values: NDArray[np.float64], levels: list[float], labels: list[str]) -> dict[str, Any]:
-    """A field with its colours: one from each level to the next."""
+    """A field with one colour between each two levels."""
     return {
         "name": name,
         "unit": unit,
@@ -86,5 +88,5 @@ def _field(name: str, unit: str, values: NDArray[np.float64], levels: list[float
 
 
 def _packed(values: NDArray[np.float64]) -> str:
-    """Little-endian float32 in base64, row after row."""
+    """Base64 of little-endian float32, row by row."""
     return base64.b64encode(np.clip(values, -MOST, MOST).astype("<f4").tobytes()).decode("ascii")
