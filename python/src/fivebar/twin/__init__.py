@@ -1,1 +1,1 @@
-"""The live twin of a five-bar: messages, corrector, records, replay, watch and dashboard around the unit. docs/pipeline.md introduces it."""
+"""The live twin of a five-bar: messages, estimator, records, replay, watch and dashboard around the FMU. See docs/pipeline.md."""

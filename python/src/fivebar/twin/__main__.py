@@ -15,12 +15,12 @@ PROCESSES = {
     "watch": "watch",
     "dashboard": "dashboard",
 }
-"""Their modules by name; docs/pipeline.md says what each does."""
+"""Module of each process by name; docs/pipeline.md describes the processes."""
 
 
 def main() -> int:
-    """Runs one of them until it is told to stop."""
-    # By hand, and with the module of this process alone: processes start at once, and without what others need.
+    """Runs one process until it is asked to stop."""
+    # Parsed by hand, and only the module of this process is imported: a fast start, without the packages of other processes.
     match sys.argv[1:]:
         case [name, "--config", file] if name in PROCESSES:
             pass

@@ -1,6 +1,6 @@
-"""The forecasts' process: goes on from the states that the twin hands over, as `ahead`, and publishes `forecast`.
+"""The forecast process: receives the twin's states as `ahead`, runs ahead of time from them and publishes `forecast`.
 
-A process of its own, which comes last where cores are few: an estimate never waits for a forecast.
+It is a separate process with the lowest priority: an estimate never waits for a forecast.
 """
 
 import logging
@@ -20,9 +20,9 @@ log = logging.getLogger("fivebar")
 
 
 class Ahead(Worker):
-    """The worker. Forecasts are made in a thread, from the newest state; states that came meanwhile are left out.
+    """The worker. A thread computes each forecast from the newest state and skips states that arrived in the meantime.
 
-    Or `at_once`, where a state comes: then all are made, however long that takes, for whoever holds the clock.
+    With `at_once`, each state gets its forecast immediately, for callers that control the clock.
     """
 
     name = "forecast"
@@ -67,7 +67,7 @@ class Ahead(Worker):
         try:
             forecast = self.forecaster.run(state, self.stopped.is_set)
         except (KeyError, TypeError, ValueError) as error:
-            # Whatever is wrong with one state, the next one may be good.
+            # One bad state must not end the process: the next one may be good.
             log.warning("no forecast: %s", error)
             return
         if forecast is not None:

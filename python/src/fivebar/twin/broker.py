@@ -1,4 +1,4 @@
-"""The broker that comes along: amqtt, on the loopback interface only. Beyond it use one like mosquitto, with users, roles and TLS."""
+"""The embedded broker: amqtt, on the loopback interface only. On a network, use another broker such as mosquitto, with users, roles and TLS."""
 
 import asyncio
 import logging
@@ -15,7 +15,7 @@ from fivebar.twin.errors import TwinError
 
 
 def run(file: Path) -> int:
-    """Serves until told to stop."""
+    """Serves until the process is asked to stop."""
     config = process.read_config(file)
     if not is_loopback(config.broker.host):
         raise TwinError(
@@ -33,7 +33,7 @@ def run(file: Path) -> int:
 
 
 def _is_trouble(record: logging.LogRecord) -> bool:
-    """False for messages to a client that has just left: uvloop refuses its closed connection, and amqtt reports each as an error."""
+    """False for messages to a client that has just disconnected: uvloop refuses its closed connection, and amqtt reports each as an error."""
     error = record.exc_info[1] if record.exc_info else None
     return not (isinstance(error, RuntimeError) and "handler is closed" in str(error))
 

@@ -1,4 +1,4 @@
-"""The connection of a process to the broker: connects again by itself, subscribes again, hands messages over as they come."""
+"""The connection of a process to the broker: reconnects and subscribes again automatically, and passes each message on when it arrives."""
 
 import logging
 import os
@@ -14,13 +14,13 @@ from fivebar.twin.config import Broker
 from fivebar.twin.messages import topic
 
 RELIABLE: Final = ("alarm", "param", "cmd", "state", "whatif")
-"""Kinds that are sent at least once (QoS 1). Samples and messages computed from them are sent once (QoS 0): the next one is newer."""
+"""Kinds sent at least once (QoS 1). Samples and messages computed from them are sent at most once (QoS 0), because the next one is newer."""
 
 log = logging.getLogger("fivebar")
 
 
 class Bus:
-    """`handle(topic, payload)` is called for every message on the subscribed kinds, in a thread of its own."""
+    """Calls `handle(topic, payload)` for every message of the subscribed kinds, in its own thread."""
 
     def __init__(
         self, broker: Broker, unit: str, name: str, kinds: Iterable[str], handle: Callable[[str, bytes], None]
@@ -30,7 +30,7 @@ class Bus:
         """Subscribed topics, with their QoS."""
         self.connections = 0
         self.unsent = 0
-        """Messages that there was no connection for."""
+        """Messages published without a connection."""
         self.client = mqtt.Client(
             CallbackAPIVersion.VERSION2,
             client_id=f"{unit}-{name}-{os.getpid()}",
@@ -48,7 +48,7 @@ class Bus:
             self.client.tls_set_context(context)
 
     def start(self) -> None:
-        """Connects in the background, now or as soon as there is a broker."""
+        """Connects in the background, as soon as the broker answers."""
         self.client.connect_async(self.broker.host, self.broker.port, keepalive=10)
         self.client.loop_start()
 
@@ -57,14 +57,14 @@ class Bus:
         return self.client.is_connected()
 
     def publish(self, kind: str, payload: bytes) -> bool:
-        """Sends a message; whether there was a connection to send it on. Reliable kinds wait for the next one."""
+        """Sends a message and returns whether there was a connection. Without one, reliable kinds wait for the next connection."""
         reliable = kind in RELIABLE
         sent = self.client.publish(topic(self.unit, kind), payload, qos=int(reliable)).rc == mqtt.MQTT_ERR_SUCCESS
         self.unsent += not sent
         return sent
 
     def hear_others(self, on: bool) -> None:
-        """Listens to the samples of all units, or no longer."""
+        """Starts or stops listening to the samples of all units."""
         every = topic("+", "meas")
         if on:
             self.topics[every] = 0
@@ -74,7 +74,7 @@ class Bus:
             self.client.unsubscribe(every)
 
     def stop(self) -> None:
-        """Sends what is waiting, and leaves."""
+        """Sends waiting messages and disconnects."""
         self.client.disconnect()
         self.client.loop_stop()
 
@@ -98,17 +98,17 @@ class Bus:
 
     def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         if message.retain:
-            # The broker may have kept it for days: an order would be carried out at every connection.
+            # The broker may have stored it for days, and a command would be executed at every connection.
             log.warning("ignored: a retained message of %r", message.topic[:100])
             return
         try:
             self.handle(message.topic, bytes(message.payload))
         except Exception:
-            # An error that no code foresees ends the process: its starter starts it again from the last stored state.
+            # An unexpected error ends the process; the starter restarts it from the last stored state.
             log.exception("a message could not be handled")
             os._exit(70)
 
     def _opened(self, _client: mqtt.Client, _data: Any, opened: Any) -> None:
-        # One message is one sample: it must not wait for the next one.
+        # Each message is a sample and must not wait for the next one (Nagle's algorithm).
         if isinstance(opened, socket.socket):
             opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

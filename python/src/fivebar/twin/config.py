@@ -1,4 +1,4 @@
-"""The one configuration file of a run, common to all of its processes. A starter writes it, the processes read it."""
+"""The configuration file of a run, shared by all of its processes. The starter writes it, the processes read it."""
 
 import ipaddress
 import json
@@ -15,20 +15,20 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import UNIT_NAME
 
 LARGEST_FILE: Final = 4_000_000
-"""Bytes of a configuration, a scene or a stored state that are read at most."""
+"""Maximum size of a configuration, a scene or a stored state, bytes."""
 
 SHORTEST_PERIOD: Final = 1e-4
-"""s between two samples."""
+"""Shortest sampling period, s."""
 
 FEWEST_AHEAD: Final = 10
-"""Samples that a forecast covers."""
+"""Minimum number of sampling periods in a forecast's horizon."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Broker:
-    """Address of the broker, and credentials. Beyond this machine only with user, password and TLS."""
+    """Address and credentials of the broker. A broker on another machine needs user, password and TLS."""
 
     host: str = "127.0.0.1"
     port: int = 1883
@@ -36,42 +36,42 @@ class Broker:
     user: str = ""
     password: str = ""
     ca_file: str = ""
-    """Certificates that the broker's is checked against; "" is plain TCP, "system" are those of the system."""
+    """Trusted certificates for TLS: a file, or "system" for the system's certificates; "" is plain TCP."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults made on purpose between the machine and its broker: shares of the samples. All 0 in a default run."""
+    """Injected faults between the machine and its broker, as shares of the samples. The default is no faults."""
 
     lost: float = 0.0
     doubled: float = 0.0
     late: float = 0.0
     malformed: float = 0.0
     clock_jump: float = 0.0
-    """A jump of the machine's clock in s, half-way."""
+    """Jump of the machine's clock at sample 2000, s."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """The stand-in: properties of the real machine that the twin does not know, and its encoders."""
+    """The stand-in for the real machine: properties unknown to the twin, and the encoders."""
 
     hidden: dict[str, float | int | bool] = field(default_factory=dict)
-    """Start values that differ from the scene's, and `encoder.offset[1..2]`, rad: angles that encoders show beyond the true ones."""
+    """Start values that differ from the scene, and `encoder.offset[1..2]`, rad: encoder reading minus true angle."""
 
     quantum: float = 2 * math.pi / 2**16
-    """A step of the encoders, rad; 0 is none."""
+    """Resolution of the encoders, rad; 0 is exact."""
 
     sigma: float = 0.0
-    """White noise of the encoders, rad."""
+    """Standard deviation of the encoders' white noise, rad."""
 
     delay: float = 0.0
-    """Between sampling and sending, s."""
+    """Delay between sampling and sending, s."""
 
     drop_outs: float = 0.0
-    """Share of samples that an encoder leaves out."""
+    """Share of samples in which an encoder has no reading."""
 
     csv: str = ""
-    """A recording that is played in the place of the stand-in."""
+    """A recording to play instead of the stand-in."""
 
     seed: int = 1
     faults: Faults = field(default_factory=Faults)
@@ -79,14 +79,14 @@ class Machine:
 
 @dataclass(frozen=True)
 class Config:
-    """Everything. Times in s, angles in rad."""
+    """Configuration of a run. Times in s, angles in rad."""
 
     folder: str
-    """Folder of all files that the run writes."""
+    """Folder for all files of the run."""
 
     fmu: str
     scene: str
-    """The file of the scene as `fivebar.twin.scene.resolve` writes it."""
+    """Scene file, written by `fivebar.twin.scene.resolve`."""
 
     unit: str = "bench"
     """Name of the machine in topics."""
@@ -95,12 +95,12 @@ class Config:
     machine: Machine = field(default_factory=Machine)
     dashboard_port: int = 0
     period: float = 0.005
-    """Between two samples."""
+    """Sampling period."""
 
     forecast_rate: float = 20.0
     horizon: float = 0.5
     twin: dict[str, float | int | bool] = field(default_factory=dict)
-    """Start values of the twin that differ from the scene's."""
+    """Start values of the twin that differ from the scene."""
 
     @property
     def path(self) -> Path:
@@ -108,19 +108,19 @@ class Config:
 
     @property
     def record(self) -> Path:
-        """The folder of the record's parts."""
+        """Folder of the record's parts."""
         return self.path / "record"
 
 
 def write(config: Config, file: Path) -> None:
-    """Writes it so that only its owner can read it, for it may hold a password."""
+    """Writes the configuration, readable by its owner only, because it may contain a password."""
     file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     file.touch(mode=0o600)
     file.write_text(json.dumps(asdict(config), indent=2) + "\n", encoding="utf-8")
 
 
 def read(file: Path) -> Config:
-    """The configuration, checked."""
+    """Reads and checks a configuration."""
     content = read_json(file)
     broker, machine = content.pop("broker", {}), content.pop("machine", {})
     faults = machine.pop("faults", {})
@@ -148,7 +148,7 @@ def _of(kind: type[T], content: Any, file: Path, **parts: Any) -> T:
 
 
 def read_json(file: Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
-    """An object from a file of limited size."""
+    """Reads a JSON object from a file of limited size."""
     try:
         text = encoding.read(file, largest)
     except FiveBarError as error:
@@ -163,7 +163,7 @@ def read_json(file: Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
 
 
 def check(config: Config) -> None:
-    """Refuses settings that cannot work or must not."""
+    """Raises `TwinError` for settings that are out of range or unsafe."""
     if UNIT_NAME.fullmatch(config.unit) is None:
         raise TwinError(f"unit is {config.unit!r:.80}; letters, digits, - and _ are allowed, at most 64")
     for name, value, lowest, highest in (
@@ -177,7 +177,7 @@ def check(config: Config) -> None:
 
 
 def check_broker(broker: Broker) -> None:
-    """Beyond the loopback interface only with user, password and TLS."""
+    """Raises `TwinError` for a broker beyond the loopback interface without user, password and TLS."""
     if is_loopback(broker.host):
         return
     missing = [name for name in ("user", "password", "ca_file") if not getattr(broker, name)]
@@ -188,17 +188,17 @@ def check_broker(broker: Broker) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether every address of that name is on the loopback interface."""
+    """Whether every address of a host name is on the loopback interface."""
     try:
         found = {str(info[4][0]) for info in socket.getaddrinfo(host, None)}
     except OSError:
-        # A name that nothing is known of is not this machine.
+        # An unknown name is not this machine.
         return False
     return bool(found) and all(ipaddress.ip_address(address.split("%")[0]).is_loopback for address in found)
 
 
 def host_and_port(text: str) -> tuple[str, int]:
-    """HOST:PORT, with [ ] around an address of IPv6."""
+    """Parses HOST:PORT, with [ ] around an IPv6 address."""
     found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:\[\]]+)):(\d{1,5})", text)
     if found is None or not 0 < int(found[3]) < 65536:
         raise TwinError(f"broker is {text!r:.80}; HOST:PORT is expected, with a port from 1 to 65535")
