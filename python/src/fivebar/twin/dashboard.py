@@ -1,12 +1,11 @@
-"""The dashboard's process: one page on the loopback interface, and the way from its WebSocket to the broker, whichever that is.
+"""The dashboard process: one page on the loopback interface, and a relay between its WebSocket and any broker.
 
-The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn N` when it has drawn
-the N messages that it got; until then it gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is
-slow leaves out, and is not late. An estimate comes right behind its sample, and of those left out a page gets the tip's places: the path
-that it draws has all its points.
+The relay understands just enough MQTT to separate packets. A page sends `drawn N` when it has drawn the first N messages of the
+frequent kinds (`SKIPPED`). Until then it gets no more of them, and then only the newest: a slow page skips messages, but is not late. Each
+sample is sent together with its estimate. For skipped estimates the page gets the tip positions, so that its path has all points.
 
-A page of another site must not reach the broker through the user's browser: the names of host and origin are checked, and the page
-may load nothing from elsewhere.
+Pages of other sites must not reach the broker through the user's browser: the relay checks the names of host and origin, and the page
+may load nothing from other servers.
 """
 
 import asyncio
@@ -54,28 +53,28 @@ POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src data:"
 )
 LARGEST: Final = 1_000_000
-"""Bytes of a frame, and of a packet of MQTT."""
+"""Maximum size of a WebSocket frame and of an MQTT packet, bytes."""
 
 SKIPPED: Final = ("meas", "est", "forecast")
-"""Kinds of which a page that is slow gets the newest only."""
+"""Kinds of which a slow page gets only the newest message."""
 
 KEPT: Final = 8
-"""Estimates with their samples, and forecasts, that wait while a page draws: as many as come between two pictures of a fast page."""
+"""Maximum number of estimates (with their samples) and of forecasts that wait while a page draws: as many as arrive between two frames of a fast page."""
 
 TRAIL: Final = 1.5
-"""s of the tip's path that a page draws."""
+"""Length of the tip's path on the page, s."""
 
 WAITING: Final = 1000
-"""Other packets that may wait for a page that takes nothing; then it is left."""
+"""Maximum number of other packets that wait for a blocked page; beyond it the page is disconnected."""
 
 PUBLISH: Final = 3
-"""The type of MQTT's packet with a message."""
+"""MQTT packet type of a message (PUBLISH)."""
 
 log = logging.getLogger("fivebar")
 
 
 def about(config: Config) -> dict[str, Any]:
-    """First message to a page: names, geometry, and the stops and planes that tip or links may run against."""
+    """First message to a page: names, geometry, and the end stops and contact planes."""
     content = scene.read(Path(config.scene))
     library = Library(Path(config.fmu))
 
@@ -115,7 +114,7 @@ def about(config: Config) -> dict[str, Any]:
 
 
 def learned(config: Config, content: Scene, library: Library) -> list[dict[str, Any]]:
-    """Names, words and units of what the twin learns, and how well the unit knows each before the first sample."""
+    """Name, label and unit of each learned parameter, and its prior standard deviation."""
     values = setup.of_run(config, content, library.guid).values
     if not values.get("estimator.learn.enabled"):
         return []
@@ -143,7 +142,7 @@ def learned(config: Config, content: Scene, library: Library) -> list[dict[str, 
 
 
 class Server:
-    """Files, and the way to the broker."""
+    """HTTP server for the page's files, and the relay to the broker."""
 
     def __init__(self, config: Config):
         self.config = config
@@ -154,7 +153,7 @@ class Server:
         self.pages = 0
 
     def listening(self) -> serve:
-        """The server at work, as a context."""
+        """Starts the server, as a context manager."""
         return serve(
             self.relay,
             "127.0.0.1",
@@ -167,7 +166,7 @@ class Server:
         )
 
     def answer(self, _connection: ServerConnection, request: Request) -> Response | None:
-        """A file; None for a WebSocket."""
+        """Returns a file; None for a WebSocket."""
         if request.headers.get_all("Host") not in [[host] for host in self.hosts]:
             return self._response(HTTPStatus.FORBIDDEN, b"this page is for this machine only\n", "text/plain")
         if request.path == "/mqtt":
@@ -192,7 +191,7 @@ class Server:
         return Response(status.value, status.phrase, headers, body)
 
     async def relay(self, page: ServerConnection) -> None:
-        """MQTT between a page and the broker, as it is."""
+        """Relays MQTT packets between a page and the broker, unchanged."""
         broker = self.config.broker
         context = None
         if broker.ca_file:
@@ -219,18 +218,18 @@ class Server:
 
 
 class Waiting(NamedTuple):
-    """Packets that go to a page together."""
+    """Packets that are sent to a page together."""
 
     number: int
-    """Of the last one among all packets."""
+    """Number of the last packet in the count of all packets."""
 
     packets: tuple[bytes, ...]
     message: Message | None
-    """In the last one; None where it is none, of which the page tells."""
+    """The message in the last packet; None if it is invalid, which the page reports."""
 
 
 class Pace:
-    """Queue of a page: packets in their order, and of skipped kinds the newest. `points` are as many as its path of the tip has."""
+    """Queue of a page: packets in order, but only the newest of skipped kinds. `points` is the number of points in the tip's path."""
 
     def __init__(self, points: int) -> None:
         self.come = asyncio.Event()
@@ -238,20 +237,20 @@ class Pace:
         self.newest: dict[str, deque[Waiting]] = {}
         self.points = points
         self.samples: dict[int, bytes] = {}
-        """Packets of samples by number, whose estimate has not come yet."""
+        """Packets of samples without an estimate so far, by sample number."""
 
         self.trail: deque[tuple[float, ...]] = deque(maxlen=points)
-        """Times, s, and places of the tip of estimates left out since the page got some."""
+        """Times, s, and tip positions of the estimates skipped since the last ones were sent."""
 
         self.count = 0
         self.sent = self.drawn = 0
-        """Messages of kinds that are skipped: that the page got, and that it has drawn."""
+        """Number of messages of skipped kinds that were sent to the page, and that it has drawn."""
 
         self.says = False
-        """Whether this page says so at all; one that does not gets everything."""
+        """Whether this page reports what it has drawn; other pages get every message."""
 
     def put(self, packet: bytes) -> bool:
-        """A packet of the broker; whether there is room for it."""
+        """Queues a packet from the broker and returns whether there was room for it."""
         self.count += 1
         subject = topic_of(packet) or b""
         kind = subject.rpartition(b"/")[2].decode("ascii", "replace")
@@ -280,12 +279,12 @@ class Pace:
             self.trail.append((1e-9 * left.time, *(left.fields[name] for name in TRACKED)))
 
     def tell(self, drawn: int) -> None:
-        """The page has drawn so many."""
+        """Records how many messages the page has drawn."""
         self.says, self.drawn = True, drawn
         self.come.set()
 
     async def next(self) -> tuple[list[tuple[float, ...]], bytes]:
-        """Places of the tip before those of the next packets, and these packets, as soon as there are some."""
+        """Waits for packets; returns the skipped tip positions before them, and the packets."""
         while True:
             self.come.clear()
             taken = list(self.others)
@@ -304,7 +303,7 @@ class Pace:
 
 
 def topic_of(packet: bytes) -> bytes | None:
-    """The topic of a message that is sent once (QoS 0); None of every other packet."""
+    """The topic of a message with QoS 0; None for any other packet."""
     if packet[0] >> 4 != PUBLISH or packet[0] & 0b110:
         return None
     begin = 2 + next(i for i, byte in enumerate(packet[1:5]) if byte < 0x80)
@@ -312,7 +311,7 @@ def topic_of(packet: bytes) -> bytes | None:
 
 
 async def packet_from(reader: asyncio.StreamReader) -> bytes:
-    """The broker's next packet: a byte, a length of one to four bytes with seven bits each, and so many bytes."""
+    """Reads the broker's next packet: a byte, the length in one to four bytes with seven bits each, and the content."""
     head = await reader.readexactly(2)
     while head[-1] >= 0x80 and len(head) < 5:
         head += await reader.readexactly(1)
@@ -351,14 +350,14 @@ async def _to_page(page: ServerConnection, pace: Pace) -> None:
 
 
 def run(file: Path) -> int:
-    """Serves until told to stop."""
+    """Serves until the process is asked to stop."""
     process.set_up_log()
     quiet()
     return asyncio.run(_serve(process.read_config(file)))
 
 
 def quiet() -> None:
-    """Makes the log of websockets about a refused page one line, without a traceback."""
+    """Reduces the log entry of websockets about a refused page to one line without a traceback."""
     of_library = logging.getLogger("websockets")
     of_library.setLevel(logging.WARNING)
     of_library.propagate = False
@@ -366,7 +365,7 @@ def quiet() -> None:
 
 
 class OneLine(logging.Handler):
-    """Hands a message on to our own log, with the cause of an exception behind it."""
+    """Forwards a message to the log `fivebar`, with the cause of an exception appended."""
 
     def emit(self, record: logging.LogRecord) -> None:
         error = record.exc_info[1] if record.exc_info else None

@@ -1,11 +1,11 @@
-"""Errors on the user's side: one sentence that names the object, its value, and the allowed ones."""
+"""User errors: one sentence with the name, its value and the allowed values."""
 
 from fivebar.errors import FiveBarError
 
 
 class TwinError(FiveBarError):
-    """Something that the caller can mend: a file, a setting, a broker."""
+    """An error that the user can fix: a file, a setting, a broker."""
 
 
 class Refused(TwinError):
-    """A message that is not taken; the text says why."""
+    """A rejected message; the text is the reason."""

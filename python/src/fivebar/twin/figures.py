@@ -33,28 +33,28 @@ ESTIMATES: Final = (
 )
 
 COVERED: Final = 0.9
-"""Share of the tips that forecasts have inside their 95 % circles at the horizon, in whatever scene: docs/pipeline.md promises it."""
+"""Promised share of tips inside the forecasts' 95 % circles at the horizon, for every scene (docs/pipeline.md)."""
 
 NARROW: Final = {"pick_and_place": 2.5}
-"""mm: half-widths (median) at a horizon of 0.5 s that are promised, by scene; 1.9 mm in a quarter of a minute of pick_and_place, 2.14 mm in its first
-second. Where a machine falls freely it may be anywhere after half a second, and only that its forecasts know so is promised."""
+"""Promised median half-width at a horizon of 0.5 s by scene, mm. Measured on pick_and_place: 1.9 mm over 15 s, 2.14 mm in the first second. A freely
+falling machine may be anywhere after 0.5 s, so that such scenes have no promised width."""
 
 MISSED: Final = 3
-"""The exit code of a run whose forecasts were not as good as that."""
+"""Exit code of a run with worse forecasts than promised."""
 
 FEWEST: Final = 20
-"""Forecasts that are judged at least."""
+"""Minimum number of forecasts for a judgement."""
 
 NEAR: Final = 0.1
-"""rad: an estimate that is further from its own sample has not followed it; at 7 rad/s and 5 ms a sample it is within 0.01 rad."""
+"""Maximum distance of an estimate from its own sample, rad; beyond it, the sample was not followed. At 7 rad/s and a period of 5 ms it is 0.01 rad."""
 
 FOLLOWED: Final = 0.5
-"""Share of the samples that have to be followed, those that were refused included."""
+"""Minimum share of followed samples; refused samples count as not followed."""
 
 
 @dataclass
 class Table:
-    """Columns that grow, 8 bytes a number."""
+    """Growing columns, 8 bytes per number."""
 
     names: tuple[str, ...]
     columns: "dict[str, array[float]]" = field(init=False)
@@ -63,7 +63,7 @@ class Table:
         self.columns = {name: array("d") for name in self.names}
 
     def add(self, row: dict[str, float]) -> None:
-        """A row; missing values are NaN."""
+        """Appends a row; missing values become NaN."""
         for name, column in self.columns.items():
             column.append(row.get(name, math.nan))
 
@@ -71,7 +71,7 @@ class Table:
         return np.frombuffer(self.columns[name]) if len(self) else np.empty(0)
 
     def all(self) -> dict[str, np.ndarray]:
-        """Every column by its name."""
+        """All columns by name."""
         return {name: self[name] for name in self.names}
 
     def __len__(self) -> int:
@@ -79,7 +79,7 @@ class Table:
 
 
 class Gap(NamedTuple):
-    """Numbers of a kind that the record does not have."""
+    """Range of message numbers of one kind that the record lacks."""
 
     of: str
     first: int
@@ -99,22 +99,22 @@ class Story:
         default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", *ANGLES, "half_width", "last"))
     )
     alarms: list[tuple[float, str, str]] = field(default_factory=list)
-    """Time, s, state and cause: the name that the twin has for it, or else the watch's."""
+    """Time in s, state, and cause: the twin's name for it if there is one, else the watch's."""
     gaps: "list[Gap]" = field(default_factory=list)
     bad: list[str] = field(default_factory=list)
-    """Why rows are no messages."""
+    """Reasons why rows are not valid messages."""
     samples: set[int] = field(default_factory=set)
     used: set[int] = field(default_factory=set)
     followed: int = 0
-    """Samples whose estimate is within `NEAR` of them."""
+    """Number of samples with an estimate within `NEAR`."""
     sent: int = 0
-    """Forecasts."""
+    """Number of forecasts."""
     learned: dict[str, dict[str, float]] | None = None
-    """Learned by the twin in the end: values and standard deviations, and start values of a unit like that."""
+    """Learned parameters at the end: values and standard deviations, and the corresponding start values of a unit."""
 
 
 def read(file: Path) -> Story:
-    """Goes through a record once."""
+    """Reads a record in one pass."""
     story = Story()
     waiting: dict[int, dict[str, float]] = {}
     for message in record.messages(
@@ -160,31 +160,31 @@ def _forecast(story: Story, extra: dict[str, Any], time: float) -> None:
     count = len(path["ahead"])
     for i, ahead in enumerate(path["ahead"]):
         row = {"time": time, "ahead": ahead, "tip.x": path["tip.x"][i], "tip.y": path["tip.y"][i]}
-        # Records of earlier versions have no angles.
+        # Records of older versions contain no angles.
         angles = {name: path[name][i] for name in ANGLES if name in path}
         story.forecasts.add(row | angles | {"half_width": path[RADIUS][i], "last": float(i == count - 1)})
 
 
 @dataclass
 class Judged:
-    """Estimates and forecasts beside the true motion; NaN where nobody saw it."""
+    """Estimates and forecasts compared with the tracked motion; NaN where the tracker has no data."""
 
     error: np.ndarray
-    """Of the estimated tip, m."""
+    """Error of the estimated tip, m."""
 
     ahead_error: np.ndarray
-    """Of the forecast tip, m."""
+    """Error of the forecast tip, m."""
 
     inside: np.ndarray
-    """1 where the tip was in the circle, 0 where not."""
+    """1 if the tip was inside the circle, else 0."""
 
 
 FEWEST_SEEN: Final = 4
-"""Samples between which a spline is laid at least."""
+"""Minimum number of samples for a spline."""
 
 
 def between(time: np.ndarray, seen: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """What was seen at rising times as a function of time, by a spline: NaN across a gap of more than five usual distances, and beyond the ends."""
+    """Spline through samples at rising times. It returns NaN in gaps of more than five median sampling steps and beyond the ends."""
     spline = CubicSpline(time, seen)
     widest = 5 * float(np.median(np.diff(time)))
 
@@ -198,7 +198,7 @@ def between(time: np.ndarray, seen: np.ndarray) -> Callable[[np.ndarray], np.nda
 
 
 def judge(story: Story) -> Judged:
-    """Compares with a tracker's tip, by a spline between its samples."""
+    """Compares estimates and forecasts with a tracker's tip, interpolated by a spline."""
     estimated, forecasts = story.estimated, story.forecasts
     nothing = Judged(np.full(len(estimated), np.nan), np.full(len(forecasts), np.nan), np.full(len(forecasts), np.nan))
     order = np.argsort(story.measured["time"], kind="stable")
@@ -219,7 +219,7 @@ def judge(story: Story) -> Judged:
 
 
 def causes(alarms: list[tuple[float, str, str]]) -> list[str]:
-    """The cause of each anomaly: that of its end, by which the twin has seen most of it, and that of its begin where it was cut off."""
+    """The cause of each anomaly, taken from its last alarm, which uses the most samples; if the run ended before, from its first one."""
     states = [each for each in alarms if each[1] != "trouble"]
     pairs = itertools.zip_longest(states, states[1:], fillvalue=(math.inf, "", ""))
     return [
@@ -228,7 +228,7 @@ def causes(alarms: list[tuple[float, str, str]]) -> list[str]:
 
 
 def or_none(value: float, digits: int = 6) -> float | None:
-    """For JSON, which has no NaN."""
+    """A rounded number, or None for NaN and infinity, which JSON lacks."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
@@ -250,12 +250,12 @@ def summarise(
     restarts: dict[str, int],
     troubles: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Every figure, in nested objects; unknown ones are null. `troubles` are the processes' messages."""
+    """All figures of a run in nested objects; unknown figures are null. `troubles` are the messages of the processes."""
 
     def total(process: str, name: str) -> int:
         return sum(int(life.get(name, 0)) for life in status.get(process, []))
 
-    # A process that was killed has not counted its last half second: the record has.
+    # A killed process has not reported its last half second of counts; the record has these messages.
     published = max(total("machine", "published"), len(story.samples))
     taken = max(total("follow", "taken"), len(story.used))
     latency = Histogram()
@@ -275,7 +275,7 @@ def summarise(
             "error_median_mm": or_none(1e3 * _median(judged.ahead_error[here])),
         }
     times = story.estimated["time"]
-    # A state for a forecast at every so many samples that were estimated.
+    # The twin publishes a state for a forecast once per so many estimated samples.
     due = len(story.estimated) // max(1, round(1 / (config.forecast_rate * config.period)))
     content = {
         "scene": scene.read(Path(config.scene)).name,
@@ -336,7 +336,7 @@ def summarise(
 
 
 def unfollowed(content: dict[str, Any]) -> str:
-    """A sentence if hardly any sample was followed, or ""."""
+    """A sentence if fewer than `FOLLOWED` of the samples were followed, else ""."""
     samples = content["samples"]
     refused, followed = samples["refused"], samples["followed"]
     recorded = max(samples["recorded"], samples["published"] - samples["lost"] + refused)
@@ -350,7 +350,7 @@ def unfollowed(content: dict[str, Any]) -> str:
 
 
 def missed(content: dict[str, Any]) -> list[str]:
-    """Promises about forecasts that a run has not kept, in words."""
+    """Sentences about the forecast promises that a run has not kept."""
     forecasts, scene = content["forecasts"], content["scene"]
     covered, width = forecasts["coverage95"], forecasts["halfwidth_mm"]["median"]
     found: list[str] = []
