@@ -1,4 +1,4 @@
-"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` and `learned` once."""
+"""The twin process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times and `state` and `learned` once per second."""
 
 import json
 import logging
@@ -17,22 +17,22 @@ from fivebar.twin.messages import MEASURED, Message, topic
 from fivebar.twin.process import Worker
 
 STORE_EVERY: Final = 1_000_000_000
-"""Nanoseconds of the machine's clock between two stored states."""
+"""Time between two stored states on the machine's clock, ns."""
 
 MUCH: Final = 4 * math.pi
-"""rad: an angle at which encoders seldom begin, and degrees mostly do."""
+"""Limit of a plausible first reading, rad: larger numbers are probably degrees."""
 
 ALONE: Final = 2_000_000_000
-"""Nanoseconds without any sample of this unit after which those of others are listened to: the machine may have another name."""
+"""Time without a sample of this unit, ns. After it, the process also listens to other units: the machine may have another name."""
 
 AT_BOUND: Final = "has been moved to its bound"
-"""Words of the unit's warning about a learned value that says that the machine is another one."""
+"""Part of the FMU's warning that a learned value has reached its bound: the scene does not match the machine."""
 
 log = logging.getLogger("fivebar")
 
 
 class Twin(Worker):
-    """The worker. Estimates are made where a message arrives."""
+    """The worker. It computes each estimate when its sample arrives."""
 
     name = "follow"
     kinds = ("meas", "param", "cmd")
@@ -49,13 +49,13 @@ class Twin(Worker):
         self.refusals = Refusals()
         self.own = topic(config.unit, "meas")
         self.waits_since: int | None = None
-        """Since when the first sample of this unit is waited for, ns."""
+        """Time at which the wait for the first sample of this unit began, ns."""
         self.heard, self.hears_others = False, False
-        """Whether a sample of this unit has come, and whether those of others are listened to."""
+        """Whether a sample of this unit has arrived, and whether the process listens to other units."""
         self.stored_at = -1
 
     def begin(self) -> None:
-        """Goes on from the last stored state, if there is one."""
+        """Resumes from the last stored state, if there is one."""
         if not self.file.is_file():
             return
         try:
@@ -97,7 +97,7 @@ class Twin(Worker):
             try:
                 self._order(message, now)
             except Refused as error:
-                # Whoever has given an order wants to know.
+                # The sender of a command needs the answer.
                 self.trouble("order", f"not taken: {error}", now, every=0.2, order=message.time)
                 self.refused += 1
 
@@ -134,7 +134,7 @@ class Twin(Worker):
             follower.failure = ""
         for said in follower.unit.log:
             if AT_BOUND in said.text:
-                # The unit itself tells each once.
+                # The FMU reports each bound only once.
                 self.trouble("unit", said.text, message.time, message.seq, every=0.0)
         follower.unit.log.clear()
         if not made:
@@ -147,7 +147,7 @@ class Twin(Worker):
             self._store(message.time)
 
     def _order(self, message: Message, now: int) -> None:
-        """A parameter or a command, once, in its order."""
+        """Executes a parameter change or a command, once and in the order of their times."""
         self.orders.check(message, now)
         if message.kind == "cmd":
             if message.extra["command"] == "restart":
@@ -166,7 +166,7 @@ class Twin(Worker):
         self.orders.taken(message)
 
     def _answer(self, order: Message, sentence: str, now: int) -> None:
-        """Answers an order, for whoever gave it and for the record."""
+        """Publishes the answer to a command, for its sender and for the record."""
         log.info("%s", sentence)
         extra = {
             "state": "taken",

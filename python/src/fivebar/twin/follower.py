@@ -1,8 +1,8 @@
-"""The twin without its surroundings: from messages to estimates. The same setup and inputs give the same bytes, live or replayed.
+"""The twin without its process: from messages to estimates. The same setup and inputs give the same bytes, live or replayed.
 
-Every sample moves the unit to the sample's time, hands it over, and takes one macro step, for the unit corrects at the beginning of a
-step and its outputs change in steps only: an estimate is for one macro step after its sample. Late samples go where they belong: the
-states before the last `DEPTH` inputs are kept, and what came after a late sample is done again.
+For each sample, the unit runs to the sample's time, receives the sample and makes one macro step. The unit corrects its state at the
+beginning of a step, and its outputs change only in steps: an estimate is for one macro step after its sample. The states before the last
+`DEPTH` inputs are kept. For a late sample, the unit goes back to the state before it and repeats all later inputs.
 """
 
 import base64
@@ -21,21 +21,21 @@ from fivebar.twin.messages import INPUTS, MEASURED, Message
 from fivebar.twin.setup import Setup
 
 DEPTH: Final = 20
-"""Inputs after which a late sample still finds its place."""
+"""Maximum number of inputs that a late sample may be behind."""
 
 LONGEST_GAP: Final = 5.0
-"""Seconds without a sample after which the twin starts anew instead of coasting."""
+"""Longest gap between samples that the twin bridges by prediction, s; after a longer one it restarts."""
 
 JUMP: Final = 0.5
-"""Seconds by which times and numbers of two samples may differ: a machine that is timed by software is late now and then. More, or a
-time that goes back, is a jump of the machine's clock."""
+"""Tolerance between the times and the numbers of two samples, s, because a machine with a software timer is sometimes late. A larger
+difference, or a time that goes back, is a jump of the machine's clock."""
 
 NOT_FITTING: Final = (7.0, 8.0)
 """Values of `estimated.status`: inconsistent and rejected."""
 
 LEGS: Final = (1, 2)
 STAMPS: Final = {name: name.replace("theta", "time") for name in MEASURED}
-"""Inputs that have the times of the samples, by the inputs of these."""
+"""Input for the time of each measured angle, by the input of the angle."""
 
 ESTIMATED: Final = (
     *(f"{name}[{i}]" for name in ("theta", "omega", "passive.theta") for i in LEGS),
@@ -55,7 +55,7 @@ LEARNED: Final = {
     **{f"estimated.length[{i}]": f"estimated.length.sigma[{i}]" for i in (1, 2, 3, 4, 5)},
     **{f"estimated.offset[{i}]": f"estimated.offset.sigma[{i}]" for i in LEGS},
 }
-"""Names of all that a unit may learn, and of its standard deviation, which is 0 where it is taken as known."""
+"""Output of each parameter that the unit can learn, and output of its standard deviation, which is 0 if the parameter is known."""
 
 MASSES: Final = tuple(f"link[{i}].{what}" for i in (1, 2, 3, 4) for what in ("mass", "inertia"))
 DRY: Final = tuple(f"friction.{what}[{i}]" for what in ("coulomb", "breakaway") for i in (1, 2, 3, 4, 5))
@@ -63,28 +63,28 @@ DRY: Final = tuple(f"friction.{what}[{i}]" for what in ("coulomb", "breakaway") 
 
 @dataclass(frozen=True)
 class Book:
-    """State of following beside the unit's own state."""
+    """The follower's state beside the state of the unit."""
 
     offset: int
-    """Reading of the machine's clock at the unit's time 0, ns."""
+    """Time on the machine's clock at the unit's time 0, ns."""
 
     time: int
-    """Of the newest sample, on the machine's clock, ns."""
+    """Time of the newest sample on the machine's clock, ns."""
 
     seq: int
     told: dict[str, float]
-    """Commands of the drives at the newest sample, by true angles."""
+    """Drive commands at the newest sample, as true angles."""
 
     on_plan: bool
-    """Whether the commands are those of the plan."""
+    """Whether the commands follow the plan of the scene."""
 
     assembly: int
     turns: dict[str, float] = field(default_factory=dict)
-    """Whole turns to be added to each reading, by its name: encoders may count from another turn than the scene."""
+    """Whole turns to add to each reading, by its name, because encoders may count from another turn than the scene."""
 
     @property
     def clock(self) -> float:
-        """The newest sample's time on the unit's clock, s."""
+        """Time of the newest sample on the unit's clock, s."""
         return 1e-9 * (self.time - self.offset)
 
 
@@ -92,17 +92,17 @@ class Stored(NamedTuple):
     """Content of a message `state` or `ahead`."""
 
     content: bytes
-    """The unit's own."""
+    """State of the unit."""
 
     clock: float
-    """Of the unit, s."""
+    """Time of the unit, s."""
 
     book: Book
     parameters: dict[str, float]
 
 
 def stored(message: Message) -> Stored:
-    """Everything from which the twin can go on, from a message."""
+    """Decodes the state of a twin from a message."""
     extra = message.extra
     try:
         parameters = {str(name): float(value) for name, value in extra["parameters"].items()}
@@ -114,14 +114,14 @@ def stored(message: Message) -> Stored:
 
 
 class Rider:
-    """A unit that is led along the commands of its drives."""
+    """A unit that follows drive commands."""
 
     def __init__(self, library: Library, setup: Setup, name: str):
         self.setup = setup
         self.unit = Unit.of(library, name)
 
     def hold(self, book: Book) -> None:
-        """Sets the commands at the unit's time: each sample's value, going on at its rate to the next sample."""
+        """Sets the commands at the unit's time: the value of each sample, extrapolated with its rate until the next sample."""
         setup, unit = self.setup, self.unit
         passed = max(0, math.floor((unit.time - book.clock) / setup.period + 1e-6))
         since = unit.time - book.clock - passed * setup.period
@@ -132,14 +132,14 @@ class Rider:
         for name, value in told.items():
             rate = told.get(name.replace("theta", "omega"), 0.0) if name.startswith("servo.theta") else 0.0
             if passed and not book.on_plan:
-                # Nobody knows how it goes on: the drives stop where the last order has led them.
+                # Without a plan, the drives are assumed to stop at the end of the last command.
                 value, rate = (0.0 if name.startswith("servo.omega") else value + rate * setup.period), 0.0
             values[name], slopes[name] = value + rate * since, rate
         unit.update(values)
         unit.ramp(slopes)
 
     def coast(self, book: Book, until: float) -> None:
-        """Goes to a time without new samples, s."""
+        """Runs to a time, s, without new samples."""
         while self.unit.time < until - 1e-9:
             passed = math.floor((self.unit.time - book.clock) / self.setup.period + 1e-6)
             following = book.clock + (passed + 1) * self.setup.period
@@ -148,7 +148,7 @@ class Rider:
 
 
 class _Done(NamedTuple):
-    """An input, and the state before it."""
+    """A processed input, and the state before it."""
 
     message: Message
     book: Book
@@ -156,7 +156,7 @@ class _Done(NamedTuple):
 
 
 class Follower(Rider):
-    """The twin's unit and its book. Feed it with `meas`, `param` and `restart`; then `estimate`."""
+    """The twin's unit and its book. Pass messages to `meas`, `param` and `restart`, then call `estimate`."""
 
     def __init__(self, library: Library, setup: Setup):
         if library.guid != setup.guid:
@@ -164,15 +164,15 @@ class Follower(Rider):
         super().__init__(library, setup, "twin")
         self.book: Book | None = None
         self.parameters: dict[str, float] = {}
-        """Set by `param`, and kept when the unit starts anew."""
+        """Parameters set by `param`; they survive a restart of the unit."""
         self.inputs: list[list[Any]] = []
-        """Messages taken since the last estimate: kind, seq, time."""
+        """Inputs since the last estimate: kind, seq, time."""
         self.after = -1
-        """The sample of the last estimate; -1 before the first."""
+        """Sample number of the last estimate; -1 before the first one."""
         self.failure = ""
-        """Why the unit had to be left, since the last look."""
+        """Reason for the last loss of the unit; the caller clears it."""
         self.begun = ""
-        """A sentence, if the readings began in another turn; since the last look."""
+        """A sentence if the readings began in another turn than the scene; the caller clears it."""
         self.jumps = 0
         self.previous: Message | None = None
         self.assembly = int(setup.values.get("init.assembly", 1))
@@ -182,7 +182,7 @@ class Follower(Rider):
     # --- inputs -----------------------------------------------------------------------------------------------------------------
 
     def meas(self, message: Message) -> bool:
-        """Takes a sample; whether there is an estimate for it (there is none for a late one, or one that no start is made of)."""
+        """Takes a sample and returns whether it has an estimate. Late samples have none, nor samples from which the unit cannot start."""
         self._note(message)
         if self.book is not None and message.seq <= self.book.seq:
             self._late(message)
@@ -200,7 +200,7 @@ class Follower(Rider):
         return self.book is not None
 
     def param(self, message: Message) -> None:
-        """Sets tunable parameters, which `allowed` has looked at."""
+        """Sets tunable parameters that `allowed` has accepted."""
         self._note(message)
         self.parameters = self.parameters | message.fields
         if self.book is not None:
@@ -211,12 +211,12 @@ class Follower(Rider):
                 self._leave(str(error))
 
     def restart(self, message: Message) -> None:
-        """Starts anew with the next sample."""
+        """Restarts the twin at the next sample."""
         self._note(message)
         self._leave("")
 
     def allowed(self, message: Message) -> str:
-        """Why the unit does not allow those parameters, or ""."""
+        """The reason why the unit does not allow these parameters, or ""."""
         for name, value in message.fields.items():
             variable = self.unit.library.variables.get(name)
             if variable is None or variable.causality != "parameter" or variable.variability != "tunable":
@@ -235,7 +235,7 @@ class Follower(Rider):
     # --- results ----------------------------------------------------------------------------------------------------------------
 
     def estimate(self) -> Message:
-        """The estimate, one macro step after the newest sample, and the inputs that it is made of."""
+        """The estimate for one macro step after the newest sample, with the inputs since the last estimate."""
         assert self.book is not None, "there is an estimate after a sample only"
         fields = {name: value for name, value in self.unit.floats(ESTIMATED).items() if math.isfinite(value)}
         if fields["estimated.status"] not in NOT_FITTING:
@@ -246,14 +246,14 @@ class Follower(Rider):
         return Message("est", "", self.book.time + self.setup.step_ns, self.book.seq, fields, extra)
 
     def state(self) -> Message:
-        """Everything from which the twin can go on, in this process or another one."""
+        """The complete state, from which a twin can resume in any process."""
         assert self.book is not None, "there is a state after a sample only"
         content = base64.b64encode(self.unit.state().to_bytes()).decode("ascii")
         extra = {"state": content, "clock": self.unit.time, "book": asdict(self.book), "parameters": self.parameters}
         return Message("state", "", self.book.time, self.book.seq, {}, extra)
 
     def learned(self) -> Message | None:
-        """Learned values with standard deviations, and the start values of a unit like that; None where nothing is learned."""
+        """Learned values with standard deviations, and the corresponding start values of a unit; None if nothing is learned."""
         assert self.book is not None, "something is learned after a sample only"
         if not self.learns:
             return None
@@ -283,7 +283,7 @@ class Follower(Rider):
         return Message("learned", "", self.book.time + self.setup.step_ns, self.book.seq, fields, {"values": values})
 
     def go_on_from(self, message: Message) -> None:
-        """Goes on from a stored state."""
+        """Resumes from a stored state."""
         content, clock, book, parameters = stored(message)
         self.unit.restore(content, clock)
         self._forget()
@@ -311,7 +311,7 @@ class Follower(Rider):
         self.done.append(_Done(message, self.book, self.unit.state()))
 
     def _start(self, message: Message) -> None:
-        """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
+        """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos without commands hold these angles."""
         fields = self.setup.scene.true(message.fields)
         missing = [name for name in MEASURED if name not in fields]
         if missing:
@@ -338,7 +338,7 @@ class Follower(Rider):
         self.begun = " and ".join(begin.sentence for begin in begins if begin.turns)
 
     def _take(self, message: Message) -> None:
-        """A sample in its order."""
+        """Processes a sample that is not late."""
         assert self.book is not None, "a sample is taken after the start only"
         book = self.book
         if message.seq > book.seq:
@@ -346,7 +346,7 @@ class Follower(Rider):
         expected = round(1e9 * self.setup.period) * (message.seq - book.seq)
         odd = message.time - book.time - expected
         if abs(odd) > 1e9 * JUMP or (message.seq > book.seq and message.time <= book.time):
-            # The machine's clock was set: motion went on by as many samples as were counted.
+            # The machine's clock was set: the motion continued for as many periods as the samples count.
             book = replace(book, offset=book.offset + odd)
             self.jumps += 1
         fields = self.setup.scene.true(message.fields)
@@ -365,7 +365,7 @@ class Follower(Rider):
         self.unit.step_to(following.clock + self.setup.step)
 
     def _late(self, message: Message) -> None:
-        """Goes back to the sample's time, and forward again over all later inputs."""
+        """Goes back to the state before the sample's time and repeats all later inputs after it."""
         places = [
             i for i, done in enumerate(self.done) if done.message.kind == "meas" and done.message.seq > message.seq
         ]
@@ -388,7 +388,7 @@ class Follower(Rider):
             self._leave(str(error))
 
     def finds_place(self, seq: int) -> bool:
-        """Whether a sample that comes late can still be put where it belongs."""
+        """Whether the state before a late sample is still available."""
         return any(done.message.kind == "meas" and done.message.seq > seq > done.book.seq for done in self.done)
 
     def close(self) -> None:

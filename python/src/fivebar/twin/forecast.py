@@ -1,7 +1,7 @@
-"""Forecasts: a stored state of the twin goes on without samples, along the plan of its drives; its bands grow.
+"""Forecasts: a stored state of the twin runs ahead without samples, along the plan of its drives, with growing uncertainty.
 
-Everything that is probable comes from the unit: the radius that holds the tip along the path, and the probability of a singularity within the
-horizon. Here only the path is looked at: where it meets a singularity (a determinant changes its sign) or an end stop.
+The FMU computes the probabilities: the 95 % radius of the tip along the path, and the probability of a singularity within the horizon. This
+module only finds where the path meets a singularity (a determinant changes sign) or an end stop.
 """
 
 import math
@@ -14,44 +14,44 @@ from fivebar.twin.messages import Message
 from fivebar.twin.setup import Setup
 
 PROBABILITY_EVERY: Final = 4
-"""Forecasts for one probability of a singularity: the unit runs 13 motions for it, which cost more than all the rest."""
+"""Forecasts per computation of the singularity probability. It takes 13 runs of the motion, more time than the rest of a forecast."""
 
 POINTS: Final = 10
-"""Of the path, evenly over the horizon."""
+"""Number of points in the path, evenly spaced over the horizon."""
 
 LEVEL: Final = 5.991464547107979
-"""Squared radius, in standard deviations, of the ellipse that holds 95 % of a normal distribution in the plane: -2 ln 0.05."""
+"""Squared Mahalanobis radius of the 95 % ellipse of a normal distribution in the plane: -2 ln 0.05."""
 
 RADIUS: Final = "estimated.forecast.radius95"
-"""Radius about the forecast tip, m, that holds the tip with 95 %: the unit's quantile of its models."""
+"""Output with the 95 % radius about the forecast tip, m: a quantile over the unit's models."""
 
 COVARIANCE: Final = tuple(f"estimated.tip.cov[{i}]" for i in (1, 2, 3))
 ANGLES: Final = ("theta[1]", "theta[2]", "estimated.theta.sigma[1]", "estimated.theta.sigma[2]")
 PROBABILITY: Final = "estimated.singular.probability"
 DETERMINANTS: Final = {"direct": "singular.detJx", "inverse": "singular.detJq"}
 PATH: Final = ("tip.x", "tip.y", RADIUS, *ANGLES)
-"""What is kept at each point of the path."""
+"""Outputs that are kept at each point of the path."""
 
 SEEN: Final = (*DETERMINANTS.values(), *ANGLES)
-"""What the path is looked at by."""
+"""Outputs in which the path is searched for singularities and stops."""
 
 
 def half_width(cov: tuple[float, float, float]) -> float:
-    """The larger half-axis of the 95 % ellipse, m, of a covariance xx, xy, yy in m²."""
+    """Major half-axis of the 95 % ellipse, m, for a covariance xx, xy, yy in m²."""
     xx, xy, yy = cov
     largest = (xx + yy) / 2 + math.hypot((xx - yy) / 2, xy)
     return math.sqrt(LEVEL * max(largest, 0.0))
 
 
 def crossing(before: float, after: float) -> float | None:
-    """Fraction of the interval between two values at which the sign changes, from 0 to 1."""
+    """Fraction (0 to 1) of the interval at which the sign changes, by linear interpolation; None without a change."""
     if before * after < 0 or (after == 0 and before != 0):
         return before / (before - after)
     return None
 
 
 class Forecaster(Rider):
-    """A second instance of the unit, which goes ahead while the twin's follows."""
+    """A second instance of the unit, which runs ahead of the twin's instance."""
 
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
@@ -65,7 +65,7 @@ class Forecaster(Rider):
                 self.stops[f"{limit}[{i}]"] = (f"theta[{i}]", value, 1.0 if limit == "upper" else -1.0)
 
     def run(self, state: Message, stopped: Callable[[], bool] = lambda: False) -> Message | None:
-        """The forecast from a state of the twin; None if it was stopped."""
+        """Computes the forecast from a state of the twin; None if it was stopped."""
         setup, unit = self.setup, self.unit
         content, begin, book, _ = stored(state)
         unit.restore(content, begin)
@@ -110,7 +110,7 @@ class Forecaster(Rider):
         span: float,
         book: Book,
     ) -> None:
-        """Notes the first singularity and the first stop that the path meets."""
+        """Records the first singularity and the first stop on the path."""
         origin = book.time + self.setup.step_ns
         for kind, name in DETERMINANTS.items():
             share = crossing(before[name], after[name])
@@ -122,7 +122,7 @@ class Forecaster(Rider):
                 stop |= {"time": origin + round(1e9 * (now + share * span)), "at": place}
 
     def _stop_probability(self, seen: dict[str, float]) -> float:
-        """That a link is beyond a stop, from its angle's mean and standard deviation."""
+        """Probability that a link is beyond a stop, from the mean and standard deviation of its angle."""
         most = 0.0
         for angle, limit, side in self.stops.values():
             sigma = max(seen[f"estimated.{angle.replace('[', '.sigma[')}"], 1e-12)
@@ -135,6 +135,6 @@ class Forecaster(Rider):
 
 
 def covariance(fields: dict[str, float]) -> tuple[float, float, float]:
-    """The tip's covariance among fields: xx, xy, yy in m²."""
+    """The covariance of the tip in fields: xx, xy, yy in m²."""
     xx, xy, yy = (fields[name] for name in COVARIANCE)
     return xx, xy, yy

@@ -1,7 +1,7 @@
-"""Hands over what a twin has learned: the scene of its run with learned start values, for a unit of one's own, a calibration, a next run.
+"""Writes the scene of a run with the learned start values, for a unit of one's own, a calibration or another run.
 
-Lengths and mounting angles of encoders are handed over together, for neither is right without the other. All other angles of a scene are true ones:
-those of the start and of the servos are changed with the mounting angles, so that encoders show the same start, and drives get the same orders.
+Lengths and encoder mounting angles are written together, because neither is right without the other. All other angles of a scene are true
+angles: the start angles and servo angles change with the mounting angles, so that encoder readings and drive commands stay the same.
 """
 
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from fivebar.scene import write_content
 from fivebar.twin.calibrate.parameters import SWITCHES
 
 TOLD: Final = "Masses, payload, friction, lengths and mounting angles as a twin has learned them."
-"""Sentence at the end of the scene's description."""
+"""Sentence appended to the scene's description."""
 
 
 def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
-    """Writes the scene in the file `source` with learned start values, and what they need switched on.
+    """Writes the scene from the file `source` with learned start values, and switches on the effects that they need.
 
-    A variable to which the scene gives a signal keeps it.
+    Variables with a signal in the scene keep it.
     """
     content = scene_file.parse(scene_file.text(source))
     signals = content.get(scene_file.SIGNALS, {})
@@ -38,7 +38,7 @@ def write(file: Path, source: Path, values: Mapping[str, float]) -> None:
 
 
 def _turned(content: Mapping[str, Any], by: Mapping[int, float]) -> dict[str, Any]:
-    """Angles of a scene's start and of its servos, less those by which encoders show more than was known, rad, by motor."""
+    """Start angles and servo angles of a scene, reduced by the change `by` of each encoder's mounting angle, rad."""
     signals = dict(content.get(scene_file.SIGNALS, {}))
     turned: dict[str, Any] = {}
     for i, angle in by.items():

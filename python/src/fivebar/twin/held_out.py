@@ -1,7 +1,7 @@
-"""How well a twin predicted the readings of both encoders in the held-out part of a record: the last third of each series of samples.
+"""Quality of a twin's predictions of both encoders in the held-out part of a record: the last third of each series of samples.
 
-Innovations are errors from one sample to the next. Forecasts are judged a fifth of their horizon ahead and at its end, beside predictors that
-know no mechanics. A band is judged by counting: the share of the errors inside.
+Innovations are errors from one sample to the next. Forecasts are judged at a fifth and at the end of their horizon, beside predictors without
+mechanics. A band is judged by counting the errors inside.
 """
 
 import math
@@ -25,58 +25,58 @@ from fivebar.twin.messages import MEASURED, SERVOS, TRACKED
 Array = NDArray[np.float64]
 
 SHARE: Final = 1 / 3
-"""Of the time of each series that is held out."""
+"""Held-out share of the time of each series."""
 
 LEVEL: Final = 0.95
-"""Probability of the bands that are judged."""
+"""Probability of the judged bands."""
 
 WIDTH: Final = 1.959964
-"""Standard deviations of a normal distribution from its middle to the edge of its 95 % band."""
+"""Half-width of the 95 % band of a normal distribution, in standard deviations."""
 
 JUDGED: Final = (1, POINTS - 1)
-"""Points of a forecast's path that are judged: 0.1 and 0.5 s ahead where the horizon is 0.5 s."""
+"""Judged points of a forecast's path: for a horizon of 0.5 s they are 0.1 and 0.5 s ahead."""
 
 RATED: Final = 5
-"""Samples by which the constant velocity is fitted: over two, the steps of an encoder are much of the motion."""
+"""Samples in the fit of the constant velocity; with only two, the encoder's resolution would dominate the motion."""
 
 WORSE: Final = 1.2
-"""Error of the nearer forecasts that is allowed, relative to the best predictor without mechanics."""
+"""Allowed error of the nearer forecasts, relative to the best predictor without mechanics."""
 
 RESTS: Final = 10.0
-"""Standard deviations of a reading within which the readings of an encoder stay that rests: white noise spans some seven, a step between two readings 3.5."""
+"""Maximum range of the readings of a resting encoder, in standard deviations: white noise spans about 7, toggling between two steps 3.5."""
 
 LONGEST_DELAY: Final = 0.5
-"""s between a command and the angle, at most."""
+"""Maximum delay between a command and the angle, s."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of predicted readings, with their bands; NaN where a reading or a prediction is missing."""
+    """Errors of predicted readings, with their bands; NaN if a reading or a prediction is missing."""
 
     time: Array
-    """(n), s: of the reading."""
+    """(n), s: time of the reading."""
 
     error: Array
     """(n, 2), rad."""
 
     distance: Array
-    """(n, 1) or (n, 2): the error in half-widths of its 95 % band, both encoders together or each."""
+    """(n, 1) or (n, 2): error relative to the half-width of its 95 % band, for both encoders together or for each."""
 
     level: Array
-    """Probability of the band on whose edge the error lies, of the same shape."""
+    """Probability of the band with the error on its edge, same shape."""
 
     @property
     def count(self) -> int:
-        """Predictions that have a reading."""
+        """Number of predictions with a reading."""
         return int(np.isfinite(self.error).any(axis=1).sum())
 
     def coverage(self, level: float = LEVEL) -> float:
-        """Share of the errors inside the band of that probability."""
+        """Share of the errors inside the band of a probability."""
         known = self.level[np.isfinite(self.level)]
         return float(np.mean(known <= level)) if len(known) else math.nan
 
     def relative_width(self) -> float:
-        """Median of the half-widths relative to the errors' 95th percentile; 1 would be exact, more is too wide."""
+        """Median half-width divided by the 95th percentile of the errors: 1 is exact, more is too wide."""
         known = self.distance[np.isfinite(self.distance)]
         largest = float(np.quantile(known, LEVEL)) if len(known) else math.nan
         return 1 / largest if largest > 0 else math.nan
@@ -91,7 +91,7 @@ class Errors:
 
 
 def sizes(error: Array) -> dict[str, list[float | None]]:
-    """Median and rms of the errors of each encoder, mrad."""
+    """Median and rms error of each encoder, mrad."""
     columns = [np.abs(column[np.isfinite(column)]) for column in error.T]
     return {
         "median_mrad": [or_none(1e3 * float(np.median(each))) if len(each) else None for each in columns],
@@ -100,25 +100,25 @@ def sizes(error: Array) -> dict[str, list[float | None]]:
 
 
 class Forecasts(NamedTuple):
-    """Forecasts so far ahead."""
+    """Forecasts of one distance in time."""
 
     ahead: float
-    """s."""
+    """Time from the forecast's state to the predicted reading, s."""
 
     errors: Errors
     half_width: Array
     """(n, 2), rad."""
 
     others: dict[str, Array]
-    """Errors of the other predictors by their names, (n, 2), of the same readings."""
+    """Errors (n, 2) of the other predictors for the same readings, by predictor."""
 
 
 @dataclass
 class HeldOut:
-    """Everything that was judged."""
+    """All results of the judgement."""
 
     noise: Array
-    """(2), rad: standard deviation of a reading by noise and steps of its encoder."""
+    """(2), rad: standard deviation of a reading due to noise and resolution of its encoder."""
 
     series: int = 0
     samples: int = 0
@@ -126,13 +126,13 @@ class HeldOut:
     innovations: Errors = field(default_factory=lambda: Errors(np.empty(0), *np.empty((3, 0, 2))))
     forecasts: list[Forecasts] = field(default_factory=list)
     delay: float | None = None
-    """s from a command to the angle; None without commands."""
+    """Delay from a command to the angle, s; None without commands."""
 
     not_judged: list[str] = field(default_factory=list)
-    """Sentences."""
+    """Sentences about quantities that could not be judged."""
 
     def content(self) -> dict[str, Any]:
-        """Every figure, in nested objects."""
+        """All figures in nested objects."""
         found = {
             "series": self.series,
             "samples": self.samples,
@@ -149,7 +149,7 @@ class HeldOut:
         return found | {"missed": self.missed()}
 
     def missed(self) -> list[str]:
-        """Promises that were not kept, in words."""
+        """Sentences about the promises that were not kept."""
         found = []
         for what, errors in (
             ("innovations", self.innovations),
@@ -163,7 +163,7 @@ class HeldOut:
         return found + [sentence for each in self.forecasts[:1] for sentence in self._worse(each)]
 
     def _worse(self, given: Forecasts) -> list[str]:
-        """Sentences on the encoders whose forecasts are worse than a predictor that knows no mechanics."""
+        """Sentences about encoders with worse forecasts than a predictor without mechanics."""
         found = []
         for i in range(2):
             known = given.errors.error[np.isfinite(given.errors.error[:, i]), i]
@@ -172,7 +172,7 @@ class HeldOut:
             rms = {name: float(np.sqrt(np.nanmean(error[:, i] ** 2))) for name, error in given.others.items()}
             best = min(rms, key=lambda name: rms[name])
             own = float(np.sqrt(np.mean(known**2)))
-            # A reading that repeats itself at rest is no better known than its encoder resolves.
+            # At rest, repeating the last reading has no error, but a reading is only known to the encoder's noise and resolution.
             if own > WORSE * max(rms[best], float(self.noise[i])):
                 found.append(
                     f"forecasts of encoder {i + 1} {given.ahead:.3g} s ahead are {1e3 * own:.3g} mrad off (rms), and `{best}` {1e3 * rms[best]:.3g} mrad; "
@@ -182,18 +182,18 @@ class HeldOut:
 
 
 class Series(NamedTuple):
-    """Samples without a long gap, by true angles as far as the scene has mounting angles."""
+    """Samples without a long gap, as true angles if the scene has mounting angles."""
 
     time: Array
     angles: Array
-    """(n, 2), rad, without jumps by whole turns; NaN where there is no reading."""
+    """(n, 2), rad, without jumps by whole turns; NaN if there is no reading."""
 
     commands: Array
-    """(n, 2), rad, in the turn of the angles; NaN without commands."""
+    """(n, 2), rad, in the same turn as the angles; NaN without commands."""
 
     @property
     def begin(self) -> float:
-        """Time from which on it is held out, s."""
+        """Begin of the held-out part, s."""
         return float(self.time[-1] - SHARE * (self.time[-1] - self.time[0]))
 
     def held_out(self, i: int) -> Array:
@@ -204,7 +204,7 @@ class Series(NamedTuple):
 
 
 def judge(config: Config, story: Story) -> HeldOut:
-    """Judges a run by its record."""
+    """Judges the predictions in a run's record."""
     about = scene.read(Path(config.scene))
     encoders = setup.encoders(config, about)
     sigma, quantum = (np.array([encoders[f"estimator.{name}[{i}]"] for i in (1, 2)]) for name in ("sigma", "quantum"))
@@ -229,7 +229,7 @@ def judge(config: Config, story: Story) -> HeldOut:
 
 
 def _not_judged(story: Story, found: HeldOut) -> list[str]:
-    """Sentences on what the record has not."""
+    """Sentences about quantities that the record is not sufficient to judge."""
     said = []
     if not all(np.isfinite(story.measured[name]).any() for name in TRACKED):
         said.append("the tip, and with it the lengths: the record has no tip.x and tip.y")
@@ -246,7 +246,7 @@ def _not_judged(story: Story, found: HeldOut) -> list[str]:
 
 
 def _series(story: Story, offsets: Array) -> list[Series]:
-    """The samples of a record in the order of time; a pause of the samples separates two series."""
+    """The samples of a record, sorted by time and split into series at pauses."""
     order = np.argsort(story.measured["time"], kind="stable")
     time = story.measured["time"][order]
     angles, commands = (
@@ -279,30 +279,30 @@ def _unwrapped(column: Array) -> Array:
 
 
 def _joined(parts: list[tuple[Array, ...]]) -> list[Array]:
-    """Arrays of all series, one behind the other."""
+    """Concatenates the arrays of all series."""
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def _innovations(story: Story, series: Series) -> tuple[Array, Array, Array, Array]:
-    """Fields of `Errors` of a series: both encoders' innovations together, by the unit's own normalised square."""
+    """Fields of `Errors` for the innovations of a series: both encoders together, by the unit's normalised innovation squared."""
     table = story.estimated
     rows = np.flatnonzero((table["sample"] >= series.begin) & (table["sample"] <= series.time[-1]))
     read = np.isfinite(series.angles[_newest(series.time, table["sample"][rows])])
     error = np.where(read, np.column_stack([table[f"estimated.innovation[{i}]"][rows] for i in (1, 2)]), np.nan)
     square, count = table["estimated.nis"][rows], read.sum(axis=1)
-    # A distribution of the square of nothing is none.
+    # Without a reading, there is no distribution of the squared innovation.
     square, count = np.where(count > 0, square, np.nan), np.maximum(count, 1)
     distance = np.sqrt(square / chi2.ppf(LEVEL, count))
     return table["sample"][rows], error, distance[:, None], chi2.cdf(square, count)[:, None]
 
 
 def _newest(time: Array, at: Array) -> NDArray[np.intp]:
-    """Places of the last times that are not after others; times of a record are rounded to less than 1 µs."""
+    """Index of the last time before or at each time `at`; times of a record are rounded to less than 1 µs."""
     return np.maximum(np.searchsorted(time, at + 1e-6, side="right") - 1, 0)
 
 
 def _forecasts(story: Story, series: list[Series], place: int, noise: Array, delay: float | None) -> list[Forecasts]:
-    """Forecasts of that point of the path, if there are any."""
+    """Forecasts of one point of the path, if there are any."""
     path = {name: column[place::POINTS] for name, column in story.forecasts.all().items()}
     parts = [_of_series(story, path, each, noise, delay) for each in series]
     names = ("hold", "constant velocity", *(("last command",) if delay is not None else ()))
@@ -318,7 +318,7 @@ def _forecasts(story: Story, series: list[Series], place: int, noise: Array, del
 def _of_series(
     story: Story, path: dict[str, Array], series: Series, noise: Array, delay: float | None
 ) -> tuple[Array, ...]:
-    """Times, errors, half-widths, and the errors of other predictors, of the forecasts of a series that begin in its held-out part."""
+    """Times, errors, half-widths and errors of other predictors for the forecasts that begin in the held-out part of a series."""
     rows = np.flatnonzero((path["time"] >= series.begin) & (path["time"] <= series.time[-1]))
     begin, at = path["time"][rows], (path["time"] + path["ahead"])[rows]
     order = np.argsort(story.estimated["time"], kind="stable")
@@ -341,7 +341,7 @@ def _of_series(
         if delay is not None:
             predicted.append(np.interp(np.minimum(sample, at - delay), series.time, series.commands[:, i]))
         error = np.array(predicted) - truth(at)
-        # Who is compared is compared by the same readings.
+        # All predictors are compared on the same readings.
         error[:, ~np.isfinite(error).all(axis=0)] = np.nan
         columns.append([error[0], half_width, *error[1:]])
     error, half_width, *others = (np.column_stack(pair) for pair in zip(*columns, strict=True))
@@ -349,7 +349,7 @@ def _of_series(
 
 
 def _rates(time: Array, angle: Array) -> Array:
-    """Slopes of lines fitted to the last `RATED` samples of each, rad/s; NaN for the first samples."""
+    """Slope of a line fitted to the last `RATED` samples up to each sample, rad/s; NaN for the first samples."""
     times, angles = (np.lib.stride_tricks.sliding_window_view(each, RATED) for each in (time, angle))
     off = times - times.mean(axis=1, keepdims=True)
     rates = (off * angles).sum(axis=1) / (off**2).sum(axis=1)
@@ -357,7 +357,7 @@ def _rates(time: Array, angle: Array) -> Array:
 
 
 def _delay(series: list[Series]) -> float | None:
-    """The delay, s, by which commands are nearest to the angles in the parts that are not held out; None without commands."""
+    """The delay, s, that best aligns commands and angles before the held-out parts; None without commands."""
     parts = [each for each in series if np.isfinite(each.commands).all()]
     if not parts or len(parts) < len(series):
         return None
@@ -377,7 +377,7 @@ def _delay(series: list[Series]) -> float | None:
 
 
 def lines(content: dict[str, Any]) -> list[str]:
-    """The figures as a table: errors by row, median and rms of both encoders, and what counting says of the bands."""
+    """The figures as a table: a row for each error with median and rms of both encoders, and the counted coverage of the bands."""
 
     def number(value: float | None, factor: float = 1.0) -> str:
         return "–" if value is None else f"{factor * value:.3g}"
