@@ -82,7 +82,7 @@ def _touches(run: Run) -> NDArray[np.bool_]:
     return touches
 
 
-def _value(run: Run, name: str) -> NDArray[np.float64] | float:
+def value(run: Run, name: str) -> NDArray[np.float64] | float:
     """Value of a parameter: over time if a signal changes it, otherwise constant."""
     return run.columns[name] if name in run.columns else float(run.parameters[name])
 
