@@ -1,5 +1,7 @@
 // Small pictures: curves over time, and accuracy against time.
 
+import { METHODS } from "./effects.js";
+
 const FONT = "11px system-ui, sans-serif";
 
 // Prepares a canvas for a picture: its context, scaled to CSS pixels, and its size.
@@ -101,18 +103,8 @@ export function quantity(value, unit) {
   return `${Number((value / size).toPrecision(2))} ${prefix}${unit}`.replace("-", "−");
 }
 
-// Symbols of methods; they differ in form and colour.
-export const SYMBOLS = {
-  automatic: { form: "disc", colour: "left" },
-  dop853: { form: "square", colour: "right" },
-  i3alp: { form: "triangle", colour: "tip" },
-  i3alpConserving: { form: "diamond", colour: "direct" },
-  i3alpPrinted: { form: "cross", colour: "muted" },
-  rk4: { form: "ring", colour: "ink" },
-};
-
 // Draws a symbol.
-function symbol(context, { form, colour }, colours, x, y, size) {
+function mark(context, { form, colour }, colours, x, y, size) {
   [context.fillStyle, context.strokeStyle, context.lineWidth] = [colours[colour], colours[colour], 1.75];
   context.beginPath();
   if (form === "disc" || form === "ring") context.arc(x, y, size, 0, 2 * Math.PI);
@@ -156,15 +148,15 @@ export function drawAccuracy(canvas, points, method, colours) {
     text(context, quantity(10 ** power, "m"), left - 5, y(power), colours.muted, "right");
   }
   text(context, "computing time, µs per simulated ms", (left + width - right) / 2, bottom + 25, colours.muted, "center");
-  for (const name of Object.keys(SYMBOLS)) {
+  for (const { name, symbol } of METHODS) {
     const own = points.filter((point) => point.method === name);
     const chosen = name === method;
-    [context.strokeStyle, context.lineWidth] = [colours[SYMBOLS[name].colour], chosen ? 2 : 1];
+    [context.strokeStyle, context.lineWidth] = [colours[symbol.colour], chosen ? 2 : 1];
     context.globalAlpha = chosen ? 1 : 0.7;
     context.beginPath();
     for (const point of own) context.lineTo(x(log(point)[0]), y(log(point)[1]));
     context.stroke();
-    for (const point of own) symbol(context, SYMBOLS[name], colours, x(log(point)[0]), y(log(point)[1]), chosen ? 5 : 3);
+    for (const point of own) mark(context, symbol, colours, x(log(point)[0]), y(log(point)[1]), chosen ? 5 : 3);
   }
   context.globalAlpha = 1;
 }
@@ -177,7 +169,7 @@ function line(context, x0, y0, x1, y1) {
 }
 
 // Draws a symbol on its small canvas in the legend.
-export function drawSymbol(canvas, name, colours) {
+export function drawSymbol(canvas, symbol, colours) {
   const { context, width, height } = sheet(canvas);
-  symbol(context, SYMBOLS[name], colours, width / 2, height / 2, 4);
+  mark(context, symbol, colours, width / 2, height / 2, 4);
 }

@@ -67,14 +67,14 @@ export const GEOMETRY = [
   { names: ["link[2].length", "link[3].length"], label: "Distal links", min: 0.05, max: 0.4, scale: 1e3, unit: "mm" },
 ];
 
-// Methods in the order of the page, each with the setting that the user chooses: a tolerance or a step.
+// Methods in the order of the page, each with the setting that the user chooses, a tolerance or a step, and with its symbol.
 export const METHODS = [
-  { name: "automatic", label: "Automatic", knob: "solver.errorTolerance" },
-  { name: "dop853", label: "DOP853, explicit of order 8", knob: "solver.errorTolerance" },
-  { name: "i3alp", label: "i3-ALP with sub-steps", knob: "solver.errorTolerance" },
-  { name: "i3alpConserving", label: "i3-ALP conserving, fixed step", knob: "solver.stepSize" },
-  { name: "i3alpPrinted", label: "i3-ALP as printed", knob: "solver.stepSize" },
-  { name: "rk4", label: "RK4, fixed step", knob: "solver.stepSize" },
+  { name: "automatic", label: "Automatic", knob: "solver.errorTolerance", symbol: { form: "disc", colour: "left" } },
+  { name: "dop853", label: "DOP853, explicit of order 8", knob: "solver.errorTolerance", symbol: { form: "square", colour: "right" } },
+  { name: "i3alp", label: "i3-ALP with sub-steps", knob: "solver.errorTolerance", symbol: { form: "triangle", colour: "tip" } },
+  { name: "i3alpConserving", label: "i3-ALP conserving, fixed step", knob: "solver.stepSize", symbol: { form: "diamond", colour: "direct" } },
+  { name: "i3alpPrinted", label: "i3-ALP as printed", knob: "solver.stepSize", symbol: { form: "cross", colour: "muted" } },
+  { name: "rk4", label: "RK4, fixed step", knob: "solver.stepSize", symbol: { form: "ring", colour: "ink" } },
 ];
 
 export const KNOBS = {

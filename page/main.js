@@ -52,7 +52,7 @@ class Page {
     this.view.restyle();
     this.colours = this.view.colours;
     this.controls.show();
-    METHODS.forEach(({ name }) => drawSymbol(element(`symbol-${name}`), name, this.colours));
+    METHODS.forEach(({ name, symbol }) => drawSymbol(element(`symbol-${name}`), symbol, this.colours));
     this.drawnPoints = -1;
   }
 

@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 from fivebar.scene import Scene, Variant
 from fivebar.variables import Values, of_unit
 
-METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5, "automatic": 6}
+_XML = ElementTree.parse(Path(__file__).parents[2] / "modelDescription" / "modelDescription.xml")
+METHODS = {item.attrib["name"]: int(item.attrib["value"]) for item in _XML.iterfind(".//SimpleType[@name='Method']//Item")}
+"""The methods' numbers."""
 
 
 def made_scene(
