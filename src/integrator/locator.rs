@@ -40,16 +40,28 @@ const MOST_EVALUATIONS: u32 = 200;
 
 /// Decision about a step with an admissible error.
 pub(super) enum EventCheck {
-    /// No event occurs.
+    /// No event occurs in the step.
     Clear,
     /// The step ends at an event.
     AtEnd,
-    /// An event occurs earlier, this many seconds after the beginning of the step.
+    /// The step has to be tried again over this many seconds: up to the first event, or half as long if the event was not found.
     Before(f64),
 }
 
 /// Checks a step of `length` seconds for events, after `tries` trials to end it at a guard. `from` is its beginning, `end` holds q, q̇ and
 /// q̈ at its end, and `path` is its dense output. `truncate` may end the step at a time inside it, s, so that it need not be redone.
+///
+/// Let r(t) be the largest guard residual on `path`, in event tolerances. If r(0) ≤ [`CROSSING_RESIDUAL`], then after
+/// - `Clear`: r ≤ [`CROSSING_RESIDUAL`] on [0, `length`];
+/// - `AtEnd`: the same holds up to the end of the step, where r is within [`WINDOW_HALF_WIDTH`] of [`TARGET_RESIDUAL`]. The end is at
+///   `length`, or where `truncate` has put it;
+/// - `Before(when)`: nothing is promised about this step; it has to be tried again over `when` seconds. `when` exceeds `length`, by less than
+///   [`LARGEST_CORRECTION`] of it, if a trial for a guard ended just before it, and is less than [`SHORTEST`] if a guard is crossed at the
+///   beginning.
+///
+/// Bounds on derivatives prove this between the places that are evaluated, with three exceptions. Stretches shorter than
+/// [`SHORTEST_STRETCH`] of the step are judged by their ends, maxima of sticking friction's reaction by parabolas, and a step shorter than
+/// [`SHORTEST_HALVED`] is `Clear` or `AtEnd` even if the search found no end for it.
 pub(super) fn check<const N: usize, S: Events<N>>(
     (system, tolerance): (&S, f64),
     from: &Probe<S::GuardValues>,
