@@ -9,7 +9,14 @@ import pytest
 
 import fivebar
 
-MODULES = ("fivebar", "fivebar.errors", "fivebar.kinematics", "fivebar.result", "fivebar.scene")
+MODULES = (
+    "fivebar",
+    "fivebar.errors",
+    "fivebar.kinematics",
+    "fivebar.result",
+    "fivebar.scene",
+    "fivebar.twin.calibrate.calibration",
+)
 
 
 @pytest.fixture(autouse=True)

@@ -8,21 +8,34 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas
 import pytest
 
+import fivebar
 from fivebar import scene as scenes_of
 from fivebar.commands import main
 from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, setup
 from fivebar.twin import scene as twin_scene
-from fivebar.twin.calibrate import command, data, fit, identify, motion, parameters, pictures, propose, scenes, trials
+from fivebar.twin.calibrate import (
+    calibration,
+    data,
+    fit,
+    identify,
+    motion,
+    parameters,
+    pictures,
+    propose,
+    scenes,
+    trials,
+)
 from fivebar.twin.config import Config
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message, encode, topic
@@ -129,6 +142,76 @@ def test_unknowns_are_found_within_their_bars(fmu: Path, library: Library, tmp_p
     # A link's inertia goes with its mass.
     assert math.isclose(written["link[2].inertia"] / 6.23e-5, written["link[2].mass"] / 0.017, rel_tol=1e-12)
     assert {path.name for path in (tmp_path / "out").glob("*.png")} == {"residuals.png", "unknowns.png"}
+
+
+def test_the_function_finds_what_the_command_finds(
+    fmu: Path, library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From a file, from a dict of columns and from a frame, with the time as a column or as the index; nothing is printed."""
+    monkeypatch.setenv("FIVEBAR_FMU", str(fmu))
+    names = ["payload.mass", "link[2,3].mass", "friction.coulomb[1]"]
+    columns = made(library, names[:2], [1.2, 0.9], 1.2)
+    file = write(tmp_path / "a.csv", columns)
+    code, figures = calibrated(fmu, file, tmp_path, names, "--no-proposal")
+    command, scene = capsys.readouterr(), tmp_path / "scene.json"
+    assert code == 0
+    frame = pandas.DataFrame(columns)
+    for given in (
+        file,
+        str(file),
+        columns,
+        {name: list(column) for name, column in columns.items()},
+        frame,
+        frame.set_index("time"),
+    ):
+        found = fivebar.calibrate(given, scene, names)
+        assert capsys.readouterr() == ("", "")
+        assert found.figures() == {name: figures[name] for name in found.figures()}
+        assert found.summary() in command.out
+    known = {name: unknown for name, unknown in figures["unknowns"].items() if unknown["identified"]}
+    for key, offered in (("value", found.values), ("bar95", found.bars), ("bound95", found.bounds)):
+        assert offered == {member: x for unknown in known.values() for member, x in unknown[key].items()}
+    assert set(found.values) == set(found.units) == {"payload.mass", "link[2].mass", "link[3].mass"}
+    assert found.correlations["payload.mass"]["link[2,3].mass"] == figures["correlations"]["payload.mass"][1]
+    assert found.not_identified == figures["not_identified"] != []
+    written, again = scenes_of.read(tmp_path / "out" / "calibrated.json", library.known), found.scene()
+    assert again.values == written.values and again.stop_time == written.stop_time
+    assert again.description == written.description.replace("a.csv", "the record")
+    assert [file.name for file in found.pictures(tmp_path / "new" / "folder")] == ["residuals.png", "unknowns.png"]
+    with pytest.raises(FrozenInstanceError):
+        found.solution = None  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("change", "more", "sentence"),
+    [
+        ({"time": None}, {}, "the record has no column time (s); it has measured.theta[1], measured.theta[2], servo.theta[1], "),
+        ({"time": [0.0, 1.0]}, {}, "the record has 2 times and "),
+        ({"measured.theta[1]": ["a", "b"]}, {}, "the record: measured.theta[1] must be a column of numbers, not ["),
+        ({"measured.theta[1]": None, "measured.theta[2]": None}, {}, "the record has no number in measured.theta[1] or measured.theta[2]"),
+        ({}, {"commands": "cubic"}, "commands are 'cubic'; one of rate, linear, hold is needed"),
+        ({}, {"patience": 0}, "patience is 0; more than 0 is needed"),
+        ({}, {"seconds": math.nan}, "seconds is nan; more than 0 is needed"),
+        ({}, {"parameters": ["mass"]}, "mass cannot be sought: "),
+        ({}, {"begin": 9.0}, "the record has no sample from 9 s on for 10 s"),
+        (None, {}, "a record is a file, a dict of columns or a frame of pandas, not 3"),
+    ],
+)  # fmt: skip
+def test_the_function_refuses_in_one_sentence(
+    change: dict[str, object] | None, more: dict[str, object], sentence: str, fmu: Path, library: Library
+) -> None:
+    columns = made(library, ["payload.mass"], [1.2], 1.2) | (change or {})
+    record = 3 if change is None else {name: column for name, column in columns.items() if column is not None}
+    with pytest.raises(fivebar.FiveBarError, match="^" + re.escape(sentence)):
+        fivebar.calibrate(record, {"payload.enabled": True}, **({"parameters": ["payload.mass"]} | more), fmu=fmu)  # type: ignore[arg-type]
+
+
+def test_nothing_identified_is_no_scene(fmu: Path, library: Library) -> None:
+    columns = made(library, SCALE, [1.2, 1.0, 1.0, 1.0, 1.0, 1.0], 1.2, base=WEIGHTLESS)
+    found = fivebar.calibrate(columns, WEIGHTLESS, SCALE, fmu=fmu)
+    assert found.values == {} and repr(found) == "<fivebar calibration: nothing is identified>"
+    with pytest.raises(fivebar.FiveBarError, match="^the record identifies nothing: there is no calibrated scene"):
+        found.scene()
 
 
 def test_rough_data(fmu: Path, library: Library, tmp_path: Path) -> None:
@@ -264,7 +347,7 @@ def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) ->
     samples = data.split(recording.of("a record", columns.pop("time"), columns, []))
     device = motion.Machine(library, WEIGHTLESS, unknowns)
     free, result = (
-        command.calibrate(device, samples, "rate", 10.0, lambda _: None, taken=taken)
+        calibration.solve(device, samples, "rate", 10.0, lambda _: None, taken=taken)
         for taken in (None, parameters.trusted(unknowns, library))
     )
     device.close()
@@ -499,11 +582,11 @@ def test_the_origin_of_time_does_not_matter(fmu: Path, library: Library, tmp_pat
 def test_a_fit_that_fails_is_not_called_another_machine() -> None:
     """A scene whose own values follow short pieces is of this machine."""
     found = SimpleNamespace(sigma=np.array([1.0, 1.0]), rms_before=1.7e-4)
-    assert command.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
+    assert calibration.suspicion(found, np.array([1e-6, 1e-6]))[0].startswith(
         "refused: the fit failed: residuals of encoder 1 are 1e+03 mrad after the fit"
     )
     found.rms_before = 0.2
-    assert "the scene is not this machine" in command.suspicion(found, np.array([1e-6, 1e-6]))[0]
+    assert "the scene is not this machine" in calibration.suspicion(found, np.array([1e-6, 1e-6]))[0]
 
 
 def test_records_of_the_pipeline(tmp_path: Path) -> None:
@@ -661,8 +744,8 @@ def test_residuals_that_change_smoothly_are_no_outliers() -> None:
 
 
 def test_usual_unknowns_are_what_the_scene_has() -> None:
-    assert "payload.mass" not in command.usual({}) and "gravity.direction" in command.usual({})
-    assert "gravity.direction" not in command.usual({"gravity.enabled": False, "payload.enabled": True})
+    assert "payload.mass" not in calibration.usual({}) and "gravity.direction" in calibration.usual({})
+    assert "gravity.direction" not in calibration.usual({"gravity.enabled": False, "payload.enabled": True})
 
 
 def test_machines_at_random_are_others_and_keep_away_from_singularities(library: Library) -> None:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from fivebar.result import Result
     from fivebar.scene import Scene
     from fivebar.simulate import OnFailure
+    from fivebar.twin.calibrate.calibration import Calibration
+    from fivebar.twin.calibrate.motion import Between
     from fivebar.variables import Value
 
     __version__: str
@@ -40,6 +42,7 @@ __all__ = [
     "StepFailed",
     "Unit",
     "UnitError",
+    "calibrate",
     "run",
     "run_many",
     "scenes",
@@ -237,3 +240,82 @@ def run_many(
 
     changes = {"method": method, "stop_time": stop_time, "step_size": step_size, "inputs": inputs}
     return many.run_many(scene, values, changes, outputs or (), reduce, on_failure, processes, progress)
+
+
+def calibrate(
+    record: "str | Path | Mapping[str, Any] | Any",
+    scene: "str | Path | Mapping[str, Any] | Scene | None" = None,
+    parameters: "Sequence[str]" = (),
+    *,
+    begin: float = 0.0,
+    seconds: float = 10.0,
+    longest: float = 10.0,
+    commands: "Between" = "rate",
+    patience: float = 120.0,
+    unit: str = "",
+    fmu: str | Path | None = None,
+) -> "Calibration":
+    """Finds masses, friction, lengths and offsets of a machine from a record, each with an error bar; docs/calibration.md describes how.
+
+    Needs the packages of the extra `calibrate`.
+
+    Parameters
+    ----------
+    record
+        A record of the twin or a table as a file, or columns as a dict, a `Result` or a frame of pandas: `time`, s, `measured.theta[1]` and
+        `measured.theta[2]` (or `theta[1]` and `theta[2]`), rad, and the commands of the drives, such as `servo.theta[1]` and `tau[1]`.
+    scene
+        What the machine is taken for before, as `run` takes it; the scene of a record of the twin, or else the unit's own values, unless given.
+    parameters
+        Names of what is sought, groups as `link[1,4].mass`; what is usual unless given.
+    begin, seconds
+        Part of the record that is used, s, from its first sample on.
+    longest
+        Series longer than this, s, are cut.
+    commands
+        What drives do between samples: `"rate"`, `"linear"` or `"hold"`, as for the inputs of `run`.
+    patience
+        Seconds of CPU after which the fit is given up.
+    unit
+        Which machine, if a record of the twin has several.
+    fmu
+        Another unit than the shipped one.
+
+    Returns
+    -------
+    Calibration
+        `values`, `bars`, `units`, `correlations`, `not_identified` and `warning`; `summary()`, `pictures(folder)` and `scene()`, the calibrated
+        machine. What the record does not tell has no value. Steps of the fit go to the logger `fivebar` at level `INFO`.
+
+    Raises
+    ------
+    FiveBarError
+        If the record, the scene or a name is refused, or the fit is given up.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> run = fivebar.run("pick_and_place", stop_time=1.5, **{"payload.mass": 0.06})
+    >>> found = fivebar.calibrate(run, "pick_and_place", ["payload.mass"], commands="hold")
+    >>> round(found.values["payload.mass"], 5), found.bars["payload.mass"] < 1e-4, found.units["payload.mass"]
+    (0.06, True, 'kg')
+    >>> found.scene()["payload.mass"] == found.values["payload.mass"]
+    True
+    """
+    from fivebar import extras
+
+    extras.need("calibrate")
+    from fivebar.twin.calibrate import calibration
+
+    return calibration.calibrate(
+        record,
+        scene,
+        parameters,
+        begin=begin,
+        seconds=seconds,
+        longest=longest,
+        commands=commands,
+        patience=patience,
+        unit=unit,
+        fmu=fmu,
+    )

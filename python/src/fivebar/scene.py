@@ -322,24 +322,37 @@ def write(
     signals: Mapping[str, Any] | None = None,
     working: Working | None = None,
 ) -> None:
-    """Writes a scene with every value that differs from the unit's own.
+    """Writes a scene with every value that differs from the unit's own; arguments as of `content`."""
+    write_content(file, content(text, values, stop_time, step_size, variables, signals, working))
+
+
+def content(
+    text: str,
+    values: Mapping[str, Value],
+    stop_time: float,
+    step_size: float,
+    variables: Variables,
+    signals: Mapping[str, Any] | None = None,
+    working: Working | None = None,
+) -> dict[str, Any]:
+    """Content of a scene's file, with every value that differs from the unit's own.
 
     `text` is its description, mounting angles of encoders are among the values, `signals` are as files have them, `working` is the working mode of signals of the tip.
     """
-    content: dict[str, Any] = {"description": text, "experiment": {"stopTime": stop_time, "stepSize": step_size}}
+    found: dict[str, Any] = {"description": text, "experiment": {"stopTime": stop_time, "stepSize": step_size}}
     for name, value in values.items():
         if name in scene_file.OFFSETS:
             if value != 0.0:
-                content[name] = value
+                found[name] = value
             continue
         variable = variables.settable(name)
         if value != variable.start:
-            content[name] = variable.item(int(value)) if variable.type == "Enumeration" else value
+            found[name] = variable.item(int(value)) if variable.type == "Enumeration" else value
     if working is not None:
-        content[tip_scenes.WORKING] = list(working)
+        found[tip_scenes.WORKING] = list(working)
     if signals:
-        content["signals"] = signals
-    write_content(file, content)
+        found["signals"] = signals
+    return found
 
 
 def write_content(file: Path, content: Mapping[str, Any]) -> None:

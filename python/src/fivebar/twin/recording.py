@@ -4,6 +4,7 @@
 falls back has been restarted: the samples from there on are another series, and `time` puts the series one after another.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +17,7 @@ from fivebar.errors import FiveBarError
 from fivebar.twin import units
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED
+from fivebar.variables import shown
 
 Array = NDArray[Any]
 
@@ -23,6 +25,15 @@ TIME: Final = "time"
 
 UNITS: Final = {TIME: "s", "theta": "rad", "omega": "rad/s", "tau": "N.m", "tip.x": "m", "tip.y": "m"}
 """Units of the columns, by the last words of their names."""
+
+TRUE: Final = {name.removeprefix("measured."): name for name in MEASURED}
+"""Columns of runs, which stand for measured ones that are missing."""
+
+COLUMNS: Final = frozenset({TIME, *MEAS_FIELDS, *TRUE})
+"""Names of the columns that are read."""
+
+GIVEN: Final = "the record"
+"""What columns without a file are called."""
 
 SLOW: Final = 0.5
 """s between two samples: a machine that is followed is sampled faster, and times in ms look slower."""
@@ -64,9 +75,8 @@ class Recording:
 
 def read(file: Path) -> Recording:
     """The recording in a table with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
-    others = {name.removeprefix("measured."): name for name in MEASURED}
     try:
-        found = table.read(file, {TIME, *MEAS_FIELDS, *others}, TIME)
+        found = table.read(file, COLUMNS, TIME)
     except FiveBarError as error:
         raise TwinError(str(error)) from None
     columns = dict(found.columns)
@@ -79,15 +89,48 @@ def read(file: Path) -> Recording:
         raise TwinError(
             f"{file} has no column time (s); its head is {names}; commas, semicolons or tabs separate columns"
         )
+    return _of_table(file, columns, found.others)
+
+
+def of_columns(given: Any) -> Recording:
+    """The recording in the columns of a dict or of a frame of pandas, called as those of a table; the frame's index may be the time."""
+    if not isinstance(given, Mapping) and not (hasattr(given, "columns") and hasattr(given, "index")):
+        raise TwinError(f"a record is a file, a dict of columns or a frame of pandas, not {shown(given)}")
+    found = {str(name): given[name] for name in (given if isinstance(given, Mapping) else given.columns)}
+    if TIME not in found and getattr(getattr(given, "index", None), "name", None) == TIME:
+        found[TIME] = given.index
+    columns = {name: _numbers(name, column) for name, column in found.items() if name in COLUMNS}
+    if TIME not in columns:
+        raise TwinError(f"{GIVEN} has no column time (s); it has {', '.join(found)[:200] or 'nothing'}")
+    for name, column in columns.items():
+        if len(column) != len(columns[TIME]):
+            raise TwinError(
+                f"{GIVEN} has {len(columns[TIME])} times and {len(column)} values of {name}: as many are needed"
+            )
+    return _of_table(GIVEN, columns, [name for name in found if name not in COLUMNS])
+
+
+def _numbers(name: str, given: Any) -> Array:
+    try:
+        column = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        column = np.empty(())
+    if column.ndim != 1:
+        raise TwinError(f"{GIVEN}: {name} must be a column of numbers, not {shown(given)}")
+    return column
+
+
+def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[str]) -> Recording:
+    """The recording of columns by name, the clock among them; `unused` are the names of others."""
     clock = columns.pop(TIME)
-    for other, name in others.items():
+    for other, name in TRUE.items():
         angle = columns.pop(other, None)
         if angle is not None:
             columns.setdefault(name, angle)
     if not any(np.isfinite(columns[name]).any() for name in MEASURED if name in columns):
-        raise TwinError(f"{file} has no number in {MEASURED[0]} or {MEASURED[1]}")
-    unused = [*found.others[:SHOWN], *([f"{len(found.others) - SHOWN} more"] if len(found.others) > SHOWN else [])]
-    return of(file, clock, columns, [f"columns that are not used: {', '.join(unused)}"] if unused else [])
+        raise TwinError(f"{source} has no number in {MEASURED[0]} or {MEASURED[1]}")
+    listed = [*unused[:SHOWN], *([f"{len(unused) - SHOWN} more"] if len(unused) > SHOWN else [])]
+    return of(source, clock, columns, [f"columns that are not used: {', '.join(listed)}"] if listed else [])
 
 
 def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[str]) -> Recording:

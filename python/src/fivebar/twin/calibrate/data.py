@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -69,13 +69,16 @@ class Data:
         return float(np.median(np.concatenate([np.diff(s.time) for s in self.series])))
 
 
-def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
-    """The samples of a record or a table, from `begin` s after the first one on, at most `seconds` of them."""
-    given = _record(file, unit) if record.is_record(file) else recording.read(file)
+def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
+    """The samples of a record, a table or columns, from `begin` s after the first one on, at most `seconds` of them."""
+    if not isinstance(source, Path):
+        given = recording.of_columns(source)
+    else:
+        given = _record(source, unit) if record.is_record(source) else recording.read(source)
     first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
     if first == last:
         raise TwinError(
-            f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {given.time[-1]:.3f} s"
+            f"{given.source} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {given.time[-1]:.3f} s"
         )
     data = split(given.part(int(first), int(last)))
     if last - first < len(given.time):

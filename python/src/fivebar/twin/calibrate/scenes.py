@@ -1,8 +1,8 @@
 """Scenes as start values of what is calibrated or varied."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fivebar import scene as scenes
 from fivebar.library import Library
@@ -15,11 +15,17 @@ KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
 """First words of variables that set the computation, and not the machine."""
 
 
-def start_values(given: str | Path | None, data: Path, library: Library) -> tuple[Values, str]:
+Given = str | Path | Mapping[str, Any] | scenes.Scene
+"""A scene as `fivebar.run` takes it."""
+
+
+def start_values(given: Given | None, data: Any, library: Library) -> tuple[Values, str]:
     """Start values assumed of the machine and its encoders' mounting angles, and their source: a scene, or the record's message about its run."""
     if given is not None:
-        return values(given, library) | dict(scenes.read(given, library.known).offsets), f"scene {given}"
-    if record.is_record(data):
+        scene = scenes.read(given, library.known)
+        name = given if isinstance(given, (str, Path)) else scene.name
+        return _of_machine(scene.values | dict(scene.offsets)), f"scene {name}"
+    if isinstance(data, Path) and record.is_record(data):
         try:
             setup = of_message(record.setup(data))
         except TwinError:
@@ -28,7 +34,7 @@ def start_values(given: str | Path | None, data: Path, library: Library) -> tupl
     return {}, "the unit's own start values"
 
 
-def values(given: str | Path, library: Library) -> Values:
+def values(given: Given, library: Library) -> Values:
     """Values of the machine in a scene, by its name or file."""
     return _of_machine(scenes.read(given, library.known).values)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from fivebar.library import Library
 from fivebar.twin import recording
-from fivebar.twin.calibrate import command
+from fivebar.twin.calibrate import calibration
 from fivebar.twin.calibrate.data import Data, Samples, split
 from fivebar.twin.calibrate.identify import interval
 from fivebar.twin.calibrate.motion import Machine, Path, Start
@@ -179,7 +179,7 @@ def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:
         maker.tolerance(1e-11)
         record = made(maker, truth, chance, bench=bench)
         begun = time.process_time()
-        result = command.calibrate(machine, record, "rate", 10.0, lambda _: None)
+        result = calibration.solve(machine, record, "rate", 10.0, lambda _: None)
         spent = time.process_time() - begun
     finally:
         maker.close()

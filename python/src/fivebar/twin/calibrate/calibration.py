@@ -1,0 +1,427 @@
+"""Calibration of a machine from a record: what is sought, the fits that seek it, and what was found.
+
+`calibrate` is `fivebar.calibrate`, and the command does the same step by step.
+"""
+
+import json
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, TypeVar, get_args
+
+import numpy as np
+
+from fivebar import scene as scenes_of
+from fivebar.library import Library, shared
+from fivebar.links import doubts
+from fivebar.scene import Scene
+from fivebar.scene_file import OFFSETS
+from fivebar.twin import recording
+from fivebar.twin.calibrate import data, scenes
+from fivebar.twin.calibrate.fit import ALL_NOISE, Fit, Fitter, Show, least_noise
+from fivebar.twin.calibrate.identify import Judgement, interval, judge
+from fivebar.twin.calibrate.motion import Between, Machine
+from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters, trusted
+from fivebar.twin.errors import TwinError
+from fivebar.twin.recording import Array
+
+log = logging.getLogger("fivebar")
+
+T = TypeVar("T")
+
+WELL_TOLD: Final = 0.05
+"""Standard deviation in sizes."""
+
+WRONG: Final = 0.05
+"""rad: residuals of a machine that is not the scene's; noise of encoders and unmodelled effects are far below."""
+
+ODD: Final = 10.0
+"""Ratio of residuals to the noise of the encoders up to which there is no warning; residuals below `SMALL` never cause one."""
+
+SMALL: Final = 1e-3
+"""rad; residuals of less before the fit are those of a scene that is this machine's."""
+
+
+CONTRADICTED: Final = 2.0
+"""Ratio of the residuals with the scene's values of what is not identified to those without, noise alone, above which these values are not the
+machine's."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The last fit, and what it identifies."""
+
+    fit: Fit
+    judgement: Judgement
+    sought: list[Parameter]
+    wrong: str = ""
+    """Why nothing is believed, or ""."""
+
+    odd: str = ""
+    """Why values may be off by more than their bars, or ""."""
+
+    def refused(self) -> list[int]:
+        """Indices of the unknowns that the record does not identify."""
+        return [k for k, known in enumerate(self.judgement.identified) if not known]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A record, the machine that is assumed, and what is sought."""
+
+    library: Library
+    name: str
+    """Of the record."""
+
+    record: data.Data
+    scene: Values
+    """Values that the machine is assumed to have, beside the unit's own."""
+
+    source: str
+    """Where these come from, in words."""
+
+    sought: list[Parameter]
+    taken: Array
+    """Standard deviations, in sizes, with which values are taken as right where the record tells less."""
+
+    def solve(self, commands: Between, longest: float, patience: float, show: Show) -> "Calibration":
+        """Fits, and says what is identified; raises GivenUp if that takes too long."""
+        _check_positive("longest", longest)
+        _check_positive("patience", patience)
+        if commands not in get_args(Between):
+            raise TwinError(f"commands are {commands!r:.60}; one of {', '.join(get_args(Between))} is needed")
+        machine = Machine(self.library, self.scene, self.sought)
+        try:
+            return Calibration(self, solve(machine, self.record, commands, longest, show, patience, self.taken))
+        finally:
+            machine.close()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration:
+    """What a record says of a machine: values with error bars, pictures, and the scene of the calibrated machine.
+
+    Examples
+    --------
+    >>> import fivebar
+    >>> run = fivebar.run("pick_and_place", stop_time=1.5, **{"payload.mass": 0.06})
+    >>> found = fivebar.calibrate(run, "pick_and_place", ["payload.mass"], commands="hold")
+    >>> found
+    <fivebar calibration: payload.mass = 0.06 ± ... kg>
+    >>> [picture.name for picture in found.pictures("pictures")]
+    ['residuals.png', 'unknowns.png']
+    """
+
+    problem: Problem
+    solution: Solution
+
+    def __repr__(self) -> str:
+        found = [
+            f"{name} = {value:.5g} ± {self.bars[name]:.2g} {self.units[name]}" for name, value in self.values.items()
+        ]
+        return f"<fivebar calibration: {', '.join(found) or 'nothing is identified'}>"
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Identified values by variable, SI; a group such as `link[1,4].mass` has one of each member."""
+        return self._members(lambda k, p: p.value(float(self.solution.fit.x[k])))
+
+    @cached_property
+    def bars(self) -> dict[str, float]:
+        """Half widths of their 95 % intervals."""
+        return self._members(lambda k, p: p.bar(interval(float(self.solution.judgement.sigma[k]))))
+
+    @cached_property
+    def bounds(self) -> dict[str, float]:
+        """The least half widths that white noise would allow (Cramér and Rao)."""
+        return self._members(lambda k, p: p.bar(interval(float(self.solution.judgement.bound[k]))))
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Their units."""
+        return self._members(lambda _, p: (p.unit,) * len(p.base))
+
+    @property
+    def correlations(self) -> dict[str, dict[str, float]]:
+        """Between all that was sought, by name."""
+        names = [p.name for p in self.solution.sought]
+        rows = self.solution.judgement.correlation.tolist()
+        return {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
+
+    @property
+    def not_identified(self) -> list[str]:
+        """What the record does not tell, in sentences."""
+        return self.solution.judgement.not_identified(self.solution.sought)
+
+    @property
+    def warning(self) -> str:
+        """Why nothing is believed, or why values may be off by more than their bars; "" if there is no reason."""
+        return self.solution.wrong or self.solution.odd
+
+    @property
+    def residuals(self) -> tuple[float, float]:
+        """Standard deviations of the residuals of both encoders, rad."""
+        left, right = self.solution.fit.sigma.tolist()
+        return left, right
+
+    def _members(self, of: Callable[[int, Parameter], Sequence[T]]) -> dict[str, T]:
+        """Something of each variable that is identified."""
+        found: dict[str, T] = {}
+        for k, p in enumerate(self.solution.sought):
+            if self.solution.judgement.identified[k]:
+                found |= zip(p.members or (p.name,), of(k, p), strict=True)
+        return found
+
+    def start(self) -> Values:
+        """Start values with the estimates; what is not identified stays as it was assumed."""
+        kept = [k for k, known in enumerate(self.solution.judgement.identified) if known]
+        x = [float(self.solution.fit.x[k]) for k in kept]
+        return assemble(self.problem.scene, self.problem.library, [self.solution.sought[k] for k in kept], x)
+
+    def content(self) -> dict[str, Any]:
+        """The scene of the calibrated machine as files have it: it starts as the record does.
+
+        Raises FiveBarError if nothing is identified.
+        """
+        if not self.values:
+            raise TwinError(f"{self.problem.name} identifies nothing: there is no calibrated scene")
+        known = [self.solution.sought[k].name for k, told in enumerate(self.solution.judgement.identified) if told]
+        unknown = [self.solution.sought[k].name for k in self.solution.refused()]
+        text = f"Calibrated from {self.problem.name}: {scenes.series(known)}."
+        if unknown:
+            text += f" Not identified, and as before: {scenes.series(unknown)}."
+        fit = self.solution.fit
+        first = fit.pieces[0].start
+        values = self.start()
+        offsets = np.array([float(values.get(name, 0.0)) for name in OFFSETS])
+        begin = first.state[:2] + fit.machine.offsets(fit.x) - offsets
+        values |= {f"init.theta[{i}]": float(angle) for i, angle in enumerate(begin, 1)}
+        values |= {f"init.omega[{i}]": float(rate) for i, rate in enumerate(first.state[2:], 1)}
+        values["init.assembly"] = first.assembly
+        # First commands of the drives as start values: without a master the machine stays there.
+        commands = fit.pieces[0].path.first(offsets)
+        values |= {name: value for name, value in commands.items() if not name.startswith("servo.omega")}
+        time = self.problem.record.series[0].time
+        stop = round(time[-1] - time[0], 6) or 1.0
+        return scenes_of.content(text, values, stop, 1e-3, self.problem.library.known)
+
+    def scene(self) -> Scene:
+        """The calibrated machine, which `fivebar.run`, `fivebar.unit` and `fivebar.Unit` take.
+
+        Raises FiveBarError if nothing is identified.
+        """
+        return scenes_of.parse("calibrated", json.dumps(self.content()), self.problem.library.known)
+
+    def pictures(self, folder: str | Path) -> list[Path]:
+        """Draws residuals, error bars and correlations into a folder; the files written."""
+        from fivebar.twin.calibrate import pictures
+
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        return pictures.draw(Path(folder), self.solution.fit, self.solution.judgement, self.solution.sought)
+
+    @cached_property
+    def impossible(self) -> list[str]:
+        """Why no machine can be as this one, in sentences."""
+        return doubts(dict(self.problem.library.known.start) | self.start())
+
+    def figures(self) -> dict[str, Any]:
+        """All figures, in terms of JSON."""
+        fit, judgement, given = self.solution.fit, self.solution.judgement, self.problem.record
+        unknowns = {}
+        for k, p in enumerate(self.solution.sought):
+            members = p.members or (p.name,)
+            of_members = {
+                key: {name: found[name] for name in members} if judgement.identified[k] else None
+                for key, found in (("value", self.values), ("bar95", self.bars), ("bound95", self.bounds))
+            }
+            unknowns[p.name] = {
+                "identified": judgement.identified[k],
+                "unit": p.unit,
+                "scene": dict(zip(members, p.base, strict=True)),
+                **of_members,
+                "derivative_error": float(judgement.doubt[k]),
+            }
+        return {
+            "refused": self.solution.wrong or None,
+            "warning": self.solution.odd or None,
+            "begins_from": self.problem.source,
+            "samples": sum(len(series) for series in given.series),
+            "series": len(given.series),
+            "period": given.period,
+            "notes": given.notes,
+            "outliers": fit.outliers,
+            "residuals_rad": {"before": fit.rms_before, "encoder": fit.sigma.tolist()},
+            "samples_as_one": judgement.together.time_scale,
+            "unknowns": unknowns,
+            "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(self.solution.sought)},
+            "not_identified": self.not_identified,
+            "impossible": self.impossible,
+            "runs": fit.machine.runs,
+        }
+
+    def summary(self) -> str:
+        """What the command prints: samples, residuals, values with their bars, what is not identified."""
+        fit, judgement, given = self.solution.fit, self.solution.judgement, self.problem.record
+        count = sum(len(series) for series in given.series)
+        lines = [self.warning] if self.warning else []
+        lines.append(
+            f"{count} samples in {len(given.series)} series, every {1e3 * given.period:.3g} ms; begun from {self.problem.source}"
+        )
+        lines += [f"  {note}" for note in given.notes]
+        sigma = ", ".join(f"{1e3 * value:.3g}" for value in fit.sigma)
+        scale = judgement.together.time_scale
+        white = "they are white" if scale == 1.0 else f"{scale:.0f} of them count as one"
+        lines.append(f"residuals {sigma} mrad (encoders 1, 2), {fit.outliers} outliers left out; {white}")
+        lines += ["", f"  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}"]
+        for k, p in enumerate(self.solution.sought):
+            first = (p.members or (p.name,))[0]
+            found = (
+                f"{self.values[first]:14.7g} {self.bars[first]:11.2g} {self.bounds[first]:11.2g}  {p.unit}"
+                if judgement.identified[k]
+                else f"{'not identified':>14}"
+            )
+            lines.append(f"  {p.name:28} {p.base[0]:12.6g} {found}")
+        lines += [f"warning: {sentence}" for sentence in self.impossible]
+        lines += [f"not identified: {sentence}" for sentence in self.not_identified]
+        doubt = [doubt if known else 0.0 for doubt, known in zip(judgement.doubt, judgement.identified, strict=True)]
+        worst = int(np.argmax(doubt))
+        lines.append(
+            f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({self.solution.sought[worst].name})"
+        )
+        return "\n".join(lines)
+
+
+def prepare(
+    record: Any,
+    scene: str | Path | Mapping[str, Any] | Scene | None,
+    names: Sequence[str],
+    library: Library,
+    begin: float,
+    seconds: float,
+    unit: str,
+) -> Problem:
+    """Reads a record, and finds what is sought; arguments as of `fivebar.calibrate`."""
+    _check_positive("seconds", seconds)
+    given = data.read(record, begin, seconds, unit)
+    data.check(given)
+    assumed, source = scenes.start_values(scene, record, library)
+    given = data.turned(given, library, assumed)
+    sought = parameters(names or usual(assumed), library, assumed)
+    # Who asks for a length by its name takes the scene's for no better than the record's.
+    taken = np.full(len(sought), np.inf) if names else trusted(sought, library)
+    name = Path(record).name if isinstance(record, Path) else recording.GIVEN
+    return Problem(library, name, given, assumed, source, sought, taken)
+
+
+def calibrate(
+    record: Any,
+    scene: str | Path | Mapping[str, Any] | Scene | None = None,
+    names: Sequence[str] = (),
+    *,
+    begin: float = 0.0,
+    seconds: float = 10.0,
+    longest: float = 10.0,
+    commands: Between = "rate",
+    patience: float = 120.0,
+    unit: str = "",
+    fmu: str | Path | None = None,
+) -> Calibration:
+    """`fivebar.calibrate`, which describes the arguments; `names` are its `parameters`."""
+    record = Path(record) if isinstance(record, str) else record
+    library = shared(Path(fmu) if fmu else None)
+    return prepare(record, scene, names, library, begin, seconds, unit).solve(commands, longest, patience, log.info)
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise TwinError(f"{name} is {value:g}; more than 0 is needed")
+
+
+def solve(
+    machine: Machine,
+    given: data.Data,
+    between: Between,
+    longest: float,
+    show: Show,
+    patience: float = math.inf,
+    taken: np.ndarray | None = None,
+) -> Solution:
+    """Fits; then once more with the unknowns that are not identified held at the scene's values.
+
+    `taken`: standard deviations, in sizes, with which the scene's values are taken as right where the record tells less; by default infinite.
+    """
+    fitter = Fitter(machine, given, between, longest, show, patience)
+    sought = list(machine.sought)
+    free = np.full(len(sought), np.inf)
+    fit = fitter.run()
+    first = judge(fit, sought, free)
+    held = free if taken is None else np.where(first.sigma > taken, taken, np.inf)
+    judgement = judge(fit, sought, held) if np.any(held < free) else first
+    pins = np.empty((0, len(sought)))
+    for settled in (bool(np.all(held == free)) and float(np.max(judgement.sigma)) < WELL_TOLD, True, True):
+        told = len(pins)
+        pins = _pins(judgement, len(sought))
+        # The prior moves no unknown that is identified this well.
+        if len(pins) == told and settled:
+            break
+        if names := [p.name for p, known in zip(sought, judgement.identified, strict=True) if not known]:
+            show(f"not identified: {', '.join(names)}; fitted once more with that as it is in the scene")
+        later = fitter.again(pins, held)
+        if not (np.all(fit.sigma < ALL_NOISE * fitter.noise) and np.any(later.sigma > CONTRADICTED * fit.sigma)):
+            fit, judgement = later, _both(judgement, judge(later, sought, held))
+        elif np.any(held < free):
+            show("residuals are larger with the scene's lengths and mounting angles: these are not the machine's")
+            judgement, held, pins = first, free, np.empty((0, len(sought)))
+        else:
+            show("with that as it is in the scene residuals are larger: the fit before stays")
+            break
+    wrong, odd = suspicion(fit, least_noise(given))
+    if wrong:
+        judgement = replace(judgement, identified=[False] * len(sought))
+    return Solution(fit, judgement, sought, wrong, odd)
+
+
+def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
+    """Why nothing of a fit is to be believed, and why it is to be believed less than its bars say; "" if there is no reason."""
+    worst = int(np.argmax(fit.sigma))
+    residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
+    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
+    if residual > WRONG and fit.rms_before < SMALL:
+        return (
+            f"refused: the fit failed: {text}, and were {1e3 * fit.rms_before:.2g} mrad before it, with the scene's values over short pieces; nothing that was found is believed",
+            "",
+        )
+    if residual > WRONG:
+        return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
+    if residual > max(ODD * shown, SMALL):
+        return (
+            "",
+            f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars",
+        )
+    return "", ""
+
+
+def _both(before: Judgement, later: Judgement) -> Judgement:
+    """Judgement of the later fit, with an unknown identified only if both fits identify it."""
+    identified = [a and b for a, b in zip(before.identified, later.identified, strict=True)]
+    combinations = max(later.combinations, before.combinations, key=len)
+    return replace(later, identified=identified, combinations=combinations, bounded=later.bounded | before.bounded)
+
+
+def _pins(judgement: Judgement, count: int) -> np.ndarray:
+    """Combinations that are not told, and unknowns that are not although neither a combination says why nor the scene's value holds them."""
+    rows = [combination.weights for combination in judgement.combinations]
+    for k, known in enumerate(judgement.identified):
+        if not known and not np.isfinite(judgement.held[k]) and not any(abs(row[k]) > 0.1 for row in rows):
+            rows.append(np.eye(count)[k])
+    return np.array(rows) if rows else np.empty((0, count))
+
+
+def usual(scene: Values) -> list[str]:
+    """Names of the default unknowns: those of `USUAL` that the scene has."""
+    left_out = [] if scene.get("payload.enabled", False) else ["payload.mass"]
+    left_out += [] if scene.get("gravity.enabled", True) else ["gravity.direction"]
+    return [name for name in USUAL if name not in left_out]
