@@ -523,7 +523,7 @@ def test_the_rim_of_the_reach_is_reached() -> None:
         (
             lambda: Machine.from_values({"link[1].lenght": 1.0}),
             (
-                "link[1].lenght is no length of a machine; there are base.distance, "
+                "link[1].lenght is not a length of a machine; allowed are base.distance, "
                 "link[1].length, link[2].length, link[3].length, link[4].length."
             ),
         ),

@@ -55,7 +55,7 @@ def test_the_description_is_that_of_the_scene(own: Unit, model: ModelDescription
     assert mine.modelName == mine.coSimulation.modelIdentifier == own.fmu.stem == "OwnMachine"
     assert mine.guid != model.guid
     assert mine.description.startswith(scene["description"]) and mine.description.endswith(
-        "for the master to change: tau[1]."
+        "the master must change them: tau[1]."
     )
     experiment = mine.defaultExperiment
     assert [float(x) for x in (experiment.startTime, experiment.stopTime, experiment.stepSize)] == [0, 1.5, 0.002]

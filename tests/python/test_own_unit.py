@@ -474,7 +474,7 @@ def test_what_a_unit_leaves_to_the_master_is_said(fmu: Path, tmp_path: Path) -> 
     made.variants.append(Variant("fine", {}))
     made.signals["servo.theta[1]"] = np.linspace(1.25, 2.0, 101)
     written = write_unit(tmp_path, made, plain=fmu)
-    assert written.notes[0].endswith("are for the master to change: servo.theta[1].")
+    assert written.notes[0].endswith("the master must change them: servo.theta[1].")
     assert written.notes[1] == "The scene's further runs are left out: fine."
     assert len(written.notes) == 2
     (start,) = [v.start for v in read_model_description(str(written.file)).modelVariables if v.name == "servo.theta[1]"]

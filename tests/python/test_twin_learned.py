@@ -210,7 +210,7 @@ def test_lengths_and_mounting_angles_are_handed_over_together(tmp_path: Path, fm
 
     made = write_unit(tmp_path, scenes_of.read(tmp_path / "all.json", library.known), plain=fmu)
     assert made.notes[-1].startswith(
-        "The machine's encoders show more than true angles, which the master takes off samples and orders: "
+        "The machine's encoders have offsets, which the master must subtract from readings and commands: "
     )
     assert all(f"{values[name]:.6g} rad for measured.theta{name[-3:]}" in made.notes[-1] for name in OFFSETS)
 

@@ -89,5 +89,5 @@ class Demand:
             return found
         except FMICallException as error:
             raise FiveBarError(
-                f"the unit was asked for the torques that the motion needs: {self._log.last() or error}"
+                f"the torques that the motion needs cannot be computed: {self._log.last() or error}"
             ) from None

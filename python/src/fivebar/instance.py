@@ -1,4 +1,4 @@
-"""A live instance of the unit: `Unit`, which all that drives one is built on, and `State`, which it stores.
+"""A live instance of the unit, `Unit`, and its stored state, `State`. All code of the package that steps a unit uses them.
 
 >>> from fivebar import Unit
 >>> with Unit("fall_90_120", **{"link[1].mass": 0.02}) as unit:
@@ -31,11 +31,11 @@ from fivebar.scene import Scene
 from fivebar.variables import Value, Variable, Variables
 
 MESSAGES = 1000
-"""Messages that a log keeps: the newest."""
+"""Number of newest messages that a log keeps."""
 
 
 class Instance:
-    """An instance of the unit, of co-simulation or model exchange: its calls, its variables, its log."""
+    """An instance of the unit for co-simulation or model exchange: its calls, variables and log."""
 
     def __init__(self, library: Library, name: str, exchange: bool = False):
         self.library = library
@@ -44,7 +44,7 @@ class Instance:
         self._functions = library.model_exchange if exchange else library.co_simulation
         self._callbacks = callbacks(self.log.append)
         self._handles: list[c_void_p] = []
-        """Every state that was stored."""
+        """Handles of all stored states."""
 
         component = self._functions.fmi2Instantiate(
             name.encode(),
@@ -56,11 +56,11 @@ class Instance:
             fmi2.fmi2False,
         )
         if component is None:
-            raise UnitError(self._sentence("the unit gives no instance"))
+            raise UnitError(self._sentence("the unit could not be instantiated"))
         self._component: int | None = component
         library.open.add(component)
         self._free = weakref.finalize(self, _free, library, self._functions, component, self._handles, self._callbacks)
-        # As the process ends, a thread that is left may be in a call.
+        # When the process ends, another thread may still be in a call.
         self._free.atexit = False
 
     def __enter__(self) -> Self:
@@ -72,13 +72,13 @@ class Instance:
         self.close()
 
     def close(self) -> None:
-        """Frees the unit. What is called afterwards raises FiveBarError; a second `close` does nothing."""
+        """Frees the unit. Later calls raise FiveBarError; a second `close` does nothing."""
         with self._lock:
             self._component = None
             self._free()
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Calls a C function of FMI with the instance and the arguments that follow; a status above a warning is raised."""
+        """Calls a C function of FMI with the instance and the arguments. Raises UnitError if the status is worse than a warning."""
         with self._lock:
             if self._component is None:
                 raise FiveBarError("the unit is closed")
@@ -88,11 +88,11 @@ class Instance:
                 raise (StepFailed if discarded else UnitError)(self._sentence(f"{function} failed: {STATUS[status]}"))
 
     def _sentence(self, otherwise: str) -> str:
-        """The unit's newest sentence of a warning or worse."""
+        """The unit's newest warning or error, or `otherwise` if there is none."""
         return next((message.text for message in reversed(self.log) if message.status > fmi2.fmi2OK), otherwise)
 
     def update(self, values: Mapping[str, Any]) -> None:
-        """Sets several variables or arrays by name, those of one type in one call.
+        """Sets several variables or arrays by name, with one call for each type.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Instance:
         Raises
         ------
         FiveBarError
-            If there is no such variable, or the unit refuses a value; those of the same type are then as they were.
+            If there is no such variable, or the unit refuses a value. Variables of the same type then keep their values.
 
         Examples
         --------
@@ -112,7 +112,7 @@ class Instance:
         ...     unit.get("tau[2]", "tip.fy")
         (0.02, -0.1)
         """
-        # Inputs of every step: floats by the names of variables.
+        # Fast path for the inputs of every step: floats of single variables.
         if (reals := self.library.reals(tuple(values))) and all(type(value) is float for value in values.values()):
             self.write(reals, values.values())
             return
@@ -126,17 +126,17 @@ class Instance:
             self.write(block, [numbers[place] for place in block.places])
 
     def write(self, block: Block, numbers: Iterable[Value]) -> None:
-        """Sets a block as calls carry it: enumerations by number."""
+        """Sets the variables of a block; enumerations are numbers."""
         self.call(block.setter, block.references, len(block.references), block.values(*numbers))
 
     def read(self, block: Block) -> Any:
-        """Reads a block as calls carry it, into a new array of ctypes."""
+        """Reads the variables of a block into a new ctypes array."""
         values = block.values()
         self.call(block.getter, block.references, len(block.references), values)
         return values
 
     def numbers(self, names: tuple[str, ...]) -> list[Value]:
-        """Reads variables as calls carry them: enumerations by number, Booleans as 0 or 1."""
+        """Reads variables as numbers: an enumeration is the number of its item, a Boolean 0 or 1."""
         blocks = self.library.blocks(names)
         if len(blocks) == 1:
             return list(self.read(blocks[0]))
@@ -147,11 +147,11 @@ class Instance:
         return found
 
     def floats(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Reads variables as floats by name: enumerations by number."""
+        """Reads variables as floats by name; an enumeration is the number of its item."""
         return dict(zip(names, map(float, self.numbers(names)), strict=True))
 
     def initialise(self, time: float) -> None:
-        """Goes through initialisation at a time, s."""
+        """Initialises the unit at a time, s."""
         self.call("fmi2SetupExperiment", fmi2.fmi2False, 0.0, time, fmi2.fmi2False, 0.0)
         self.call("fmi2EnterInitializationMode")
         self.call("fmi2ExitInitializationMode")
@@ -160,29 +160,28 @@ class Instance:
 class Unit(Instance):
     """A live unit: start it, set inputs, step, read outputs.
 
-    It is ready at time 0 s when it is made, and is freed by `close` or at the end of a `with` block. Names, units, types and
-    enumerations are those of the model description; a name without its index stands for the whole array, such as
-    `theta` for `theta[1]` and `theta[2]`.
+    A new unit is initialised at time 0 s. `close` or the end of a `with` block frees it. Names, units, types and enumerations
+    are the same as in the model description. A name without index is the whole array: `theta` is `theta[1]` and `theta[2]`.
 
-    Threads: calls of one unit wait for each other, and units run in different threads at the same time, but a sequence of calls, such as a
-    step and the reading after it, is not guarded. Fork: parent and child go on each with its own copy of the unit, if no thread was in a
-    call; a pool of processes has its workers make their own.
+    Threads: calls of one unit wait for each other, and different units run in parallel. A sequence of calls, such as a step
+    and a reading after it, is not guarded. Fork: parent and child continue with separate copies of the unit, if no thread was
+    in a call. In a pool of processes, each worker should make its own unit.
 
-    `log` has the newest 1000 messages (`status`, `category`, `text`), the last one at its end; it may be cleared. They also go to the logger
-    `fivebar.unit`: warnings as such, all others for debugging, since a call that fails raises its sentence.
+    `log` has the newest 1000 messages (`status`, `category`, `text`), the newest last; it may be cleared. Messages also go to
+    the logger `fivebar.unit`: warnings with level WARNING, all others with DEBUG, since a failed call raises its message.
 
     Parameters
     ----------
     scene : str, pathlib.Path or fivebar.scene.Scene, optional
-        A shipped scene by name, the file of a scene, or a scene. Without one the unit has its own start values. Inputs that the scene
-        changes over time have their first values.
+        The name of a shipped scene, the file of a scene, or a scene. The default are the unit's own start values.
+        Time-varying inputs of the scene have their first values.
     **values : float, int, bool, str or sequence
-        Start values by name, in the variable's unit, instead of the scene's. They are set before initialisation.
+        Start values by name, in the variable's unit; they replace values of the scene. They are set before initialisation.
 
     Raises
     ------
     FiveBarError
-        If the scene or a name is unknown, or the unit refuses a value or the start; the text is one sentence.
+        If the scene or a name is unknown, or the unit refuses a value or the start. The text is one sentence.
 
     Examples
     --------
@@ -205,7 +204,7 @@ class Unit(Instance):
 
     @classmethod
     def of(cls, library: Library, name: str = "unit") -> Self:
-        """An instance of a library that is not started: `reset` or `restore` comes first."""
+        """An instance that is not yet initialised: call `reset` or `restore` first."""
         unit = cls.__new__(cls)
         unit._open(library, name, None, {})
         return unit
@@ -215,7 +214,7 @@ class Unit(Instance):
         self._scene, self._given = scene, given
         self._time = 0.0
         self._spare: list[c_void_p] = []
-        """Stored states that nobody holds any longer: the next ones overwrite them."""
+        """Handles of states that are no longer referenced; new states overwrite them."""
 
     # --- variables --------------------------------------------------------------------------------------------------------------
 
@@ -234,7 +233,7 @@ class Unit(Instance):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units by the names of variables and arrays; "1" where there is none.
+        """Units of variables and arrays by name; "1" if a variable has no unit.
 
         Examples
         --------
@@ -253,12 +252,14 @@ class Unit(Instance):
         name : str
             A variable, or an array without its index.
         value : float, int, bool, str or sequence
-            In the variable's unit; an enumeration by the name of its item or its number; an array as a sequence with all elements.
+            The value in the variable's unit. An enumeration is given as name or number of an item, an array as a sequence of
+            all elements.
 
         Raises
         ------
         FiveBarError
-            If there is no such variable, the value has another type, or the unit refuses it: a fixed parameter keeps its start value.
+            If there is no such variable, the value has the wrong type, or the unit refuses it. For example, fixed parameters
+            cannot change after initialisation.
 
         Examples
         --------
@@ -273,7 +274,7 @@ class Unit(Instance):
         self.update({name: value})
 
     def get(self, *names: str) -> Any:
-        """Reads variables, those of one type in one call; `unit[name]` is the same for one name.
+        """Reads variables, with one call for each type; `unit[name]` is the same for one name.
 
         Parameters
         ----------
@@ -283,13 +284,13 @@ class Unit(Instance):
         Returns
         -------
         float, int, bool, str, numpy.ndarray, or a tuple of them
-            The value of one name, or a tuple in the order of several names, in the variables' units. An enumeration is the name of
-            its item; an array of n elements has the shape (n,).
+            The value of one name, or a tuple of values in the order of the names, in the variables' units. An enumeration is the
+            name of its item; an array of n elements has the shape (n,).
 
         Raises
         ------
         FiveBarError
-            If there is no such variable, or the unit cannot say its value now.
+            If there is no such variable, or its value is not defined now.
 
         Examples
         --------
@@ -312,7 +313,7 @@ class Unit(Instance):
         return self.get(name)
 
     def ramp(self, rates: Mapping[str, float]) -> None:
-        """Lets inputs go on in straight lines over the step that follows; after it they stay.
+        """Lets inputs change linearly during the next step; after it they are constant again.
 
         Parameters
         ----------
@@ -322,7 +323,7 @@ class Unit(Instance):
         Raises
         ------
         FiveBarError
-            If the unit refuses one: only Real inputs have derivatives.
+            If a variable is not a Real input: only these have derivatives.
 
         Examples
         --------
@@ -337,7 +338,7 @@ class Unit(Instance):
             self.write_rates(block, rates.values())
 
     def write_rates(self, block: Block, rates: Iterable[float]) -> None:
-        """First derivatives of a block of inputs over the step that follows."""
+        """Sets the first derivatives of a block of inputs for the next step."""
         count = len(block.references)
         self.call("fmi2SetRealInputDerivatives", block.references, count, block.orders, block.values(*rates))
 
@@ -347,19 +348,20 @@ class Unit(Instance):
         Parameters
         ----------
         unknowns : str or iterable of str
-            Computed variables, or arrays without their index: n elements in all.
+            Computed variables, or arrays without their index, with n elements in total.
         knowns : str or iterable of str
-            Inputs and states (`theta`, `omega`): m elements in all.
+            Inputs and states (`theta`, `omega`), with m elements in total.
 
         Returns
         -------
         numpy.ndarray
-            (n, m): the derivative of each unknown by each known, in the unit of the unknown per unit of the known.
+            Derivative of each unknown with respect to each known, shape (n, m), in the unit of the unknown per unit of the known.
 
         Raises
         ------
         FiveBarError
-            If the unit has no such derivative, or none here: the angles are no coordinates in a direct singularity.
+            If the unit has no such derivative, or if it is undefined in this state: at a direct singularity the motor angles are
+            not coordinates.
 
         Examples
         --------
@@ -387,23 +389,23 @@ class Unit(Instance):
 
     @property
     def time(self) -> float:
-        """The present communication point, s."""
+        """The current communication point, s."""
         return self._time
 
     def step(self, h: float) -> None:
-        """One communication step.
+        """Makes one communication step.
 
         Parameters
         ----------
         h : float
-            Its length, s; the unit divides it as its method needs.
+            Step length, s. The unit divides it into sub-steps as its method needs.
 
         Raises
         ------
         StepFailed
-            If the step cannot be done. The unit is as before the step.
+            If the step fails. The unit keeps its state before the step.
         FiveBarError
-            If the unit refuses the call, such as a length that is not positive.
+            If the unit refuses the call, for example because the length is not positive.
 
         Examples
         --------
@@ -417,7 +419,7 @@ class Unit(Instance):
             self._step(h, self._time + h)
 
     def step_to(self, time: float) -> None:
-        """One communication step to a time.
+        """Makes one communication step to a time.
 
         Parameters
         ----------
@@ -443,19 +445,19 @@ class Unit(Instance):
         self._time = end
 
     def reset(self, time: float = 0.0, **values: Any) -> None:
-        """Starts again, by the scene and the values that the unit was made with.
+        """Restarts the unit from its scene and the values given to its constructor.
 
         Parameters
         ----------
         time : float, optional
-            The time of the start, s.
+            Start time, s.
         **values : float, int, bool, str or sequence
-            Start values for this start, instead of or beside those.
+            Start values for this start only; they replace or complete the others.
 
         Raises
         ------
         FiveBarError
-            If a value or the start is refused. The unit is then not started: reset it again.
+            If a value or the start is refused. The unit is then not initialised: reset it again.
 
         Examples
         --------
@@ -476,7 +478,7 @@ class Unit(Instance):
             self._time = time
 
     def _of_scene(self, scene: Scene, given: Mapping[str, Any]) -> dict[str, Value]:
-        """Start values of a scene with those that are given: a start by the tip's place follows the lengths."""
+        """Start values of a scene with changed values. If the start is given by the tip position, its angles follow the lengths."""
         changes: dict[str, Value | str] = {}
         for name, value in given.items():
             elements = self.library.elements(name)
@@ -488,12 +490,12 @@ class Unit(Instance):
     # --- states -----------------------------------------------------------------------------------------------------------------
 
     def state(self) -> "State":
-        """Stores everything that can change, and the time, in some microseconds.
+        """Stores the whole state and the time, in a few microseconds.
 
         Returns
         -------
         State
-            For `restore` of this unit, or of another one while this one is open.
+            The stored state, for `restore` of this unit or, while this unit is open, of another one.
 
         Examples
         --------
@@ -511,19 +513,19 @@ class Unit(Instance):
             return State(self, handle, self._time)
 
     def restore(self, state: "State | bytes", time: float | None = None) -> None:
-        """Goes on from a stored state, to the same bits.
+        """Restores a stored state; the results that follow are the same to the bit.
 
         Parameters
         ----------
         state : State or bytes
-            From `state`, or the bytes of one, also of another process or machine.
+            A state from `state`, or its bytes, also from another process or computer.
         time : float, optional
-            The communication point, s, for who has counted it otherwise than by `step`. By default that of the state.
+            Communication point, s; needed if it was not counted by `step`. The default is the time of the state.
 
         Raises
         ------
         FiveBarError
-            If the bytes are not as they were written, or the state is of another unit; the unit is then as it was.
+            If the bytes have changed, or the state belongs to another unit. The unit then keeps its state.
 
         Examples
         --------
@@ -561,9 +563,9 @@ class Unit(Instance):
 
 
 class State:
-    """A stored state of a unit, made by `Unit.state`. Any number may be kept, each some kilobytes; one that nobody holds is reused.
+    """A stored state of a unit, made by `Unit.state`. Each takes some kilobytes, and its memory is reused after the last reference.
 
-    It ends with the unit that made it; its bytes do not.
+    It is valid until the unit that made it is closed; its bytes remain valid.
 
     Examples
     --------
@@ -578,25 +580,25 @@ class State:
         self._unit, self._handle, self._time = unit, handle, time
 
     def __del__(self) -> None:
-        # Garbage is collected at any point, also in a call of the unit: nothing is called here.
+        # The garbage collector may run this during a call of the unit, so it must not call the unit.
         self._unit._spare.append(self._handle)
 
     @property
     def time(self) -> float:
-        """Its time, s."""
+        """Time of the state, s."""
         return self._time
 
     def _check(self) -> None:
         if self._unit._component is None:
-            raise FiveBarError("the unit that stored the state is closed; the bytes of a state outlive it")
+            raise FiveBarError("the unit that stored the state is closed; only bytes made before that remain valid")
 
     def to_bytes(self) -> bytes:
-        """The state as bytes, for a file, another process or another machine; they hold the unit's GUID and a checksum.
+        """The state as bytes, for a file, another process or another computer. They contain the unit's GUID and a checksum.
 
         Returns
         -------
         bytes
-            For `Unit.restore`.
+            The bytes, for `Unit.restore`.
 
         Raises
         ------
@@ -618,7 +620,7 @@ class State:
 
 
 def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]:
-    """What is given for a variable or an array, as calls carry it."""
+    """The numbers for a variable or the elements of an array, from a given value."""
     if len(elements) == 1 and elements[0].name == name:
         return [elements[0].number(given)]
     values = None if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
@@ -631,7 +633,7 @@ def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]
 
 
 def _value(variable: Variable, number: Value) -> Value | str:
-    """A value as Python has it, from that of a call."""
+    """The Python value of a variable from its number in a call."""
     if variable.type == "Enumeration":
         return variable.item(int(number))
     return bool(number) if variable.type == "Boolean" else number
@@ -640,7 +642,7 @@ def _value(variable: Variable, number: Value) -> Value | str:
 def _free(
     library: Library, functions: CDLL, component: int, handles: list[c_void_p], _callbacks: fmi2.fmi2CallbackFunctions
 ) -> None:
-    """Frees an instance and its stored states. The callbacks are given so that they live until then."""
+    """Frees an instance and its stored states. The argument keeps the callbacks alive until then."""
     for handle in handles:
         functions.fmi2FreeFMUstate(component, byref(handle))
     functions.fmi2FreeInstance(component)

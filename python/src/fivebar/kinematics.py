@@ -1,11 +1,11 @@
-"""Kinematics of planar five-bar machines, in closed form, for arrays of postures: docs/kinematics.md derives and draws it.
+"""Kinematics of planar five-bar machines, in closed form, for arrays of postures. docs/kinematics.md has the derivation.
 
-Links are 1 left proximal, 2 left distal, 3 right distal, 4 right proximal; angles are absolute, in rad, counter-clockwise from +x, distal
-links measured from elbow to tip. The left motor lies at (0, 0), the right one at (base.distance, 0). Lengths are in m. Every function takes
-arrays of any shape: positions (..., 2), motor angles (..., 2), postures (..., 4).
+Links: 1 left proximal, 2 left distal, 3 right distal, 4 right proximal. Angles are absolute, in rad, counter-clockwise from
++x; distal links point from elbow to tip. The left motor is at (0, 0), the right one at (base.distance, 0). Lengths are in m.
+Every function takes arrays of any shape: positions (..., 2), motor angles (..., 2), postures (..., 4).
 
-Working mode: signs of sin(theta2 - theta1) and sin(theta3 - theta4), the left leg first. Assembly: the sign of sin(theta3 - theta2); `plus`
-has the tip to the left of the arrow from the left to the right elbow.
+Working mode: the signs of sin(theta2 - theta1) and sin(theta3 - theta4), left leg first. Assembly: the sign of
+sin(theta3 - theta2). In `plus` the tip is to the left of the arrow from the left to the right elbow.
 """
 
 from collections.abc import Mapping
@@ -25,33 +25,35 @@ if TYPE_CHECKING:
 Sign = Literal["plus", "minus"]
 Working = tuple[Sign, Sign]
 Line = Literal["stretched", "folded"]
-"""How two links lie in line."""
+"""The two ways in which links can be in line."""
 
 Floats = NDArray[np.float64]
 
 WORKING_MODES: tuple[Working, ...] = (("minus", "plus"), ("plus", "plus"), ("minus", "minus"), ("plus", "minus"))
-"""The four working modes; the first has its elbows apart where the tip is above the motors."""
+"""The four working modes; in the first, the elbows point outwards if the tip is above the motors."""
 
 
 def mode_name(working: Working) -> str:
-    """Such as `minusPlus`, as the unit's `mode.working` has it."""
+    """Name of a working mode, such as `minusPlus`, as in the unit's `mode.working`."""
     return working[0] + working[1].capitalize()
 
 
 GEOMETRY = ("base.distance", "link[1].length", "link[2].length", "link[3].length", "link[4].length")
-"""Names of the lengths that make a machine."""
+"""Names of the lengths that define a machine."""
 
 NEAR = 1e-3
-"""Share of its largest possible value below which |det J_x| or |det J_q| counts as singular, as for the unit's `singular.type`."""
+"""A posture counts as singular if |det J_x| or |det J_q| is below this share of its largest possible value, as in the unit's
+`singular.type`."""
 
 LEAST_SINE = 1e-8
-"""Sines below this count as 0 where a Jacobian is divided by them: the unit refuses such postures as coordinates."""
+"""Smaller sines count as 0 in the divisor of a Jacobian; the unit refuses such postures as coordinates."""
 
 SHORT = 1e-2
-"""Share of the machine's size below which the distance of the elbows is a short one: more than two digits of their angle would be lost."""
+"""The distance of the elbows is short if it is below this share of the machine's size: more than two digits of the angle between
+them would be lost."""
 
 ROUND_OFF = 16 * np.finfo(float).eps
-"""Round-off of a distance, in multiples of the machine's size; it must not make a stretched leg unreachable."""
+"""Round-off of a distance, in multiples of the machine's size. Within it, a stretched leg still counts as reaching a point."""
 
 SIGN = {"plus": 1.0, "minus": -1.0}
 SIDES = ("left", "right")
@@ -63,7 +65,7 @@ class Posture:
     """Postures of a machine that close its loop."""
 
     theta: Floats
-    """Angles of the links 1 to 4, rad, shape (..., 4): those that were given as they are, all others in [-pi, pi]."""
+    """Angles of the links 1 to 4, rad, shape (..., 4): given angles unchanged, computed angles in [-pi, pi]."""
 
     tip: Floats
     """Position of the tip, m, shape (..., 2)."""
@@ -73,7 +75,7 @@ class Posture:
 
     @property
     def motors(self) -> Floats:
-        """Angles of the motors, theta[1] and theta[2] of the unit, rad, shape (..., 2)."""
+        """Motor angles, theta[1] and theta[2] of the unit, rad, shape (..., 2)."""
         return self.theta[..., [0, 3]]
 
     @property
@@ -83,12 +85,12 @@ class Posture:
 
     @property
     def working(self) -> NDArray[np.str_]:
-        """`plus` or `minus` of the left and the right leg, shape (..., 2)."""
+        """`plus` or `minus` for the left and the right leg, shape (..., 2)."""
         return _names(sines(self.theta)[..., 1:])
 
 
 class Ellipse(NamedTuple):
-    """Ellipses about the tip."""
+    """Ellipses of velocities or forces at the tip."""
 
     axes: Floats
     """Semi-axes, the major one first, shape (..., 2)."""
@@ -98,7 +100,7 @@ class Ellipse(NamedTuple):
 
 
 class Circle(NamedTuple):
-    """Inverse singularities of a leg: the tip on a circle about its motor."""
+    """Inverse singularities of a leg: the tip is on a circle about the leg's motor."""
 
     leg: int
     """0 left, 1 right."""
@@ -109,21 +111,21 @@ class Circle(NamedTuple):
 
 
 class Locus(NamedTuple):
-    """A curve of direct singularities: the distal links in line."""
+    """A curve of direct singularities: the distal links are in line."""
 
     posture: Line
     theta: Floats
     """Angles of the links 1 to 4 along the curve, rad, shape (n, 4)."""
 
     tip: Floats
-    """Positions of the tip, m, shape (n, 2); the last one is the first one."""
+    """Positions of the tip, m, shape (n, 2); the last equals the first."""
 
 
 def sines(theta: ArrayLike) -> Floats:
     """sin(theta3 - theta2), sin(theta2 - theta1), sin(theta3 - theta4), shape (..., 3).
 
-    The first is 0 at direct singularities and has the sign of the assembly; the others are 0 at inverse singularities of the left and the
-    right leg and have the signs of the working mode.
+    The first sine is 0 at direct singularities, and its sign is the assembly. The others are 0 at inverse singularities of the
+    left and the right leg, and their signs are the working mode.
     """
     t1, t2, t3, t4 = np.moveaxis(np.asarray(theta, dtype=np.float64), -1, 0)
     return np.stack([np.sin(t3 - t2), np.sin(t2 - t1), np.sin(t3 - t4)], axis=-1)
@@ -131,7 +133,7 @@ def sines(theta: ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class Machine:
-    """Lengths of a planar five-bar mechanism with its motors on the x axis, m.
+    """A planar five-bar mechanism with its motors on the x axis: lengths, m, and kinematics.
 
     Examples
     --------
@@ -145,13 +147,13 @@ class Machine:
     """
 
     distance: float
-    """Distance of the motors; 0 is a machine with coaxial motors."""
+    """Distance of the motors; 0 if they are coaxial."""
 
     lengths: tuple[float, float, float, float]
     """Lengths of the links 1 to 4."""
 
     def __post_init__(self) -> None:
-        """Refuses lengths that no machine has, as the unit does."""
+        """Refuses the lengths that the unit refuses too."""
         for name, value in zip(GEOMETRY, (self.distance, *self.lengths)):
             least = ">= 0" if name == "base.distance" else "> 0"
             if not np.isfinite(value) or value < 0 or (value == 0 and least == "> 0"):
@@ -159,9 +161,9 @@ class Machine:
 
     @classmethod
     def from_values(cls, values: Mapping[str, float]) -> "Machine":
-        """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
+        """The machine with the lengths `base.distance` and `link[1..4].length`, m; missing ones have the unit's start values."""
         if strange := set(values) - set(GEOMETRY):
-            raise FiveBarError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
+            raise FiveBarError(f"{min(strange)} is not a length of a machine; allowed are {', '.join(GEOMETRY)}.")
         distance, l1, l2, l3, l4 = (
             float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY
         )
@@ -169,8 +171,8 @@ class Machine:
 
     @classmethod
     def from_scene(cls, scene: "str | Path | Mapping[str, Any] | Scene") -> "Machine":
-        """The machine of a scene, as `fivebar.run` takes one."""
-        # Scenes in the tip's coordinates need kinematics to be read.
+        """The machine of a scene, which is given as for `fivebar.run`."""
+        # Imported here, since reading a scene in tip coordinates needs this module.
         from fivebar import scene as scenes
 
         read = scenes.read(scene)
@@ -178,7 +180,7 @@ class Machine:
 
     @property
     def size(self) -> float:
-        """Sum of all lengths, m, to which round-off is relative."""
+        """Sum of all lengths, m; the scale of round-off."""
         return self.distance + sum(self.lengths)
 
     @property
@@ -188,22 +190,22 @@ class Machine:
 
     @property
     def legs(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Proximal and distal length of the left and of the right leg, m."""
+        """Proximal and distal length of the left and the right leg, m."""
         l1, l2, l3, l4 = self.lengths
         return (l1, l2), (l4, l3)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the legs are alike: the direct singularities with stretched distal links are then Watt's curve."""
+        """Whether both legs have equal lengths. The direct singularities with stretched distal links are then Watt's curve."""
         return self.legs[0] == self.legs[1]
 
     # Positions
 
     def inverse(self, tip: ArrayLike, working: Working = ("minus", "plus"), assembly: Sign | None = None) -> Posture:
-        """Postures that have the tip at `tip` (..., 2), m, in a working mode.
+        """Inverse kinematics: postures with the tip at `tip` (..., 2), m, in a working mode.
 
-        Tip and working mode fix the assembly. If one is named, a tip that lies in the other is refused, and so is one out of reach: the
-        ValueError names the leg and by how much.
+        Tip and working mode determine the assembly. If `assembly` is given, a tip in the other assembly raises a ValueError. So does
+        a tip out of reach; the text has the leg and the missing distance.
         """
         tip = self._finite("tip", tip, 2, "m")
         bends = self._bends(working)
@@ -229,9 +231,9 @@ class Machine:
         return posture
 
     def forward(self, theta: ArrayLike, assembly: Sign = "plus") -> Posture:
-        """Postures from the motors' angles (theta[1], theta[2] of the unit), rad, shape (..., 2), in an assembly.
+        """Forward kinematics: postures from the motor angles (theta[1], theta[2] of the unit), rad, shape (..., 2), in an assembly.
 
-        Angles that cannot be closed raise a ValueError with the elbows' distance and what the distal links allow.
+        If the loop cannot be closed, a ValueError has the distance of the elbows and the distances that the distal links allow.
         """
         theta = self._finite("theta", theta, 2, "rad")
         side = _sign("assembly", assembly)
@@ -253,9 +255,9 @@ class Machine:
                 f"{_item('theta', theta, at, 'rad')} puts both elbows on the same point: the direction to the tip is undetermined{count}."
             )
         along = ((l2 - l3) * (l2 + l3) + distance**2) / (2 * distance)
-        # Without cancellation where the distal links are nearly in line.
+        # This form avoids cancellation if the distal links are nearly in line.
         across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2 * distance)
-        # One ulp of the distance would tilt links that are in line by its square root.
+        # An error of one ulp in the distance would tilt links in line by about its square root.
         in_line = np.minimum(l2 + l3 - distance, distance - abs(l2 - l3)) < round_off
         across = side * np.sqrt(np.where(in_line, 0.0, np.maximum(across_squared, 0.0)))
         unit = arrow / distance[..., None]
@@ -266,12 +268,12 @@ class Machine:
         return Posture(angles, left + from_left, np.stack([left, right], axis=-2))
 
     def shortfall(self, tip: ArrayLike) -> Floats:
-        """By how much the left and the right leg miss `tip` (..., 2), m, shape (..., 2): > 0 too far, < 0 too near, 0 within reach."""
+        """Distance by which the left and the right leg miss `tip` (..., 2), m, shape (..., 2): > 0 too far, < 0 too near, 0 in reach."""
         tip = self._finite("tip", tip, 2, "m")
         return np.stack([self._missing(tip, leg)[1] for leg in (0, 1)], axis=-1)
 
     def is_reachable(self, tip: ArrayLike) -> NDArray[np.bool_]:
-        """Whether both legs reach `tip` (..., 2), m; the working mode does not matter."""
+        """Whether both legs reach `tip` (..., 2), m; independent of the working mode."""
         within: NDArray[np.bool_] = np.all(self.shortfall(tip) == 0, axis=-1)
         return within
 
@@ -282,7 +284,7 @@ class Machine:
 
     @property
     def reach_area(self) -> float:
-        """Area that both legs reach, m2: the rings' intersection."""
+        """Area that both legs reach, m2: the intersection of two rings."""
         (near_left, far_left), (near_right, far_right) = self.reach
 
         def lens(left: float, right: float) -> float:
@@ -298,7 +300,7 @@ class Machine:
     # Velocities and forces
 
     def link_rates(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
-        """Rates of the links 1 to 4, rad/s, shape (..., 4), at postures (..., 4) from the motors' rates (..., 2)."""
+        """Rates of the links 1 to 4, rad/s, shape (..., 4), at postures (..., 4) from motor rates (..., 2), rad/s."""
         theta, omega = self._regular(theta), self._finite("omega", omega, 2, "rad/s")
         tip = np.einsum("...ij,...j->...i", self.jacobian(theta), omega)
         l1, l2, l3, l4 = self.lengths
@@ -308,12 +310,12 @@ class Machine:
         return np.stack(np.broadcast_arrays(omega[..., 0], left, right, omega[..., 1]), axis=-1)
 
     def tip_velocity(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
-        """Velocity of the tip, m/s, shape (..., 2), at postures (..., 4) from the motors' rates (..., 2), rad/s."""
+        """Velocity of the tip, m/s, shape (..., 2), at postures (..., 4) from motor rates (..., 2), rad/s."""
         velocity: Floats = np.einsum("...ij,...j->...i", self.jacobian(theta), self._finite("omega", omega, 2, "rad/s"))
         return velocity
 
     def motor_rates(self, theta: ArrayLike, velocity: ArrayLike) -> Floats:
-        """Rates of the motors, rad/s, shape (..., 2), that move the tip at `velocity` (..., 2), m/s, at postures (..., 4).
+        """Motor rates, rad/s, shape (..., 2), for a tip velocity (..., 2), m/s, at postures (..., 4).
 
         Defined at direct singularities, refused at inverse ones.
         """
@@ -323,7 +325,7 @@ class Machine:
         return rates
 
     def motor_accelerations(self, theta: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
-        """Accelerations of the motors, rad/s2, shape (..., 2), that give the tip `acceleration` (..., 2), m/s2, at `velocity` (..., 2), m/s.
+        """Motor accelerations, rad/s2, shape (..., 2), for a tip acceleration (..., 2), m/s2, at a tip velocity (..., 2), m/s.
 
         Defined at direct singularities, refused at inverse ones.
         """
@@ -336,7 +338,7 @@ class Machine:
             to_elbow = proximal_length * omega[..., leg, None] * _turned(_direction(theta[..., own]))
             across = _turned(_direction(theta[..., distal]))
             turning = np.sum(across * (velocity - to_elbow), axis=-1) / distal_length
-            # The loop's equation for velocities, differentiated: u_D . v = l_P sin(bend) omega.
+            # Time derivative of the loop's velocity equation u_D . v = l_P sin(bend) omega.
             known = np.sum(
                 _direction(theta[..., distal]) * acceleration + turning[..., None] * across * velocity, axis=-1
             )
@@ -345,7 +347,7 @@ class Machine:
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def tip_force(self, theta: ArrayLike, torque: ArrayLike) -> Floats:
-        """Force of the tip on its surroundings, N, shape (..., 2), by the motors' torques (..., 2), N·m, without weight; F = J^-T tau.
+        """Force of the tip on its surroundings, N, shape (..., 2), from motor torques (..., 2), N·m, without weight: F = J^-T tau.
 
         Defined at direct singularities, where no torque resists along one direction; refused at inverse ones.
         """
@@ -355,7 +357,7 @@ class Machine:
         return force
 
     def motor_torques(self, theta: ArrayLike, force: ArrayLike) -> Floats:
-        """Torques of the motors, N·m, shape (..., 2), by which the tip exerts `force` (..., 2), N, without weight; tau = J^T F."""
+        """Motor torques, N·m, shape (..., 2), for a tip force on the surroundings (..., 2), N, without weight: tau = J^T F."""
         torques: Floats = np.einsum("...ji,...j->...i", self.jacobian(theta), self._finite("force", force, 2, "N"))
         return torques
 
@@ -365,9 +367,9 @@ class Machine:
         return self._adjugate(theta) / sines(theta)[..., 0, None, None]
 
     def loop_jacobians(self, theta: ArrayLike) -> tuple[Floats, Floats]:
-        """J_x, m, and J_q, m2, of J_x tip' = J_q (theta1', theta4'), each of shape (..., 2, 2); defined everywhere.
+        """J_x, m, and J_q, m2, in J_x tip' = J_q (theta1', theta4'), each of shape (..., 2, 2); defined everywhere.
 
-        The rows of J_x are the distal links as vectors, so that det J_x = l2 l3 sin(theta3 - theta2); J_q is diagonal.
+        The rows of J_x are the vectors of the distal links, so det J_x = l2 l3 sin(theta3 - theta2). J_q is diagonal.
         """
         theta = self._finite("theta", theta, 4, "rad")
         distal = np.array(self.lengths[1:3])
@@ -376,42 +378,42 @@ class Machine:
         return distal[:, None] * self._rows(theta), j_q
 
     def velocity_ellipse(self, theta: ArrayLike) -> Ellipse:
-        """Velocities of the tip, m/s, by motor rates on the unit circle, 1 rad/s: J J^T. Refused at direct singularities."""
+        """Tip velocities, m/s, for motor rates on the unit circle, 1 rad/s: J J^T. Refused at direct singularities."""
         theta = self._regular(theta)
         adjugate, sine = self._adjugate(theta), sines(theta)[..., 0]
         large, small, angle = _singular_values(adjugate)
         return Ellipse(np.stack([large, small], axis=-1) / np.abs(sine)[..., None], angle)
 
     def force_ellipse(self, theta: ArrayLike) -> Ellipse:
-        """Forces of the tip, N, by motor torques on the unit circle, 1 N·m: (J J^T)^-1. Refused at inverse singularities."""
+        """Tip forces, N, for motor torques on the unit circle, 1 N·m: (J J^T)^-1. Refused at inverse singularities."""
         theta = self._finite("theta", theta, 4, "rad")
         self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
         large, small, angle = _singular_values(np.swapaxes(self._rows(theta) / self._arms(theta)[..., None], -1, -2))
         return Ellipse(np.stack([large, small], axis=-1), angle)
 
     def condition(self, theta: ArrayLike) -> Floats:
-        """Condition number of the Jacobian, its largest over its smallest singular value, >= 1, shape (...); inf where singular."""
+        """Condition number of the Jacobian (largest over smallest singular value), >= 1, shape (...); inf at singularities."""
         with np.errstate(divide="ignore"):
             return 1 / self.dexterity(theta)
 
     def dexterity(self, theta: ArrayLike) -> Floats:
-        """1 over the condition number, in [0, 1], shape (...); 0 at singularities of either kind."""
+        """Reciprocal of the condition number, in [0, 1], shape (...); 0 at direct and inverse singularities."""
         large, small, _ = _singular_values(self._adjugate(self._finite("theta", theta, 4, "rad")))
         return np.divide(small, large, out=np.zeros_like(large), where=large > 0)
 
     # Singularities
 
     def singularity(self, theta: ArrayLike) -> NDArray[np.str_]:
-        """`none`, `direct`, `inverse` or `combined`, shape (...), by the bounds of the unit's `singular.type`.
+        """`none`, `direct`, `inverse` or `combined`, shape (...), with the bounds of the unit's `singular.type`.
 
-        Where the unit says `constraint`, all links near one line through the motors, this says `combined`.
+        The unit's `constraint` (all links near one line through the motors) is `combined` here.
         """
         tip, left, right = np.moveaxis(sines(self._finite("theta", theta, 4, "rad")), -1, 0)
         direct, inverse = np.abs(tip) < NEAR, np.abs(left * right) < NEAR
         return np.select([direct & inverse, direct, inverse], ["combined", "direct", "inverse"], "none")
 
     def inverse_singularities(self) -> list[Circle]:
-        """The circles on which a leg is stretched or folded; a radius of 0 is the motor's axis."""
+        """The circles of the tip on which a leg is stretched or folded. A circle of radius 0 is the motor's axis."""
         rims: tuple[tuple[int, Line], ...] = ((1, "stretched"), (0, "folded"))
         return [
             Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side]))
@@ -420,19 +422,20 @@ class Machine:
         ]
 
     def direct_singularities(self, points: int = 2000) -> list[Locus]:
-        """The closed curves on which the distal links are in line: coupler curves of four-bars, `points` points each.
+        """The closed curves of the tip on which the distal links are in line: coupler curves of four-bars, `points` points each.
 
-        With distal links of equal length, folded ones have both elbows on one point: circles. Coaxial motors with equal proximal links as
-        well have that everywhere in the working modes `plus`, `plus` and `minus`, `minus`: that is no curve, see `is_degenerate`.
+        Folded distal links of equal length have both elbows at the same point, so their curves are circles. If the motors are also
+        coaxial and the proximal links equal, every posture in the working modes `plus`, `plus` and `minus`, `minus` is singular:
+        then there is no curve, see `is_degenerate`.
         """
         return [
             locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)
         ]
 
     def direct_at(self, theta1: float) -> list[tuple[Line, Posture]]:
-        """Postures with the left motor at `theta1`, rad, and the distal links in line; none where the elbows' distance forbids it.
+        """Postures with the left motor at `theta1`, rad, and the distal links in line; empty if the elbows cannot have that distance.
 
-        Folded links of equal length are left out: both elbows are on one point, and the tip may lie anywhere about it.
+        Folded links of equal length are left out: both elbows are at the same point, and the tip may be anywhere around it.
         """
         found: list[tuple[Line, Posture]] = []
         for posture, coupler in self._couplers():
@@ -446,9 +449,9 @@ class Machine:
         return found
 
     def is_degenerate(self, working: Working) -> bool:
-        """Whether every posture of the working mode is a direct singularity: coaxial motors and equal legs that lie on each other.
+        """Whether every posture of the working mode is a direct singularity: the motors are coaxial and the legs equal and congruent.
 
-        Distances below `LEAST_SINE` of the machine's size count as 0.
+        Lengths below `LEAST_SINE` times the machine's size count as 0.
         """
         (l1, l2), (l4, l3) = self.legs
         return max(self.distance, abs(l1 - l4), abs(l2 - l3)) <= LEAST_SINE * self.size and working[0] == working[1]
@@ -456,7 +459,7 @@ class Machine:
     # Parts
 
     def field(self, tip: ArrayLike, working: Working) -> tuple[Posture, NDArray[np.bool_]]:
-        """Postures for a field of places (..., 2), m, and which of them are reached; elsewhere the posture means nothing."""
+        """Postures for an array of points (..., 2), m, and whether each is reached; the postures of other points are meaningless."""
         tip = self._finite("tip", tip, 2, "m")
         legs = [self._leg(tip, leg, bend) for leg, bend in enumerate(self._bends(working))]
         return self._posture(legs, tip), (legs[0][2] == 0) & (legs[1][2] == 0)
@@ -470,7 +473,7 @@ class Machine:
         return _sign("working", working[0]), _sign("working", working[1])
 
     def _missing(self, tip: Floats, leg: int) -> tuple[Floats, Floats]:
-        """Distance from the leg's motor, and by how much it is too large (> 0) or too small (< 0)."""
+        """Distance from the leg's motor, and its excess over the reach (> 0) or its deficit (< 0)."""
         distance = np.hypot(*np.moveaxis(tip - self.motors[leg], -1, 0))
         nearest, farthest = self.reach[leg]
         round_off = ROUND_OFF * self.size
@@ -478,11 +481,11 @@ class Machine:
         return distance, np.where(distance < nearest - round_off, distance - nearest, missing)
 
     def _leg(self, tip: Floats, leg: int, bend: float) -> tuple[Floats, Floats, Floats]:
-        """Proximal and distal angle of a leg, and by how much it misses."""
+        """Proximal and distal angle of a leg, and the distance by which it misses the tip."""
         proximal, distal = self.legs[leg]
         distance, missing = self._missing(tip, leg)
         to_tip = tip - self.motors[leg]
-        # Half the angle at the motor, from the triangle's perimeter: without the cancellation that an arc cosine has near its ends.
+        # Half-angle formula from the triangle's sides: an arc cosine would suffer from cancellation near 0 and pi.
         opposite = np.maximum((distal - proximal + distance) * (distal + proximal - distance), 0.0)
         adjacent = np.maximum((proximal + distance + distal) * (proximal + distance - distal), 0.0)
         half = np.arctan2(np.sqrt(opposite), np.sqrt(adjacent))
@@ -505,7 +508,7 @@ class Machine:
         return np.array([self.lengths[0], self.lengths[3]]) * sines(theta)[..., 1:]
 
     def _adjugate(self, theta: Floats) -> Floats:
-        """The Jacobian times sin(theta3 - theta2): finite everywhere."""
+        """The Jacobian times sin(theta3 - theta2), which is finite everywhere."""
         left, right = np.moveaxis(self._arms(theta), -1, 0)
         (s2, c2), (s3, c3) = ((np.sin(theta[..., i]), np.cos(theta[..., i])) for i in (1, 2))
         return np.stack(
@@ -513,25 +516,28 @@ class Machine:
         )
 
     def _couplers(self) -> tuple[tuple[Line, float], ...]:
-        """The vector from the left to the right elbow when the distal links are in line, as a multiple of the left one's direction, m."""
+        """Vector from the left to the right elbow if the distal links are in line: its component along the left distal link, m."""
         _, l2, l3, _ = self.lengths
         return ("stretched", l2 + l3), ("folded", l2 - l3)
 
     def _turn_of_coupler(self, elbow: Floats, coupler: float) -> tuple[Floats, Floats]:
-        """Cosine of the left distal link's angle from its middle value, and that value, with the left elbow at `elbow` (..., 2)."""
+        """Angles of the left distal link with the left elbow at `elbow` (..., 2), as middle ± arccos(cosine): cosine and middle, rad.
+
+        There is none if the magnitude of the cosine is above 1.
+        """
         arrow, l4 = self.motors[1] - elbow, self.lengths[3]
         away = np.hypot(arrow[..., 0], arrow[..., 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             cosine = np.where(away > 0, (coupler**2 + (away - l4) * (away + l4)) / (2 * coupler * away), np.inf)
-        # Round-off at the ends, where the right proximal link is in line with the coupler.
+        # Remove round-off at the ends of the range: the right proximal link is in line with the coupler there.
         return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(
             arrow[..., 1], arrow[..., 0]
         )
 
     def _elbow_at(self, turn: Floats, coupler: float, side: Floats | float) -> Floats:
-        """The left elbow (..., 2), on either side of the line that it may lie on, with the left distal link at angles `turn` (...)."""
+        """The left elbow (..., 2) for angles `turn` (...) of the left distal link; `side`, -1 or 1, selects the solution."""
         l1, _, _, l4 = self.lengths
-        # The right motor as seen from the left one, with the coupler shrunk to a point.
+        # Vector from the left to the right motor, with the coupler shrunk to a point.
         arrow = self.motors[1] - coupler * _direction(turn)
         away = np.hypot(arrow[..., 0], arrow[..., 1])
         along = ((l1 - l4) * (l1 + l4) + away**2) / (2 * away)
@@ -541,7 +547,7 @@ class Machine:
         return elbow
 
     def _in_line(self, left: Floats, turn: Floats, coupler: float) -> Posture:
-        """Postures with the left elbow at `left` (..., 2) and the left distal link at `turn` (...), in line with the right one."""
+        """Postures with the left elbow at `left` (..., 2), the left distal link at the angle `turn` (...), and both distal links in line."""
         along = _direction(turn)
         right, tip = left + coupler * along, left + self.lengths[1] * along
         vectors = (left, along, along * np.sign(self.lengths[1] - coupler), right - self.motors[1])
@@ -549,10 +555,11 @@ class Machine:
         return Posture(theta, tip, np.stack([left, right], axis=-2))
 
     def _coupler_curves(self, posture: Line, coupler: float, points: int) -> list[Locus]:
-        """Curves of the tip as the four-bar of motors, proximal links and coupler goes round.
+        """Curves of the tip as the four-bar linkage of motors, proximal links and coupler moves through its whole range.
 
-        Its crank is the left proximal link, or the coupler if that is short: the angle between elbows that nearly coincide would be lost in
-        round-off. If the coupler is also as long as the motors' distance, it need not turn while the proximal links do.
+        The crank is the left proximal link. If the coupler is short, the coupler is the crank, since the angle between nearly
+        coincident elbows would be lost in round-off. If the coupler is as long as the distance of the motors, it need not turn
+        while the proximal links do.
         """
         l1, _, _, l4 = self.lengths
         length = abs(coupler)
@@ -566,7 +573,7 @@ class Machine:
                 angles = np.linspace(lower, upper, points)
                 runs: list[tuple[Floats, Floats | float]] = [(angles, side) for side in (-1.0, 1.0)]
             else:
-                # Both branches meet at the ends, and the points lie densest there: the curve is smooth in this parameter.
+                # Both branches meet at the ends of the range. The curve is smooth in this parameter; its points are densest there.
                 phase = np.linspace(0, 2 * np.pi, points)
                 angles = (lower + upper) / 2 - (upper - lower) / 2 * np.cos(phase)
                 runs = [(angles, np.where(phase <= np.pi, 1.0, -1.0))]
@@ -583,7 +590,7 @@ class Machine:
         return loci
 
     def _crank_ranges(self, crank: float, nearest: float, farthest: float) -> list[tuple[float, float]]:
-        """Ranges of the angle of a crank on the left motor whose end is at least and at most so far from the right one."""
+        """Angle ranges of a crank on the left motor with its end between `nearest` and `farthest` from the right motor."""
         round_off = ROUND_OFF * self.size
         if min(self.distance, crank) <= round_off:
             away = max(self.distance, crank)
@@ -618,7 +625,7 @@ class Machine:
         return array
 
     def _regular(self, theta: ArrayLike) -> Floats:
-        """Finite postures off the direct singularities."""
+        """The postures as an array; refuses infinite ones and direct singularities."""
         theta = self._finite("theta", theta, 4, "rad")
         self._refuse_singular(theta, "direct", "the motors do not determine how the tip moves")
         return theta
@@ -649,7 +656,7 @@ def _direction(angle: Floats) -> Floats:
 
 
 def _turned(vector: Floats) -> Floats:
-    """Vectors turned by +90 degrees."""
+    """Vectors rotated by +90 degrees."""
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
@@ -664,7 +671,7 @@ def _names(signs: Floats) -> NDArray[np.str_]:
 
 
 def _first(wrong: NDArray[np.bool_]) -> tuple[tuple[int, ...], str]:
-    """Index of the first element that is wrong, and how many there are, as the end of a sentence."""
+    """Index of the first wrong element, and the number of wrong elements as the end of a sentence."""
     count = int(np.count_nonzero(wrong))
     at = tuple(int(i) for i in np.argwhere(wrong)[0])
     return at, f" ({count} of {wrong.size} are so)" if wrong.size > 1 else ""
@@ -676,11 +683,11 @@ def _item(name: str, array: Floats, at: tuple[int, ...], unit: str) -> str:
 
 
 def _singular_values(matrix: Floats) -> tuple[Floats, Floats, Floats]:
-    """Singular values of 2 x 2 matrices, the larger first, and the angle of the larger one's image, rad."""
+    """Singular values of 2 x 2 matrices, larger first, and the angle of the left singular vector of the larger one, rad."""
     (a, b), (c, d) = ((matrix[..., i, 0], matrix[..., i, 1]) for i in (0, 1))
     rotation, reflection = np.hypot(a + d, c - b), np.hypot(a - d, b + c)
     large = (rotation + reflection) / 2
-    # |det| over the larger one: without the difference of nearly equal numbers.
+    # |det| divided by the larger value: no difference of nearly equal numbers.
     small = np.divide(np.abs(a * d - b * c), large, out=np.zeros_like(large), where=large > 0)
     angle = (np.arctan2(c - b, a + d) + np.arctan2(b + c, a - d)) / 2
     return large, small, np.pi / 2 - np.mod(np.pi / 2 - angle, np.pi)

@@ -100,8 +100,8 @@ def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]],
                 yield future.result()
         except BrokenProcessPool:
             raise FiveBarError(
-                'the processes ended before their runs: a script calls run_many below `if __name__ == "__main__":`, and `reduce` is a '
-                "function of a module that they can import; processes=1 runs all in this process"
+                'a worker process ended before its run: a script must call run_many below `if __name__ == "__main__":`, and `reduce` must '
+                "be a function of a module that the workers can import; processes=1 runs all in this process"
             ) from None
         finally:
             pool.shutdown(cancel_futures=True)

@@ -1,8 +1,8 @@
-"""A picture that moves by itself: the mechanism, the path of its tip, and the singularities that it goes through, as an SVG.
+"""An animated SVG: the mechanism, the path of its tip and the singularities that it passes.
 
-Everything is animated by SVG's own `animate` elements, so that the file plays wherever a browser shows it as an image, without a
-script. All of them share one clock: a short rest at the start, the run, a rest at the end, from the beginning again. Where
-nothing moves, as on paper, it shows the start and the whole path.
+The SVG uses `animate` elements and no script, so it also plays in a browser that shows it as an image. All animations share
+one clock and repeat: a short rest at the start, the run, a rest at the end. Without animation, for example on paper, the
+picture shows the start and the whole path.
 """
 
 import html
@@ -18,26 +18,26 @@ from fivebar.scene import Scene
 from fivebar.singularities import PAIRS, Event, alignments
 
 SLOWER = 2
-"""How many times slower than the mechanism the picture moves: the title says half speed."""
+"""Factor by which the picture is slower than the mechanism. The title says "half speed"."""
 
 LONGEST = 5.0
-"""Longest run, s, of which there is such a picture: longer ones would be megabytes."""
+"""Longest run, s, with an animated picture: longer ones would take megabytes."""
 
 FIRST, LAST, FADE = 0.5, 1.5, 0.3
 """Seconds of rest at the start and at the end, and of fading in and out."""
 
 FRAME, TURN = 0.02, 0.06
-"""A new frame comes after so long, s, or as soon as a link has turned by so much, rad; in between the picture interpolates."""
+"""Time, s, and turn of a link, rad, after which a new frame comes; the picture interpolates between frames."""
 
 PULSE = 0.6
-"""Seconds for which a singularity is marked where it happens."""
+"""Seconds for which a ring marks a singularity."""
 
 WIDTH, HEIGHT = 880, 456
 MACHINE = (16, 44, 420, 396)
 """The panel of the mechanism: left, top, width, height."""
 
 CURVES = (486, 78, 370, 90, 124)
-"""The panels of the three curves: left, top, width, height of each, distance from one to the next."""
+"""The panels of the three curves: left, top, width and height of each, and the distance between two tops."""
 
 CAPTIONS = tuple(f"{pair} in line: {kind} singularity" for pair, kind in zip(PAIRS, ("direct", "inverse", "inverse")))
 ANGLES = ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
@@ -46,7 +46,7 @@ JOINTS = ("tip", "elbow[1]", "elbow[2]")
 
 
 def wanted(run: Run) -> bool:
-    """Whether the run is short enough, and something moves."""
+    """Whether the run is short enough and the mechanism moves."""
     return bool(run.time[0] == 0 < run.time[-1] <= LONGEST)
 
 
@@ -83,21 +83,21 @@ polyline, path {{ fill: none; stroke-linejoin: round; stroke-linecap: round }}
 
 @dataclass(frozen=True)
 class Clock:
-    """The picture's time: shares of one repetition."""
+    """Time of the picture, as a share of one repetition."""
 
     run: float
 
     @property
     def seconds(self) -> float:
-        """How long a repetition takes."""
+        """Duration of one repetition."""
         return FIRST + SLOWER * self.run + LAST
 
     def share(self, time: float) -> float:
-        """When the moment `time` of the run is shown."""
+        """Share of a repetition at which the picture shows the time `time` of the run."""
         return (FIRST + SLOWER * time) / self.seconds
 
     def animate(self, attribute: str, moments: list[float], values: list[str]) -> str:
-        """`attribute` takes `values` at `moments`, shares of a repetition, and rests before and after them."""
+        """Animates `attribute` with `values` at `moments` (shares of a repetition); it is constant before and after them."""
         moments, values = [0.0, *moments, 1.0], [values[0], *values, values[-1]]
         keys = ";".join(_number(moment, 5) for moment in moments)
         return (
@@ -106,14 +106,14 @@ class Clock:
         )
 
     def fade(self) -> str:
-        """Lets a drawing that grows during a repetition vanish at its end."""
+        """Fades out a growing drawing at the end of a repetition."""
         end, fade = 1.0, FADE / self.seconds
         return self.animate("opacity", [0.0, fade, end - fade, end], ["0", "1", "1", "0"])
 
 
 @dataclass(frozen=True)
 class View:
-    """From metres to the panel of the mechanism."""
+    """Transform from metres to the panel of the mechanism."""
 
     left: float
     top: float
@@ -121,7 +121,7 @@ class View:
 
     @classmethod
     def of(cls, run: Run) -> "View":
-        """All that moves, in the middle of the panel."""
+        """A view with the whole motion in the middle of the panel."""
         (x0, x1), (y0, y1) = extent(run, "x"), extent(run, "y")
         left, top, width, height = MACHINE
         scale = min(width / (x1 - x0), height / (y1 - y0))
@@ -133,7 +133,7 @@ class View:
 
 
 def frames_of(run: Run) -> np.ndarray:
-    """Indices of the samples that are drawn: regular ones, and more where a link turns fast."""
+    """Indices of the samples to draw: at regular times, and more often while a link turns fast."""
     turned = np.cumsum(np.max([np.abs(np.diff(run[name], prepend=run[name][0])) for name in ANGLES], axis=0))
     cells = np.floor(run.time / FRAME + 1e-9), np.floor(turned / TURN)
     new = np.any([np.diff(cell, prepend=-1) > 0 for cell in cells], axis=0)
@@ -142,13 +142,13 @@ def frames_of(run: Run) -> np.ndarray:
 
 
 def _path(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
-    """The path of the tip, as long as the way that it has gone."""
+    """The path of the tip up to the current time."""
     points = view.points(run["tip.x"], run["tip.y"])[frames]
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     left = clock.animate(
         "stroke-dashoffset", [clock.share(t) for t in run.time[frames]], [_number(way[-1] - w, 1) for w in way]
     )
-    # The gap is longer than the way, or the next dash would show as a dot at the end.
+    # The gap is longer than the path; otherwise the next dash would show as a dot at the end.
     length, gap = _number(way[-1], 1), _number(way[-1] + 20, 1)
     return (
         f'<polyline stroke="{TIP}" stroke-width="1.8" opacity="0.75" stroke-dasharray="{length} {gap}" '
@@ -157,7 +157,7 @@ def _path(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
 
 
 def _legs(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
-    """The two legs, from the motor over the elbow to the tip; the joints are markers and move along."""
+    """The two legs, from motor to elbow to tip. The joints are markers, which move with the lines."""
     tip = view.points(run["tip.x"], run["tip.y"])[frames]
     moments = [clock.share(t) for t in run.time[frames]]
     legs = []
@@ -179,7 +179,7 @@ def _legs(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
 
 
 def _marker(name: str, colour: str, radius: float) -> str:
-    """A joint: a white disc with a coloured edge."""
+    """The marker of a joint: a white disc with a coloured edge."""
     size = 2 * radius + 4
     return (
         f'<marker id="{name}" markerUnits="userSpaceOnUse" markerWidth="{size}" markerHeight="{size}" refX="{size / 2:g}" '
@@ -189,7 +189,7 @@ def _marker(name: str, colour: str, radius: float) -> str:
 
 
 def _pulses(run: Run, view: View, clock: Clock, event: Event) -> str:
-    """A ring that opens around each joint whose links are in line."""
+    """A growing ring around each joint with its links in line."""
     begin = clock.share(event.time)
     end = begin + PULSE / clock.seconds
     rings = []
@@ -205,7 +205,7 @@ def _pulses(run: Run, view: View, clock: Clock, event: Event) -> str:
 
 
 def _surroundings(run: Run, view: View) -> str:
-    """Panel, grid, motors, a scale of lengths, and the obstacles of links and tip."""
+    """Panel, grid, motors, length scale and obstacles."""
     p, (left, top, width, height) = run.parameters, MACHINE
     base, first = p["base.distance"], p["link[1].length"]
     parts = [f'<clipPath id="machine"><rect x="{left}" y="{top}" width="{width}" height="{height}"/></clipPath>']
@@ -226,7 +226,7 @@ def _surroundings(run: Run, view: View) -> str:
     parts.append(f'<polyline stroke="{FAINT}" stroke-dasharray="1 4" stroke-width="1.5" points="{_list(ground)}"/>')
     parts += [f'<path fill="{INK}" style="fill: {INK}" d="M{_list([foot])}l-9,15h18z"/>' for foot in ground]
     parts.append("</g>")
-    # The longest power of ten, or half of it, that is at most a quarter of the panel wide.
+    # The scale is the largest power of ten, or half of one, that takes at most a quarter of the panel.
     longest = width / 4 / view.scale
     power = 10 ** np.floor(np.log10(longest))
     bar = power if longest < 5 * power else 5 * power
@@ -237,7 +237,7 @@ def _surroundings(run: Run, view: View) -> str:
 
 
 def _curves(run: Run, clock: Clock, events: list[Event]) -> str:
-    """How far each pair of links is from being in line, over time; the curves grow as the mechanism moves."""
+    """Sine of the angle between the links of each pair over time; the curves grow as the mechanism moves."""
     left, top, width, height, distance = CURVES
     scale = width / run.time[-1]
     share = [clock.share(0.0), clock.share(run.time[-1])]
@@ -262,7 +262,7 @@ def _curves(run: Run, clock: Clock, events: list[Event]) -> str:
     for tick in _ticks(run.time[-1]):
         x = _number(left + scale * tick, 1)
         parts.append(f'<text x="{x}" y="{end + 18}" text-anchor="middle">{tick:g}{" s" if tick == 0 else ""}</text>')
-    # Dots at either edge stand out by their radius.
+    # The window is wider than the panel by the radius of dots at its edges.
     grow = clock.animate("width", [*share, share[1]], ["5", str(width + 5), str(width + 10)])
     window = f'<rect x="{left - 5}" y="{top - 5}" width="{width + 10}" height="{end - top + 10}">{grow}</rect>'
     parts.append(f'<clipPath id="grown">{window}</clipPath>')
@@ -277,7 +277,7 @@ def _curves(run: Run, clock: Clock, events: list[Event]) -> str:
 
 
 def _ticks(end: float) -> np.ndarray:
-    """Round times up to the end, five at most."""
+    """At most five round times up to the end."""
     step = next(step for step in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50) if end / step <= 5 or step == 50)
     return np.arange(0, end * (1 + 1e-9), step)
 
@@ -287,6 +287,6 @@ def _list(points: np.ndarray | list[np.ndarray]) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    """Without zeros that say nothing."""
+    """A number without trailing zeros."""
     text = f"{value:.{digits}f}"
     return (text.rstrip("0").rstrip(".") if "." in text else text) or "0"

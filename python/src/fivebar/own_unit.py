@@ -1,8 +1,8 @@
-"""Writes a unit of one's own from the shipped one, without a compiler: the same libraries under another name, with start values,
+"""Writes a custom unit from the shipped one, without a compiler: the same libraries under another name, with the start values,
 experiment and description of a scene.
 
-The model description in the archive has them for masters, and `resources/unit.txt` for the library, which reads it when it is
-instantiated (src/fmi/own.rs). Equal scenes and names give equal bytes and GUIDs.
+Masters read these values from the model description in the archive. The library reads them from `resources/unit.txt` when it
+is instantiated (src/fmi/own.rs). Equal scenes and names give equal bytes and GUIDs.
 """
 
 import html
@@ -31,15 +31,15 @@ PLAIN = "FiveBar"
 """Name of the shipped unit."""
 
 LONGEST = 60
-"""Letters that a name may have: with its folders and endings it stays below 260 characters, which is all that some programs on Windows take."""
+"""Largest number of characters in a name: paths in the archive stay below 260 characters, the limit of some Windows programs."""
 
 NAMESPACE = uuid.UUID("3729f55c-2054-5fb9-9560-16e0a330d502")
-"""Version 5 UUID of "FiveBar" in the namespace of URLs, as in the crate model-description."""
+"""Version 5 UUID of "FiveBar" in the URL namespace, as in the crate model-description."""
 
-# Names that no file of Windows can have, with any ending (Microsoft, Naming Files, Paths, and Namespaces).
+# Names that Windows forbids for files, with any extension (Microsoft, Naming Files, Paths, and Namespaces).
 DEVICES = frozenset({"CON", "PRN", "AUX", "NUL", *(f"{port}{i}" for port in ("COM", "LPT") for i in range(10))})
 
-# C11, section 6.4.1: words that are no identifiers.
+# Keywords of C, which cannot be identifiers (C11, section 6.4.1).
 KEYWORDS = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict return short "
     "signed sizeof static struct switch typedef union unsigned void volatile while _Alignas _Alignof _Atomic _Bool _Complex _Generic "
@@ -49,11 +49,11 @@ KEYWORDS = frozenset(
 
 @dataclass(frozen=True)
 class Written:
-    """A unit that has been written."""
+    """A written unit."""
 
     file: Path
     notes: list[str]
-    """Sentences on what the unit leaves to the master, and on what could not be tried."""
+    """Sentences on parts of the scene that the master must handle, and on checks that were not possible."""
 
 
 def write_unit(
@@ -64,14 +64,14 @@ def write_unit(
     naming: Naming = "structured",
     plain: Path | None = None,
 ) -> Written:
-    """Writes `NAME.fmu` to `folder`, which is made if it is not there: the machine and experiment of `scene`, or those of the plain unit.
+    """Writes `NAME.fmu` to `folder`, which is created if needed, with machine and experiment of `scene` or of the plain unit.
 
-    `name` is by default the scene's in camel case. With `naming="flat"` the model description says that names have no structure, for
-    masters that make buses of `tip.x` and `tau[1]`; the names are the same. Without scene and name the unit is `FiveBar.fmu`, of the plain
-    unit's GUID. `plain` is the unit that is taken, by default the shipped one.
+    The default `name` is the scene's name in camel case. With `naming="flat"` the model description declares names without
+    structure, for masters that would make buses of `tip.x` and `tau[1]`; the names do not change. Without scene and name the
+    unit is `FiveBar.fmu` with the plain unit's GUID. `plain` is the unit to start from, by default the shipped one.
 
-    Raises FiveBarError, with one sentence, if a name or value is not allowed, the unit refuses its start, or a file cannot be written; then
-    nothing is left in `folder`.
+    Raises FiveBarError, with one sentence, if a name or value is not allowed, the unit refuses its start, or a file cannot be
+    written. Then no file is left in `folder`.
     """
     plain = shipped.unit() if plain is None else plain
     is_own = scene is not None or name is not None
@@ -90,7 +90,7 @@ def write_unit(
             files = {_renamed(file, name): content for file, content in files.items()}
             files[START] = _start_file(name, description, starts).encode()
             files[PAGE] = _page(files[PAGE].decode("utf-8"), description, starts).encode()
-        # Last, so that it leaves the GUID alone: the library is the same.
+        # Set last, so that it does not change the GUID: the library is the same.
         description.root.set("variableNamingConvention", naming)
         files[MODEL] = description.text().encode()
     target = folder / f"{name}.fmu"
@@ -99,7 +99,7 @@ def write_unit(
             raise FiveBarError(f"{target} is the plain unit itself: the folder must be another one")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="fivebar-") as made:
-            # Only a unit that accepts its start gets the name under which one is looked for.
+            # The unit is moved to its final name only if it accepts its start.
             whole = Path(made) / target.name
             _pack(whole, files)
             notes += _try_start(whole)
@@ -110,19 +110,19 @@ def write_unit(
 
 
 def check_name(name: str) -> None:
-    """Raises FiveBarError, with the rule, if `name` cannot be that of a unit: of the model, the library's file and the archive."""
+    """Raises FiveBarError if `name` is not allowed for a unit: it names the model, the library's file and the archive."""
     allowed = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) and len(name) <= LONGEST and name not in KEYWORDS
-    # Names of files differ by more than capitals, or some machines take them for the same.
+    # Case is ignored, since some file systems ignore it.
     if not allowed or name.upper() in DEVICES or name.upper() == PLAIN.upper():
         shown = name if len(name) <= LONGEST else f"{name[:LONGEST]}…"
         raise FiveBarError(
             f"the name {shown!r} is not allowed: it must be a letter or _ followed by letters, digits or _ of ASCII, {LONGEST} at most, and "
-            f"no word of C, no device of Windows such as AUX or COM1, and not {PLAIN}"
+            f"not a keyword of C, a device of Windows such as AUX or COM1, or {PLAIN}"
         )
 
 
 def notes_on(scene: Scene) -> list[str]:
-    """Parts of a scene that a unit cannot have, and a method that it does not name, in sentences."""
+    """Sentences on parts of a scene that a unit cannot have, and on a method that the scene does not name."""
     sentences = _left_to_the_master(scene)
     if overlays := [variant.label for variant in scene.variants[1:]]:
         sentences.append(f"The scene's further runs are left out: {'; '.join(overlays)}.")
@@ -135,7 +135,7 @@ def _left_to_the_master(scene: Scene) -> list[str]:
     sentences = []
     if scene.signals:
         sentences.append(
-            f"Inputs that the scene changes with time begin at its values at 0 s and are for the master to change: {', '.join(scene.signals)}."
+            f"Time-varying inputs of the scene have their values at 0 s; the master must change them: {', '.join(scene.signals)}."
         )
     if scene.offsets:
         shown = " and ".join(
@@ -143,7 +143,7 @@ def _left_to_the_master(scene: Scene) -> list[str]:
             for name, offset in scene.offsets.items()
         )
         sentences.append(
-            f"The machine's encoders show more than true angles, which the master takes off samples and orders: {shown}."
+            f"The machine's encoders have offsets, which the master must subtract from readings and commands: {shown}."
         )
     return sentences
 
@@ -155,27 +155,27 @@ def _camel(stem: str) -> str:
 
 @dataclass(frozen=True)
 class Start:
-    """A start value of one's own."""
+    """A custom start value."""
 
     variable: Variable
-    """As the plain unit has it."""
+    """The variable in the plain unit."""
 
     value: Value
 
     @property
     def text(self) -> str:
-        """The value as XML and `resources/unit.txt` write it."""
+        """The value as text for XML and `resources/unit.txt`."""
         return repr(self.value).lower()
 
     def shown(self, value: Value) -> str:
-        """A value of the variable for people."""
+        """A value of the variable as text for users."""
         if self.variable.type == "Enumeration":
             return self.variable.item(int(value))
         return f"{value:.15g}" if self.variable.type == "Real" else repr(value).lower()
 
 
 def starts_of(scene: Scene, variables: Variables) -> list[Start]:
-    """Every start value that a scene gives, signals with theirs at 0 s, checked as those of a scene's file are."""
+    """All start values of a scene, and the values of its signals at 0 s. They are checked like values in a scene file."""
     starts = []
     for name, value in (scene.values | {name: float(course[0]) for name, course in scene.signals.items()}).items():
         variable = variables.settable(name)
@@ -198,10 +198,10 @@ class _Description:
         if self.root.get("modelName") != PLAIN:
             raise FiveBarError(f"{plain} is not the plain unit, from which others are written")
         self.library = self.root.get("guid", "")
-        """GUID of the plain unit, which the library knows."""
+        """GUID of the plain unit, which is compiled into the library."""
 
     def own(self, name: str, scene: Scene | None, starts: list[Start]) -> None:
-        """Puts in name, experiment, description, start values and GUID."""
+        """Sets name, experiment, description, start values and GUID."""
         self.root.set("modelName", name)
         self.root.set("generationTool", "fivebar unit")
         for kind in ("ModelExchange", "CoSimulation"):
@@ -221,7 +221,7 @@ class _Description:
         self.root.set("guid", f"{{{uuid.uuid5(NAMESPACE, self.text())}}}")
 
     def element(self, tag: str) -> ElementTree.Element:
-        """A part of it."""
+        """The first element with this tag."""
         found = self.root.find(tag)
         assert found is not None, tag
         return found
@@ -232,7 +232,7 @@ class _Description:
         return self.root.get("guid", "")
 
     def text(self) -> str:
-        """As it lies in the archive."""
+        """The file in the archive."""
         body = ElementTree.tostring(self.root, encoding="unicode", short_empty_elements=True)
         return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by `fivebar unit`: do not edit. -->\n{body}\n'
 
@@ -245,13 +245,13 @@ def _description(scene: Scene) -> str:
 
 
 def _start_file(name: str, description: _Description, starts: list[Start]) -> str:
-    """`resources/unit.txt`, which src/fmi/own.rs reads."""
+    """The text of `resources/unit.txt`, which src/fmi/own.rs reads."""
     rows = [f"{start.variable.name} {start.text}" for start in starts]
     return "\n".join([f"unit {name} {description.guid} {description.library}", *rows, "end", ""])
 
 
 def _page(page: str, description: _Description, starts: list[Start]) -> str:
-    """The page inside the archive, with a section on what is different, and with one's own start values in the table of variables."""
+    """The page inside the archive, with a section on differences and with custom start values in the table of variables."""
     root, experiment = description.root, description.element("DefaultExperiment")
     cell = re.compile(r"(<tr><td><code>([^<]*)</code></td>(?:<td>[^<]*</td>){3}<td>)[^<]*(?=</td>)")
     own = {
@@ -263,7 +263,7 @@ def _page(page: str, description: _Description, starts: list[Start]) -> str:
     lasts, step = (f"{float(experiment.get(key, '0')):g}" for key in ("stopTime", "stepSize"))
     section = f"""<h2>{html.escape(root.get("modelName", ""))}</h2>
 <p>{html.escape(root.get("description", ""), quote=False)}</p>
-<p>This unit is a FiveBar with the start values of one's own machine, which its library reads from <code>{START}</code>; all of them can still be
+<p>This unit is a FiveBar with the start values of a custom machine, which its library reads from <code>{START}</code>. All of them can still be
 set. Its default experiment lasts {lasts} s, in steps of {step} s.</p>
 <div class="table">
 <table>
@@ -280,7 +280,7 @@ set. Its default experiment lasts {lasts} s, in steps of {step} s.</p>
 
 
 def _row(start: Start) -> str:
-    """A row of the table of what is different."""
+    """A row of the table of differences."""
     variable, unit = start.variable, "" if start.variable.unit == "1" else start.variable.unit
     here, plain = (start.shown(value) for value in (start.value, variable.start) if value is not None)
     name, *others = (html.escape(text, quote=False) for text in (variable.name, here, plain, unit))
@@ -288,7 +288,7 @@ def _row(start: Start) -> str:
 
 
 def _read(plain: Path) -> dict[str, bytes]:
-    """The files of a unit, by their names in the archive."""
+    """The files of a unit by name in the archive."""
     try:
         with zipfile.ZipFile(plain) as archive:
             files = {name: archive.read(name) for name in archive.namelist() if not name.endswith("/")}
@@ -300,14 +300,14 @@ def _read(plain: Path) -> dict[str, bytes]:
 
 
 def _renamed(file: str, name: str) -> str:
-    """A library's file after the unit's name: FMI 2.0.4, section 2.3."""
+    """Path of a library's file, which is named after the unit (FMI 2.0.4, section 2.3)."""
     folder, _, base = file.rpartition("/")
     stem, dot, ending = base.partition(".")
     return f"{folder}/{name}{dot}{ending}" if folder.startswith("binaries/") and stem == PLAIN else file
 
 
 def _pack(target: Path, files: dict[str, bytes]) -> None:
-    """Packs files whose bytes in the archive depend on nothing but their content."""
+    """Packs files; the bytes of the archive depend only on names and content."""
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
@@ -316,7 +316,7 @@ def _pack(target: Path, files: dict[str, bytes]) -> None:
 
 
 def _move(whole: Path, target: Path) -> None:
-    """Brings a file to its place at once, also from another file system: whoever looks there finds a whole one or none."""
+    """Moves a file atomically, also from another file system: the target is never incomplete."""
     handle, beside = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
     try:
         with open(handle, "wb") as file:
@@ -331,12 +331,12 @@ def _move(whole: Path, target: Path) -> None:
 
 
 def _try_start(fmu: Path) -> list[str]:
-    """Initialises the unit with nothing set: only the library knows whether its start closes.
+    """Initialises the unit with its start values: only the library can decide whether the mechanism closes.
 
-    Raises FiveBarError with the unit's own sentence if it refuses. Returns a sentence if there is no library for this machine to ask.
+    Raises FiveBarError with the unit's sentence if it refuses. Returns a sentence if it has no library for this platform.
     """
     log = Log()
-    # A library that gives no instance stays loaded, which keeps its file on Windows.
+    # If instantiation fails, the library stays loaded, and Windows cannot remove its file.
     with tempfile.TemporaryDirectory(prefix="fivebar-", ignore_cleanup_errors=True) as directory:
         fmpy.extract(str(fmu), unzipdir=directory)
         model = fmpy.read_model_description(directory, validate=False)

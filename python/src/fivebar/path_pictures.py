@@ -1,4 +1,4 @@
-"""Pictures of a drawing: where on the table, what was commanded and what the machine did, errors and torques; and where it is blocked."""
+"""Pictures of a drawing: its place in the workspace, commanded and actual path, errors and torques, or the place where it is blocked."""
 
 from pathlib import Path
 
@@ -41,22 +41,22 @@ TOLD = "#9ecae8"
 """Colour of the commanded line, a band below the line that was drawn."""
 
 BUCKETS = 400
-"""Curves over time have the extremes of so many parts."""
+"""Number of time intervals with their extremes in a curve over time."""
 
 SEEN = 1e-6
-"""Length above which a way with the pen lifted is one, m."""
+"""Shortest lifted-pen move that is drawn, m."""
 
 ZOOM = 20.0
-"""The enlarged window is so many times the largest distance off the drawing wide, but no less than 1/40 of the drawing."""
+"""Width of the enlarged window in multiples of the largest distance off the drawing; it is at least 1/40 of the drawing."""
 
 
 def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path]:
-    """Draws `drawn.svg` and `drawn.png`: what was commanded and what the machine did with `name`, the drawing; returns the files."""
+    """Draws `drawn.svg` and `drawn.png` with the commanded and the actual path of the drawing `name`; returns the files."""
     made = outcome.plan
     with matplotlib.rc_context(STYLE):
         box = made.drawing.box * MM
         window = _window(outcome)
-        # A line has no height of its own: the window about its worst place has to be seen.
+        # A straight line has no height: the box must still contain the enlarged window.
         extent = np.maximum(box[1] - box[0], (window[1] - window[0]) * MM)
         wide = WIDTH - 1.0
         high = float(np.clip(wide * extent[1] / extent[0], 0.8, 6.0))
@@ -102,7 +102,7 @@ def draw(outcome: Outcome, name: str, limits: Limits, folder: Path) -> list[Path
 def draw_blocked(
     scene: Scene, working: Working, drawing: Drawing, blocked: Blocked, name: str, folder: Path
 ) -> list[Path]:
-    """Draws `blocked.svg` and `blocked.png`: the drawing, the borders of the working mode, and the place where the machine cannot go on."""
+    """Draws `blocked.svg` and `blocked.png`: the drawing, the borders of the working mode and the place where the machine is blocked."""
     machine = Machine.from_scene(scene)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 5.2))
@@ -111,7 +111,7 @@ def draw_blocked(
         handles: list[Patch | Line2D] = []
         for axes in (whole, near):
             handles = _background(axes, scene, machine, working)
-            # One artist: drawings have up to 100,000 strokes.
+            # One artist for all strokes, since a drawing may have thousands.
             axes.add_collection(
                 LineCollection([stroke * MM for stroke in strokes], colors=TIP, linewidths=1.3, zorder=7)
             )
@@ -131,7 +131,7 @@ def draw_blocked(
 
 
 def _broken(sentence: str, most: int = 92) -> str:
-    """A sentence in lines."""
+    """Breaks a sentence into lines."""
     lines = [""]
     for word in sentence.split():
         lines = [*lines[:-1], f"{lines[-1]} {word}".strip()] if len(lines[-1]) + len(word) < most else [*lines, word]
@@ -147,7 +147,7 @@ def _save(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def _corners(machine: Machine) -> Floats:
-    """Corners of the reach's box and the motors, m."""
+    """Corners of the bounding box of reach and motors, m."""
     (_, left), (_, right) = machine.reach.tolist()
     begin, end = max(-left, machine.distance - right), min(left, machine.distance + right)
     crossing = (machine.distance**2 + left**2 - right**2) / (2 * machine.distance) if machine.distance > 0 else 0.0
@@ -158,7 +158,7 @@ def _corners(machine: Machine) -> Floats:
 
 
 def _frame(axes: Axes, points: Floats, margin: float) -> None:
-    """Axes in mm with equal scales that show the points, with a margin as a share of their extent."""
+    """Sets up axes in mm with equal scales around the points; `margin` is a share of their extent."""
     low, high = points.min(axis=0) * MM, points.max(axis=0) * MM
     place, figure = axes.get_position(), axes.figure
     assert isinstance(figure, Figure)
@@ -173,7 +173,7 @@ def _frame(axes: Axes, points: Floats, margin: float) -> None:
 
 
 def _background(axes: Axes, scene: Scene, machine: Machine, working: Working) -> list[Patch | Line2D]:
-    """The reach, singular loci and stops of a working mode, lightly."""
+    """Draws reach, singular loci and stops of a working mode in light colours; returns the legend's entries."""
     far = 100 * MM * machine.size
     axes.add_patch(Rectangle((-far, -far), 2 * far, 2 * far, facecolor=REACHED, edgecolor="none", zorder=0))
     hide_outside(axes, machine)
@@ -200,7 +200,7 @@ def _overview(axes: Axes, made: Plan) -> None:
 
 
 def _lines(axes: Axes, outcome: Outcome, band: float, line: float) -> None:
-    """Commanded path as a band, and the path of the tip with the pen down."""
+    """Draws the commanded path as a band and the path of the tip with the pen down as a line."""
     made = outcome.plan
     for told, done in zip(strokes_of(made.tip, made.pen), strokes_of(outcome.tip, made.pen)):
         axes.plot(*(told.T * MM), color=TOLD, linewidth=band, zorder=5, solid_capstyle="round", solid_joinstyle="round")
@@ -208,7 +208,7 @@ def _lines(axes: Axes, outcome: Outcome, band: float, line: float) -> None:
 
 
 def _window(outcome: Outcome) -> Floats:
-    """Corners about the place where the pen is farthest off, m, (2, 2)."""
+    """Corners of the window around the largest error with the pen down, m, (2, 2)."""
     made = outcome.plan
     row = int(np.argmax(np.where(made.pen, outcome.off, -1)))
     middle = (outcome.tip[row] + made.tip[row]) / 2
@@ -233,7 +233,7 @@ def _sheet(axes: Axes, outcome: Outcome, window: Floats) -> None:
 
 
 def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes, window: Floats) -> None:
-    """The worst place, large, and where it is on the sheet."""
+    """Draws the window with the largest error, and its frame on the sheet."""
     _lines(axes, outcome, 6.0, 1.2)
     _frame(axes, window, 0.0)
     sheet.add_patch(
@@ -251,7 +251,7 @@ def _enlarged(axes: Axes, outcome: Outcome, sheet: Axes, window: Floats) -> None
 
 
 def _shade(axes: Axes, made: Plan) -> None:
-    """Grey where the pen is down."""
+    """Shades the times with the pen down."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], made.pen, [False]]).astype(int)))
     for begin, end in zip(edges[::2], edges[1::2]):
         axes.axvspan(made.time[max(begin - 1, 0)], made.time[end - 1], facecolor="#eeeeee", edgecolor="none", zorder=0)

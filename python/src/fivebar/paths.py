@@ -1,7 +1,7 @@
-"""A drawing as a motion of a scene's machine: where it would leave what the machine can do, how long it takes, the scene that draws it.
+"""A drawing as a motion of a scene's machine: feasibility, timing, and the scene that draws it.
 
-`plan` times and checks a drawing, `write_scene` writes the scene that draws it, `compare` says what the machine did. The pen's lifting is a column of
-the tables: the unit knows the plane of the mechanism only.
+`plan` times and checks a drawing, `write_scene` writes the scene that draws it, and `compare` evaluates the machine's motion.
+The lifting of the pen is only a column of the tables, since the unit is planar.
 """
 
 import math
@@ -29,30 +29,30 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 CLEARANCE = 1e-6
-"""Distance from singular loci and stops, in multiples of the machine's size, below which a path touches them."""
+"""Distance from singular loci and stops, in multiples of the machine's size, below which a path counts as touching them."""
 
 MOST_SPANS = 4096
-"""Spans of a path that are looked at together."""
+"""Largest number of spans of a path that are checked together."""
 
 REST = 0.2
-"""Seconds of rest before and after the drawing, and where the pen goes up or down."""
+"""Seconds of rest before and after the drawing, and whenever the pen goes up or down."""
 
 SLOWEST = 64.0
-"""So many times longer a piece may take for the sake of the motors' limits."""
+"""Largest factor by which a piece may be slowed down to respect the motors' limits."""
 
 
 class Blocked(FiveBarError):
-    """A drawing that the machine cannot draw: where, and why."""
+    """The machine cannot draw a drawing; has the place and the reason."""
 
     def __init__(self, place: Floats, reason: str):
         super().__init__(reason)
         self.place = place
-        """m, shape (2,)."""
+        """Position of the tip, m, shape (2,)."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the motors; infinite where nothing limits them."""
+    """Limits of the motors; infinite if there is no limit."""
 
     rate: float = math.inf
     """rad/s."""
@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Plan:
-    """A drawing in time: one row per communication point of the scene, s, m, rad and N·m."""
+    """A timed drawing: one row per communication point of the scene, in s, m, rad and N·m."""
 
     scene: Scene
     """The scene whose machine draws."""
@@ -79,7 +79,7 @@ class Plan:
     """(n, 2)."""
 
     pen: Flags
-    """Whether the pen is down on the way to this place, (n,)."""
+    """Whether the pen is down on the way to this row's position, (n,)."""
 
     theta: Floats
     """Angles of the links 1 to 4, (n, 4)."""
@@ -88,14 +88,14 @@ class Plan:
     """Rates of the motors, rad/s, (n, 2)."""
 
     torque: Floats
-    """Torques of the motors that the motion needs, by the unit, (n, 2)."""
+    """Motor torques that the motion needs, computed by the unit, (n, 2)."""
 
     slowed: int
-    """Pieces that take longer for the sake of the motors' limits."""
+    """Number of pieces that are slowed down by the motors' limits."""
 
     def words(self, name: str) -> str:
         """Length, time and load of the drawing `name`, in sentences."""
-        slowed = f" {self.slowed} pieces take longer for the motors' limits." if self.slowed else ""
+        slowed = f" {self.slowed} pieces are slowed down by the motors' limits." if self.slowed else ""
         rate, torque = np.abs(self.omega).max(), np.abs(self.torque).max()
         return (
             f"{name}: {len(self.drawing.strokes)} strokes, {self.drawn:.4g} m of lines in {self.time[-1]:.4g} s, motor rates up to {rate:.3g} rad/s, "
@@ -124,14 +124,14 @@ def servo_limits(scene: Scene) -> tuple[float, float]:
 def plan(
     scene: Scene, drawing: Drawing, timing: Timing, working: Working | None = None, limits: Limits = Limits()
 ) -> Plan:
-    """The motion that draws `drawing`, as it is placed, by the scene's machine in a working mode, that of its start unless told.
+    """The motion with which the scene's machine draws the placed `drawing`, by default in the working mode of the scene's start.
 
-    Each piece from rest to rest takes the longer, the less the limits of rate and torque allow. Raises `Blocked` where a stroke, or a way
-    between strokes, meets the end of the reach, a stop or a singular locus, or needs more torque at rest than there is.
+    Pieces run from rest to rest and are slowed down if limits of rate or torque require it. Raises `Blocked` if a stroke, or a
+    way between strokes, meets the end of the reach, a stop or a singular locus, or if it needs too much torque even at rest.
     """
     machine, mode, step = Machine.from_scene(scene), working or mode_of(scene), scene.step_size
     sequence = ways.of(drawing.strokes)
-    # Chords are quick to measure: a drawing that takes too long is refused before the work on its pieces.
+    # Chords are cheap to compute and give a lower bound: a drawing that takes too long is refused before the costly steps.
     least = sum(timing.duration(piece.chord) for piece in sequence)
     if least > MOST_POINTS * step:
         raise FiveBarError(
@@ -170,7 +170,7 @@ Rows = tuple[Floats, Floats, Floats, Flags]
 
 
 def _schedule(sequence: list[Piece], timing: Timing, counts: list[int], step: float) -> Rows:
-    """All pieces in `counts` steps each, with rests at both ends and where the pen goes up or down."""
+    """All pieces in `counts` steps each, with rests at both ends and at each lift or drop of the pen."""
     rest = max(1, round(REST / step))
     rows = [_rest(sequence[0].curves[0, 0], rest + 1, False)]
     for piece, count, following in zip(sequence, counts, [*sequence[1:], None]):
@@ -186,7 +186,7 @@ def _rest(place: Floats, count: int, pen: bool) -> Rows:
 
 
 def _rows(piece: Piece, timing: Timing, count: int, duration: float) -> Rows:
-    """The rows of a piece but its first one, which ends the piece before."""
+    """The rows of a piece without its first point, which belongs to the previous piece."""
     way, rate, change = timing.way(piece.length, np.arange(1, count + 1) / count)
     place, tangent, curvature = piece.at(way)
     rate, change = rate[:, None] / duration, change[:, None] / duration**2
@@ -194,7 +194,7 @@ def _rows(piece: Piece, timing: Timing, count: int, duration: float) -> Rows:
 
 
 def _turns(scene: Scene, theta: Floats) -> Floats:
-    """Whole turns, rad, by which the motors' angles come nearest to the middle of their stops, for the angles of the links (4,)."""
+    """Whole turns, rad, to add to link angles (4,) so that the motor angles are nearest to the middle of their stops."""
     turns = np.zeros(4)
     if scene["stop.enabled"]:
         for link, leg in ((0, 1), (3, 2)):
@@ -216,14 +216,15 @@ def _enough(
     limits: Limits,
     demand: Demand,
 ) -> int:
-    """How many communication steps a piece has to take, at least `count`, for the motors to stay within their limits.
+    """Number of communication steps, at least `count`, with which a piece stays within the motors' limits.
 
-    Rates go with 1 over the time, torques beyond those at rest with its square (Hollerbach 1984), but for friction: so the unit is asked again.
+    Rates scale with 1/T and torques beyond the static ones with 1/T² for the duration T (Hollerbach 1984). Friction does not
+    follow this law, so each duration is evaluated with the unit.
     """
     most = np.array(limits.torques)
 
     def load(count: int) -> tuple[float, Floats, Floats]:
-        """The largest share of a limit, the place, and the torques there."""
+        """The largest load as a share of its limit, and the place and torques of the largest torque share."""
         tip, velocity, acceleration, _ = _rows(piece, timing, count, count * step)
         theta = machine.inverse(tip, working).theta
         omega = machine.motor_rates(theta, velocity)
@@ -259,9 +260,10 @@ def _enough(
 
 
 def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[Piece]) -> None:
-    """Raises `Blocked` at the first place where pieces meet the end of the reach, a singular locus of the working mode, or a stop.
+    """Raises `Blocked` for the first point at which pieces meet the end of the reach, a singular locus of the working mode or a stop.
 
-    A span of a curve is free if its middle is farther from every border than either half is long; others are halved.
+    A span of a curve is free if the distance of its middle from every border exceeds the length of either half. Otherwise it is
+    split into halves.
     """
     name = mode_name(working)
     if machine.is_degenerate(working):
@@ -306,7 +308,7 @@ def check(scene: Scene, machine: Machine, working: Working, sequence: Sequence[P
 def _first_touch(
     obstacles: Obstacles, spans: Floats, owners: NDArray[np.int_], tolerance: float
 ) -> tuple[Floats, int] | None:
-    """The first place of curves (n, 4, 2) that is nearer to a border than a tolerance, m, and its owner; None if there is none."""
+    """The first point of curves (n, 4, 2) that is nearer to a border than a tolerance, m, and its owner; None if there is none."""
     while len(spans):
         if len(spans) > MOST_SPANS:
             half = len(spans) // 2
@@ -331,7 +333,7 @@ def _first_touch(
 
 
 def _halves(curves: Floats) -> tuple[Floats, Floats]:
-    """Both halves of curves (n, 4, 2), by de Casteljau."""
+    """Both halves of curves (n, 4, 2), by de Casteljau's algorithm."""
     a, b, c, d = np.moveaxis(curves, 1, 0)
     ab, bc, cd = (a + b) / 2, (b + c) / 2, (c + d) / 2
     abc, bcd = (ab + bc) / 2, (bc + cd) / 2
@@ -350,13 +352,13 @@ def _out_of_reach(machine: Machine, piece: Piece, place: Floats) -> str:
     return f"{_where(piece, place)} is {abs(shortfall[leg]):.4g} m too {'far for' if shortfall[leg] > 0 else 'near to'} the {SIDES[leg]} leg"
 
 
-# The scene, and what its machine does
+# The scene, and the motion of its machine
 
 
 def write_scene(made: Plan, file: FilePath, name: str) -> None:
-    """Writes the scene that draws a plan: the scene's machine, its servos told where the tip is to be; `name` is that of the drawing.
+    """Writes the scene that draws a plan: the scene's machine with tip commands for its servos. `name` is the name of the drawing.
 
-    Signals of the scene and its further runs are left out.
+    Signals and further runs of the original scene are left out.
     """
     values = {
         key: value
@@ -379,30 +381,30 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
 
 
 def _knots(tip: Floats) -> Flags:
-    """Rows of a motion (n, 2) that straight lines between them need: those where the velocity changes."""
+    """Rows of a motion (n, 2) that linear interpolation needs: the rows with a change of velocity."""
     change = np.any(np.abs(np.diff(tip, 2, axis=0)) > 1e-15, axis=-1)
     return np.concatenate([[True], change, [True]])
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Motion of the machine, by the unit: one row per communication point."""
+    """Motion of the machine, simulated by the unit: one row per communication point."""
 
     plan: Plan
     tip: Floats
-    """m, (n, 2)."""
+    """Position of the tip, m, (n, 2)."""
 
     torque: Floats
-    """Torques of the servos, N·m, (n, 2)."""
+    """Servo torques, N·m, (n, 2)."""
 
     late: Floats
-    """Distance of the tip from where it was told to be at that time, m, (n,)."""
+    """Distance of the tip from the position commanded for that time, m, (n,)."""
 
     off: Floats
-    """Distance of the tip from the nearest stroke, m, (n,): what is seen on the paper, where the pen is down."""
+    """Distance of the tip from the nearest stroke, m, (n,): with the pen down, the visible error on paper."""
 
     def words(self) -> str:
-        """Largest and root mean square errors with the pen down, in a sentence."""
+        """A sentence with largest and root mean square errors with the pen down."""
         pen = self.plan.pen
         off, late = (1e3 * error[pen] for error in (self.off, self.late))
         return (
@@ -412,9 +414,9 @@ class Outcome:
 
 
 def compare(made: Plan, result: Result) -> Outcome:
-    """Motion of the machine in a run of the plan's scene, beside the plan."""
+    """Compares the machine's motion in a run of the plan's scene with the plan."""
     if result.failure is not None:
-        raise FiveBarError(f"the machine did not end its drawing: {result.failure}")
+        raise FiveBarError(f"the machine did not finish its drawing: {result.failure}")
     tip = np.stack([result["tip.x"], result["tip.y"]], axis=-1)
     torque = np.stack([result[f"servo.torque[{i}]"] for i in (1, 2)], axis=-1)
     return Outcome(
@@ -429,7 +431,7 @@ def strokes_of(tip: Floats, pen: Flags) -> list[Floats]:
 
 
 def write_table(made: Plan, outcome: Outcome | None, file: FilePath) -> FilePath:
-    """Writes plan and outcome as CSV, a row per communication point, in s, m, rad, rad/s and N.m; returns the file."""
+    """Writes plan and outcome as CSV with one row per communication point, in s, m, rad, rad/s and N.m; returns the file."""
     columns = {"time": made.time, "pen": made.pen.astype(int)}
     columns |= {f"tip.{axis}": made.tip[:, i] for i, axis in enumerate("xy")}
     columns |= {f"theta[{leg}]": made.theta[:, link] for leg, link in ((1, 0), (2, 3))}
