@@ -1,4 +1,4 @@
-"""The pictures of a scene, one function each; every one draws the scene's own run and, where it helps, its overlays."""
+"""The pictures of a scene, one function each. Each shows the scene's own run and, if useful, its overlays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
 
 LONGEST_SVG = 5.0
-"""Longest run, s, whose path is also written as SVG: longer ones would be megabytes."""
+"""Longest run, s, with a path as SVG too: longer ones would take megabytes."""
 
 LEAST_ENERGY = 1e-16
-"""Balance residual, J, below which there is only round-off."""
+"""Lower end of the axis of the balance residual, J: smaller values are round-off."""
 
 POSES = 11
 """Number of stroboscopic poses."""
@@ -56,7 +56,7 @@ POSE_WINDOW = 0.75
 
 
 def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events: list[Event]) -> None:
-    """Draws every picture; `begin` gives the path of a file that is written next."""
+    """Draws every picture; `begin` returns the path of the next file to write."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
@@ -66,7 +66,7 @@ def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events
             png = begin(f"{name}.png")
             figure = picture.draw(scene, runs, events)
             lay_out(figure)
-            # Equal scales on both axes leave bands of the figure empty.
+            # Crop the empty bands that equal scales on both axes leave in the figure.
             crop: dict[str, Any] = {"bbox_inches": figure.get_tightbbox().padded(0.1)} if name == "path" else {}
             figure.savefig(png, **crop)
             if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
@@ -74,7 +74,7 @@ def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events
 
 
 def path(scene: Scene, runs: list[Run], events: list[Event]) -> "Plot":
-    """Poses, and the path of the tip."""
+    """Picture of poses and of the tip's path."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
@@ -82,7 +82,7 @@ def path(scene: Scene, runs: list[Run], events: list[Event]) -> "Plot":
 
 
 def curves(run: Run, names: Sequence[str]) -> "Plot":
-    """Columns over time; those of one unit share a picture."""
+    """Columns over time; columns with the same unit share axes."""
     import matplotlib
 
     groups: dict[str, list[str]] = {}
@@ -205,7 +205,7 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> "Figure"
     rows[0].set_title(f"{scene.name}: smallest singular values, {sampling(run)}")
     for lane, kind in enumerate(KINDS):
         met = [event.time for event in events if event.kind == kind]
-        # The graver kinds are rare: a thin mark among fifty seconds would be lost.
+        # Combined and constraint singularities are rare: a thin mark would be lost in a run of 50 s.
         width = 2.5 if kind in GRAVE else 1.0
         lanes.plot(
             met,
@@ -263,7 +263,7 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure"
 
 
 def _poses(axes: "Axes", run: Run, until: float) -> None:
-    """Stroboscopic poses up to a time, s: pale at the start, strong at the end."""
+    """Draws stroboscopic poses up to a time, s: pale at the start, strong at the end."""
     last = int(np.searchsorted(run.time, until * (1 + 1e-9), side="right")) - 1
     chosen = np.unique(np.linspace(0, last, POSES).round().astype(int))
     base = run.parameters["base.distance"]
@@ -286,7 +286,7 @@ def _poses(axes: "Axes", run: Run, until: float) -> None:
 
 
 def _path_over_time(figure: "Figure", axes: "Axes", run: Run) -> None:
-    """The tip's path, its colour telling the time."""
+    """Draws the tip's path; its colour is the time."""
     from matplotlib.collections import LineCollection
 
     stride = max(1, len(run.time) // 20000)
@@ -302,7 +302,7 @@ def _path_over_time(figure: "Figure", axes: "Axes", run: Run) -> None:
 
 @dataclass(frozen=True)
 class Picture:
-    """How a picture is drawn, and whether a scene has its subject."""
+    """Draws a picture, and tests whether a scene has its subject."""
 
     draw: Callable[[Scene, list[Run], list[Event]], "Figure"]
     wanted: Callable[[Scene, list[Run]], bool] = lambda _scene, _runs: True
@@ -325,7 +325,7 @@ PICTURES = {
     "substeps": Picture(_substeps),
     "difference": Picture(_difference, lambda _scene, runs: len(runs) > 1),
 }
-"""All pictures; a scene gets those whose subject it has."""
+"""All pictures by name; a scene gets each picture with a subject in the scene."""
 
 FILES = (*(f"{name}.png" for name in PICTURES), "path.svg")
 """Names of all files that `draw_all` may write."""

@@ -1,4 +1,4 @@
-"""Pieces of a drawing that a pen follows without a rest: smooth chains of curves by arc length, and how fast they are followed."""
+"""Pieces of a drawing that a pen follows without stopping: smooth chains of curves by arc length, and their timing."""
 
 import math
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from fivebar.errors import FiveBarError
 Floats = NDArray[np.float64]
 
 CORNER = np.radians(5)
-"""Largest change of direction, rad, that a pen passes without a rest."""
+"""Largest change of direction, rad, that a pen passes without stopping."""
 
 PARTS = 8
-"""Parts of a curve whose lengths are computed one by one."""
+"""Number of parts of a curve with tabulated arc lengths."""
 
 ENDS = np.linspace(0, 1, PARTS + 1)
 
@@ -28,11 +28,11 @@ Profile = Literal["constant", "minimumJerk"]
 
 @dataclass(frozen=True)
 class Timing:
-    """How fast a pen goes."""
+    """Speed profile of a pen."""
 
     profile: Profile
     speed: float
-    """Speed of the pen, m/s: constant, or the highest one of a minimum jerk."""
+    """Speed of the pen, m/s: the constant speed, or the peak speed of a minimum-jerk motion."""
 
     acceleration: float
     """Largest acceleration along the curve, m/s2."""
@@ -43,7 +43,7 @@ class Timing:
                 raise FiveBarError(f"{name} = {value!r} {unit}: it must be positive and finite")
 
     def duration(self, length: float) -> float:
-        """Seconds that a piece of this length, m, takes."""
+        """Time to follow a piece of this length, m, in s."""
         if self.profile == "minimumJerk":
             return max(1.875 * length / self.speed, float(np.sqrt(10 / np.sqrt(3) * length / self.acceleration)))
         if length >= self.speed**2 / self.acceleration:
@@ -51,7 +51,7 @@ class Timing:
         return 2 * float(np.sqrt(length / self.acceleration))
 
     def way(self, length: float, share: Floats) -> tuple[Floats, Floats, Floats]:
-        """Way, m, and its first and second derivative by the share of the duration, at shares of it (n,) in [0, 1]."""
+        """Distance along the piece, m, at times `share` (n,) in [0, 1] of the duration, and its first and second derivative by `share`."""
         if self.profile == "minimumJerk":
             u = share
             return (
@@ -61,7 +61,7 @@ class Timing:
             )
         duration = self.duration(length)
         ramp = min(self.speed / self.acceleration / duration, 0.5)
-        # Of a trapezoid of the height that makes its area the length.
+        # Height of the trapezoidal speed profile with the area `length`.
         top = length / (1 - ramp)
         from_start, to_end = np.minimum(share, ramp), np.minimum(1 - share, ramp)
         way = np.where(share < 0.5, top * (from_start**2 / (2 * ramp) + share - from_start), 0.0)
@@ -71,41 +71,41 @@ class Timing:
 
 
 class Piece:
-    """A smooth chain of cubic curves (n, 4, 2), m, from one rest of the tip to the next."""
+    """A smooth chain of cubic curves (n, 4, 2), m, between two rests of the tip."""
 
     def __init__(self, curves: Floats, stroke: int, pen: bool):
         self.curves, self.stroke, self.pen = curves, stroke, pen
-        """`stroke` counts from 1, for a way with lifted pen it is that which follows; `pen` says whether the pen is down."""
+        """`stroke` counts from 1; a move with lifted pen has the number of the next stroke. `pen` is whether the pen is down."""
 
     @cached_property
     def _before(self) -> Floats:
-        """Ways at which the parts of all curves begin, and the length, m, (PARTS n + 1,): of pieces that are drawn, not of blocked ones."""
+        """Arc lengths at the beginnings of all parts, and the total length, m, (PARTS n + 1,); computed only if the piece is drawn."""
         lengths = _lengths(self.curves[:, None], ENDS[:-1], ENDS[1:])
         return np.concatenate([[0.0], np.cumsum(lengths.ravel())])
 
     @property
     def length(self) -> float:
-        """m."""
+        """Arc length, m."""
         return float(self._before[-1])
 
     @property
     def chord(self) -> float:
-        """Distance of its ends, m: at most its length."""
+        """Distance between the ends, m: at most the arc length."""
         return math.dist(self.curves[0, 0], self.curves[-1, 3])
 
     def at(self, way: Floats) -> tuple[Floats, Floats, Floats]:
-        """Places, m, unit tangents and curvature vectors, 1/m, (n, 2) each, at ways (n,) along the piece, m."""
+        """Positions, m, unit tangents and curvature vectors, 1/m, (n, 2) each, at arc lengths `way` (n,), m."""
         part = np.clip(np.searchsorted(self._before, way, side="right") - 1, 0, len(self._before) - 2)
         curve, within = np.divmod(part, PARTS)
         curves, begin, end = self.curves[curve], ENDS[within], ENDS[within + 1]
         left, whole = way - self._before[part], self._before[part + 1] - self._before[part]
         u = begin + (end - begin) * np.divide(left, whole, out=np.zeros_like(left), where=whole > 0)
-        for _ in range(4):  # each doubles the digits
+        for _ in range(4):  # Newton: each iteration doubles the digits
             speed = np.maximum(np.hypot(*_derivative(curves, u).T), np.finfo(float).tiny)
             u = np.clip(u - (_lengths(curves, begin, u) - left) / speed, begin, end)
         place, first, second = _place(curves, u), _derivative(curves, u), _second(curves, u)
         speed = np.hypot(*first.T)[:, None]
-        # A curve that begins or ends with two equal points has no derivative there: its direction is that to the next point.
+        # If a curve begins or ends with two equal points, its derivative is zero there: use the direction to the next point.
         direction = np.where(speed > 1e-9 * self.length, first, _direction_at_ends(curves, u))
         tangent = direction / np.hypot(*direction.T)[:, None]
         across = second - np.sum(second * tangent, axis=-1, keepdims=True) * tangent
@@ -113,7 +113,7 @@ class Piece:
 
 
 def of(strokes: list[Floats]) -> list[Piece]:
-    """The pieces of strokes, one after the other, with straight ways between them on which the pen is lifted."""
+    """The pieces of all strokes in order, joined by straight moves with lifted pen."""
     pieces: list[Piece] = []
     for number, stroke in enumerate(strokes, 1):
         if pieces and np.any((end := pieces[-1].curves[-1, 3]) != stroke[0, 0]):
@@ -129,7 +129,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _first_difference(curves: Floats) -> Floats:
-    """From the first point of curves (n, 4, 2) to the next one that is elsewhere, (n, 2)."""
+    """Vectors from the first point of curves (n, 4, 2) to the next different point, (n, 2)."""
     found = np.zeros((len(curves), 2))
     for i in (3, 2, 1):
         difference = curves[:, i] - curves[:, 0]
@@ -138,7 +138,7 @@ def _first_difference(curves: Floats) -> Floats:
 
 
 def _direction_at_ends(curves: Floats, u: Floats) -> Floats:
-    """Directions of curves (n, 4, 2) at their beginnings, or at their ends where u is beyond the middle, (n, 2)."""
+    """Directions of curves (n, 4, 2) at their beginning or, if u is beyond the middle, at their end, (n, 2)."""
     return np.where(u[:, None] < 0.5, _first_difference(curves), -_first_difference(curves[:, ::-1]))
 
 
@@ -161,7 +161,7 @@ def _second(curves: Floats, u: Floats) -> Floats:
 
 
 def _lengths(curves: Floats, begin: Floats, end: Floats) -> Floats:
-    """Arc lengths of curves (..., 4, 2) between parameters (...), by Gauss and Legendre's rule."""
+    """Arc lengths of curves (..., 4, 2) between parameters (...), by Gauss-Legendre quadrature."""
     middle, half = (begin + end) / 2, (end - begin) / 2
     lengths: Floats = np.zeros(np.broadcast_shapes(curves.shape[:-2], middle.shape))
     for node, weight in zip(NODES.tolist(), WEIGHTS.tolist()):

@@ -1,11 +1,11 @@
-"""A line on standard error that says how far a command is."""
+"""A line on standard error with the progress of a command."""
 
 import sys
 from typing import TextIO
 
 
 class Line:
-    """On a terminal each text replaces the one before; elsewhere it is a line of its own."""
+    """A progress line: on a terminal each text replaces the previous one, elsewhere it is a new line."""
 
     def __init__(self, stream: TextIO | None = None):
         self.stream = stream or sys.stderr
@@ -16,7 +16,7 @@ class Line:
         self.stream.flush()
 
     def finish(self) -> None:
-        """Clears the line of a terminal."""
+        """Clears the line on a terminal."""
         if self.terminal:
             self.stream.write("\r\x1b[K")
             self.stream.flush()

@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     from fivebar.plot import Plot
 
 ANIMATION = "animation.svg"
-"""Name of the picture that moves."""
+"""File name of the animated picture."""
 
 READ = (
     "tip.x", "tip.y", "tip.v", "theta", "omega", "passive", "elbow", "energy", "singular", "solver", "servo.torque", "contact",
 )  # fmt: skip
-"""How the names begin of what summary, events, pictures and page are made from: all runs read these."""
+"""Prefixes of the variables for summary, events, pictures and page; every run reads them."""
 
 SHOWN = ("tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]")
-"""Variables that `plot` shows if none is named."""
+"""Variables that `plot` shows by default."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(dict[str, np.ndarray]):
-    """Result of a run: a dictionary of columns with a row at each communication point, for what was asked for and for what pictures show.
+    """Result of a run: a dictionary of columns with one row per communication point.
 
-    `result["tip.x"]` is a column, (n,); `pandas.DataFrame(result)` and `dict(result)` have all of them. Two results are equal only if they
-    are the same object.
+    It has the requested columns and the columns for pictures. `result["tip.x"]` is a column, shape (n,);
+    `pandas.DataFrame(result)` and `dict(result)` have all columns. Two results are equal only if they are the same object.
 
     Examples
     --------
@@ -58,13 +58,13 @@ class Result(dict[str, np.ndarray]):
 
     scene: Scene
     runs: list[Run]
-    """The scene's own run, then those of its overlays, if they were asked for."""
+    """The scene's own run, followed by the runs of its overlays if requested."""
 
     refused: list[str]
-    """Why overlays did not start."""
+    """Sentences on overlays that did not start."""
 
     outputs: list[str]
-    """Names of the columns that tables have; the first is `time`."""
+    """Names of the columns in tables; the first is `time`."""
 
     def __post_init__(self) -> None:
         self.update(self.own.columns)
@@ -89,7 +89,7 @@ class Result(dict[str, np.ndarray]):
         )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the summary, and the path of the tip."""
+        """Summary and path of the tip, for a notebook."""
         from fivebar import pictures
 
         picture = pictures.path(self.scene, self.runs, self.singularities)._repr_png_()
@@ -100,7 +100,7 @@ class Result(dict[str, np.ndarray]):
 
     @property
     def own(self) -> Run:
-        """The scene's own run, with its parameters, times of calls, and warnings of the unit."""
+        """The scene's own run, with its parameters, call times and warnings of the unit."""
         return self.runs[0]
 
     @property
@@ -110,12 +110,12 @@ class Result(dict[str, np.ndarray]):
 
     @property
     def units(self) -> dict[str, str]:
-        """Units by name, "1" where there is none."""
+        """Units by name; "1" if a column has no unit."""
         return self.own.units
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """A sentence on each variable, by name."""
+        """Descriptions of the variables by name."""
         return self.own.descriptions
 
     @property
@@ -125,7 +125,7 @@ class Result(dict[str, np.ndarray]):
 
     @property
     def failure(self) -> str | None:
-        """The unit's sentence if the run ended before its time."""
+        """The unit's error message if the run ended early, otherwise None."""
         return self.own.failure
 
     @cached_property
@@ -139,7 +139,7 @@ class Result(dict[str, np.ndarray]):
 
     @cached_property
     def events(self) -> list[events.Row]:
-        """Table of all that the run met, with `time`, `event` and `where`: singularities, stops, the plane, what sticks and slips.
+        """Table of events with `time`, `event` and `where`: singularities, stops, contact with the plane, stick and slip.
 
         Examples
         --------
@@ -156,12 +156,12 @@ class Result(dict[str, np.ndarray]):
         return events.find(self.own, self.singularities)
 
     def between(self, begin: float, end: float) -> "Result":
-        """The result from `begin` to `end`, s, both included, at the communication points that there are.
+        """The rows from `begin` to `end`, s, both included.
 
         Raises
         ------
         FiveBarError
-            If there are none.
+            If there is no communication point between them.
 
         Examples
         --------
@@ -169,7 +169,7 @@ class Result(dict[str, np.ndarray]):
         >>> fivebar.run("swing", stop_time=0.5).between(0.1, 0.2).time[[0, -1]].tolist()
         [0.1, 0.2]
         """
-        # Times are multiples of the step, as numbers in a call are not always.
+        # Tolerance for round-off: times are multiples of the step, the arguments need not be.
         margin = 1e-9 * self.own.step_size
         runs = []
         for run in self.runs:
@@ -178,12 +178,12 @@ class Result(dict[str, np.ndarray]):
                 runs.append(run.part(slice(int(first), int(last))))
             elif run is self.own:
                 raise FiveBarError(
-                    f"no communication point is between {begin:g} and {end:g} s: the run has those from {run.time[0]:g} to {run.time[-1]:g} s"
+                    f"no communication point is between {begin:g} and {end:g} s: the run goes from {run.time[0]:g} to {run.time[-1]:g} s"
                 )
         return replace(self, runs=runs)
 
     def summary(self) -> str:
-        """Summary that the command prints: tracking, torques and stops of the motors; end of the tip, steps, times, errors, singularities."""
+        """The summary that the command prints: tracking, torques and stops of the motors; final tip position, steps, times, errors, singularities."""
         blocks = ["\n".join([f"{self.scene.name}: {self.scene.description}", *summary.assumed(self.scene)])]
         for i, run in enumerate(self.runs):
             values = next(variant.values for variant in self.scene.variants if variant.label == run.label)
@@ -197,9 +197,9 @@ class Result(dict[str, np.ndarray]):
         return "\n\n".join(blocks + self.refused)
 
     def plot(self, *names: str) -> "Plot":
-        """Columns over time, those of one unit in one picture; without names tip, motor angles and rates.
+        """Plots columns over time, by default tip, motor angles and rates. Columns with the same unit share axes.
 
-        A notebook shows the figure; elsewhere `result.plot().show()` opens a window, and `.savefig(file)` writes it.
+        A notebook shows the figure. Elsewhere `result.plot().show()` opens a window, and `.savefig(file)` writes a file.
         """
         from fivebar import pictures
 
@@ -210,7 +210,7 @@ class Result(dict[str, np.ndarray]):
         return pictures.curves(self.own, shown)
 
     def animate(self, file: str | Path | None = None) -> Path:
-        """Writes a page that animates the mechanism in any browser; without a file into the temporary folder, and opens it."""
+        """Writes a page that animates the mechanism in a browser. Without `file`, it is written to the temporary folder and opened."""
         from fivebar import animated_page
 
         path = Path(tempfile.mkdtemp(prefix="fivebar-")) / f"{self.scene.name}.html" if file is None else Path(file)
@@ -220,9 +220,9 @@ class Result(dict[str, np.ndarray]):
         return path
 
     def to_dataframe(self) -> "pandas.DataFrame":
-        """The columns `outputs` as a frame whose index is the time, s; `attrs` has `units` and `descriptions` by name.
+        """The columns `outputs` as a frame with the time, s, as index; `attrs` has `units` and `descriptions` by name.
 
-        Needs pandas, of the extra `data`.
+        Needs pandas (extra `data`).
 
         Examples
         --------
@@ -243,9 +243,9 @@ class Result(dict[str, np.ndarray]):
         return frame
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The columns `outputs` over the time, each with `units` and `description`; an enumeration also with its items, as CF has them.
+        """The columns `outputs` over time with attributes `units` and `description`; enumerations also have CF flag attributes.
 
-        Needs xarray, of the extra `data`.
+        Needs xarray (extra `data`).
 
         Examples
         --------
@@ -265,20 +265,20 @@ class Result(dict[str, np.ndarray]):
         )
 
     def _attributes(self, name: str) -> dict[str, Any]:
-        """Attributes of a variable; units and items of an enumeration by the CF conventions (1.11, sections 3.1 and 3.5)."""
+        """Attributes of a variable. Units and items of enumerations follow the CF conventions (1.11, sections 3.1 and 3.5)."""
         items = self.own.items.get(name, {})
         flags = {"flag_values": list(items), "flag_meanings": " ".join(items.values())} if items else {}
         return {"units": self.units[name], "description": self.descriptions[name], **flags}
 
     def to_csv(self, file: str | Path) -> Path:
-        """Writes the columns `outputs`, one row per communication point, in full precision; `units` has their units."""
+        """Writes the columns `outputs`, one row per communication point, in full precision. The units are in `units`."""
         self._write(Path(file), self.own)
         return Path(file)
 
     def to_parquet(self, file: str | Path) -> Path:
-        """Writes the columns `outputs`, each with its unit and description as metadata of its field.
+        """Writes the columns `outputs`; each field has unit and description as metadata.
 
-        Needs pyarrow, of the extra `data`.
+        Needs pyarrow (extra `data`).
         """
         extras.need("data", "pyarrow")
         import pyarrow
@@ -298,7 +298,7 @@ class Result(dict[str, np.ndarray]):
         table.write_columns(file, {name: run[name] for name in self.outputs})
 
     def columns(self) -> str:
-        """Sentence about the columns of the table: how their names begin, which are inputs."""
+        """A sentence on the columns of the table: number of columns by prefix, and the inputs."""
         inputs = [name for name in self.outputs if name in self.scene.signals]
         computed = groups(name for name in self.outputs[1:] if name not in inputs)
         parts = ["time", *(f"{group} ({count})" for group, count in computed.items())]
@@ -311,10 +311,10 @@ class Result(dict[str, np.ndarray]):
         show: bool = False,
         progress: Callable[[str], None] = lambda _text: None,
     ) -> list[Path]:
-        """Writes page, tables and, if told to draw, pictures to a folder, and removes what an earlier run of the scene has left there.
+        """Writes page, tables and, with `draw`, pictures to a folder; removes files of earlier runs of the scene there.
 
-        The page is first, for the others take longer; `show` opens it in the browser as soon as it is there. Returns the files written; each
-        is named to `progress` before.
+        The page is written first, since the other files take longer; `show` opens it in the browser at once. `progress` gets a
+        text before each file. Returns the files.
         """
         from fivebar import moving_picture, pictures
 
@@ -342,7 +342,7 @@ class Result(dict[str, np.ndarray]):
 
 
 def _remove_earlier(out: Path, name: str) -> None:
-    """Removes the files that an earlier run of the scene `name` wrote to `out`, and nothing else."""
+    """Removes only the files that an earlier run of the scene `name` wrote to `out`."""
     from fivebar import pictures
 
     own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
@@ -353,5 +353,5 @@ def _remove_earlier(out: Path, name: str) -> None:
 
 
 def _slug(label: str) -> str:
-    """`label` as a part of a file name."""
+    """The label as part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")

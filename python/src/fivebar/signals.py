@@ -1,9 +1,12 @@
-"""Inputs and tunable parameters that change with time, given by a few knots [time in s, value].
+"""Time-varying inputs and tunable parameters, given by a few knots [time in s, value].
 
-`{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in each, by
-10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688, eq. 3);
-`{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the next, and is the
-one that a tunable parameter may have. Before its first and after its last knot a signal is constant.
+- `{"linear": [[t, v], ...]}` interpolates linearly between the knots.
+- `{"minimumJerk": [[t, v], ...]}` rests in each knot and moves to the next by 10u³ − 15u⁴ + 6u⁵, the motion of least mean square
+  jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688, eq. 3).
+- `{"steps": [[t, v], ...]}` keeps the value of each knot until the next. Tunable parameters allow only this kind.
+- `{"rateOf": "servo.theta[1]"}` is the derivative of another signal.
+
+Before its first and after its last knot a signal is constant.
 """
 
 import math
@@ -17,17 +20,17 @@ from fivebar.errors import FiveBarError
 from fivebar.variables import Variable, Variables, shown
 
 TIP = ("tip.x", "tip.y")
-"""Outputs that have signals all the same: servos bring the tip there (`fivebar.tip_scenes`)."""
+"""Outputs that may have signals although they are computed: servos move the tip along them (`fivebar.tip_scenes`)."""
 
 LINEAR, MINIMUM_JERK, RATE_OF, STEPS = KINDS = ("linear", "minimumJerk", "rateOf", "steps")
 
 EARLY = 1e-9
-"""s: a step is there a nanosecond early, for times that a master counts together are not quite those that are written."""
+"""Lead of a step, s: times that a master adds up differ from written times by round-off."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One variable's way through its knots, or the rate of that way."""
+    """The course of one variable through its knots, or the derivative of such a course."""
 
     variable: Variable
     kind: str
@@ -37,12 +40,12 @@ class Signal:
     """Times, s, and values."""
 
     end: float
-    """Time of the last knot as it is written, s."""
+    """Time of the last knot as written in the file, s."""
 
     rate: bool = False
 
     def at(self, time: float) -> float:
-        """The value at a time, s. The order of operations is that of the crate `scenes`, so that both give the same bits."""
+        """The value at a time, s. The crate `scenes` has the same order of operations, so both give the same bits."""
         segment = min(max(bisect_right(self.knots, time, key=lambda knot: knot[0]) - 1, 0), len(self.knots) - 2)
         (start, before), (end, after) = self.knots[segment], self.knots[segment + 1]
         duration, change = end - start, after - before
@@ -52,7 +55,7 @@ class Signal:
         return change / duration * self._slope(u) if 0.0 <= u < 1.0 else 0.0
 
     def _way(self, u: float) -> float:
-        """From 0 to 1 while u goes from 0 to 1."""
+        """Interpolation from 0 to 1 for u from 0 to 1."""
         if self.kind == LINEAR:
             return u
         if self.kind == STEPS:
@@ -61,7 +64,7 @@ class Signal:
         return u * u * u * bend
 
     def _slope(self, u: float) -> float:
-        """The derivative of the way; a step has no rate."""
+        """Derivative of the interpolation; steps have none."""
         if self.kind == LINEAR:
             return 1.0
         left = 1.0 - u
@@ -114,13 +117,13 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
             raise FiveBarError(f"the knots' times must increase, but {_short(after)} s follows {_short(before)} s")
     for (begin, before), (end, after) in pairwise(knots):
         if not math.isfinite((after - before) / (end - begin)):
-            raise FiveBarError(f"the way between the knots at {_short(begin)} s and {_short(end)} s is too steep")
+            raise FiveBarError(f"the slope between the knots at {_short(begin)} s and {_short(end)} s is too large")
     early = EARLY if kind == STEPS else 0.0
     return Signal(variable, kind, tuple((time - early, v) for time, v in knots), knots[-1][0])
 
 
 def _source(given: Mapping[str, Any], name: Any, variables: Variables) -> Signal | None:
-    """The signal that a rate is of, if it has knots: one that names itself, or one that names it, would have no end."""
+    """The signal of which a rate is taken, or None if it has no knots. A rate of a rate is refused, so there are no cycles."""
     if not isinstance(name, str) or name not in given:
         return None
     try:
@@ -132,7 +135,7 @@ def _source(given: Mapping[str, Any], name: Any, variables: Variables) -> Signal
 
 
 def _kind(given: Any) -> tuple[str, Any]:
-    """The one key of a signal and its value."""
+    """The only key of a signal, and its value."""
     if isinstance(given, dict) and len(given) == 1:
         [(kind, value)] = given.items()
         if kind in KINDS:

@@ -20,7 +20,7 @@ from fivebar.slave import computed
 from fivebar.variables import chosen, of_unit, shown
 
 OnFailure = Literal["raise", "return"]
-"""What becomes of a run that ends early: a StepFailed, or its short result."""
+"""Behaviour if a run ends early: raise StepFailed, or return the incomplete result."""
 
 
 def run(
@@ -31,11 +31,10 @@ def run(
     outputs: str | Iterable[str] = (),
     on_failure: OnFailure = "raise",
 ) -> Result:
-    """Runs a scene; `progress` makes a line for a label and a stop time, s.
+    """Runs a scene; `progress` makes a progress line from a label and a stop time, s.
 
-    `outputs` are the columns of the tables, by their names or how these begin; without them there are all.
-    Raises FiveBarError if the scene or an output is refused, and StepFailed if the scene's own run ends early, unless the short result is
-    wanted.
+    `outputs` selects the columns of the tables by names or prefixes; the default is all columns. Raises FiveBarError if the
+    scene or an output is refused, and StepFailed if the scene's own run ends early and `on_failure` is "raise".
     """
     check(on_failure)
     unit = shipped.unit() if fmu is None else fmu
@@ -49,7 +48,7 @@ def run(
 
 @contextmanager
 def extracted(unit: Path) -> Iterator[str]:
-    """The folder in which a unit is extracted, as long as it is needed."""
+    """Extracts a unit to a temporary folder and removes it at the end."""
     directory = fmpy.extract(str(unit))
     try:
         yield directory
@@ -64,7 +63,7 @@ def run_in(
     progress: Callable[[str, float], Progress] | None = None,
     outputs: str | Iterable[str] = (),
 ) -> Result:
-    """Runs a scene by the unit in a folder, also to an early end."""
+    """Runs a scene with the extracted unit in a folder. An early end is not an error here."""
     ready = scene.with_method()
     runs: list[Run] = []
     refused = []
@@ -84,14 +83,14 @@ def run_in(
     return Result(ready, runs, refused, [name for name in runs[0].columns if name in written])
 
 
-# A process that runs many scenes reads it once; it takes as long as some runs.
+# Cached, since reading the model description takes as long as a short run.
 @lru_cache(maxsize=1)
 def _model(directory: str) -> ModelDescription:
     return fmpy.read_model_description(directory, validate=False)
 
 
 def failed(result: Result) -> StepFailed | None:
-    """The failure of a run that ended early."""
+    """The error for a run that ended early, or None."""
     if result.failure is None:
         return None
     end = f"after t = {result.time[-1]:g} s of {result.own.stop_time:g} s"
@@ -99,6 +98,6 @@ def failed(result: Result) -> StepFailed | None:
 
 
 def check(on_failure: str) -> None:
-    """Refuses a word for what becomes of a run that ends early."""
+    """Raises FiveBarError if `on_failure` has no allowed value."""
     if on_failure not in ("raise", "return"):
         raise FiveBarError(f"'on_failure' must be one of raise, return, not {shown(on_failure)}")
