@@ -8,7 +8,9 @@ from fivebar.scene import Scene, Variant
 from fivebar.variables import Values, of_unit
 
 _XML = ElementTree.parse(Path(__file__).parents[2] / "modelDescription" / "modelDescription.xml")
-METHODS = {item.attrib["name"]: int(item.attrib["value"]) for item in _XML.iterfind(".//SimpleType[@name='Method']//Item")}
+METHODS = {
+    item.attrib["name"]: int(item.attrib["value"]) for item in _XML.iterfind(".//SimpleType[@name='Method']//Item")
+}
 """The methods' numbers."""
 
 

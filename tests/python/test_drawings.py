@@ -182,7 +182,7 @@ def test_hidden_shapes_are_not_drawn(read: Read, name: str, value: str) -> None:
     ]
     for body in bodies:
         made = read(body + '<line x2="1" fill="red" visibility="visible"/>')
-        assert box(made)[2] == pytest.approx(1) and "What is hidden is not drawn" in " ".join(made.left_out), body
+        assert box(made)[2] == pytest.approx(1) and "Hidden elements are not drawn" in " ".join(made.left_out), body
 
 
 def test_shapes_that_only_seem_hidden_are_drawn(read: Read) -> None:

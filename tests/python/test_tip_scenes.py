@@ -169,7 +169,7 @@ def line(x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
             {"tip.x": 0.05, "tip.y": 0.5},
             "the start: tip = (0.05, 0.5) m is out of reach of the left leg: it is 0.5024937811 m from the leg's motor",
         ),
-        ({"mode.working": ["minus", "plus"]}, "'mode.working' says nothing without 'tip.x' and 'tip.y'"),
+        ({"mode.working": ["minus", "plus"]}, "'mode.working' has no effect without 'tip.x' and 'tip.y'"),
         (
             {"tip.x": 0.05, "tip.y": 0.25, "mode.working": "minusPlus"},
             "'mode.working' must be the bends of the left and the right leg",

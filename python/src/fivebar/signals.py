@@ -117,7 +117,7 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
             raise FiveBarError(f"the knots' times must increase, but {_short(after)} s follows {_short(before)} s")
     for (begin, before), (end, after) in pairwise(knots):
         if not math.isfinite((after - before) / (end - begin)):
-            raise FiveBarError(f"the slope between the knots at {_short(begin)} s and {_short(end)} s is too large")
+            raise FiveBarError(f"the way between the knots at {_short(begin)} s and {_short(end)} s is too steep")
     early = EARLY if kind == STEPS else 0.0
     return Signal(variable, kind, tuple((time - early, v) for time, v in knots), knots[-1][0])
 

@@ -1,9 +1,9 @@
-"""Singularities that a run met, as its communication points show them.
+"""Singularities that a run passes, found from its communication points.
 
-Three pairs of links can fall in line, and each has a signal in [-1, 1] that is 0 there: det J_x over its largest possible
+Three pairs of links can come into line. Each pair has a signal in [-1, 1] that is 0 in line: det J_x over its largest possible
 value for the distal links (*direct*), sin(distal - proximal angle) for each leg (*inverse*). An event is a change of sign, or
-a stay below `NEAR` that does not change the sign. Where singular.type says *combined* or *constraint*, or where a direct and
-an inverse event fall together between two points, all of them are one event of the gravest kind.
+a stay below `NEAR` without a change of sign. If singular.type is *combined* or *constraint*, or if a direct and an inverse
+event lie between the same two points, they form one event of the most severe kind.
 """
 
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from fivebar import table
 from fivebar.drive import Run
 
 NEAR = 1e-3
-"""Share of the largest possible value below which a posture counts as singular (as for the output singular.type)."""
+"""Share of the largest possible value below which a posture counts as singular (as in the output singular.type)."""
 
 KINDS = ("direct", "inverse", "combined", "constraint")
-"""The items of singular.type but "none": the later, the graver."""
+"""Items of singular.type except "none", in order of severity."""
 
 GRAVE = KINDS[2:]
-"""Kinds that take more than one pair of links in line."""
+"""Kinds with more than one pair of links in line."""
 
 PAIRS = ("distal links", "left leg", "right leg")
 
 
 @dataclass(frozen=True)
 class Event:
-    """A singularity met.
+    """A singularity that the run passes.
 
-    `postures` has for each of `PAIRS` "stretched" (the two links point away from their joint), "folded" (they lie on each
-    other) or "" (no part in the event); `passage` is "crossed" (a sign changed), "touched" (none did) or "start" (the run begins
-    there).
+    `postures` has one text for each of `PAIRS`: "stretched" (the two links point away from their joint), "folded" (they lie on
+    each other) or "" (not involved). `passage` is "crossed" (a sign changed), "touched" (no sign changed) or "start" (the run
+    begins in the singularity).
     """
 
     time: float
@@ -47,7 +47,7 @@ class Event:
 
 
 def find(run: Run) -> list[Event]:
-    """All events of a run, in the order of time."""
+    """All events of a run, sorted by time."""
     signals = _signals(run)
     single = [event for pair in range(len(PAIRS)) for event in _single(signals, pair)]
     events: list[Event] = []
@@ -59,7 +59,7 @@ def find(run: Run) -> list[Event]:
 
 
 def alignments(run: Run) -> np.ndarray:
-    """How far from being in line each of `PAIRS` is, one row per pair: a signal in [-1, 1] that is 0 there."""
+    """The signals of `PAIRS` over time, one row per pair: in [-1, 1], and 0 if the two links are in line."""
     return _signals(run).signal
 
 
@@ -69,7 +69,7 @@ def write(path: Path, events: list[Event]) -> None:
 
 
 def count(events: list[Event]) -> str:
-    """Such as "3 direct, 2 inverse (2 left, 0 right), 1 combined, 0 constraint"."""
+    """Numbers of events, such as "3 direct, 2 inverse (2 left, 0 right), 1 combined, 0 constraint"."""
     left, right = (sum(event.kind == "inverse" and event.postures[pair] != "" for event in events) for pair in (1, 2))
     numbers = [f"{sum(event.kind == kind for event in events)} {kind}" for kind in KINDS]
     numbers[1] += f" ({left} left, {right} right)"
@@ -78,14 +78,14 @@ def count(events: list[Event]) -> str:
 
 @dataclass(frozen=True)
 class _Signals:
-    """One row per pair: `signal` is 0 in line; there `alignment` is positive if the links are stretched, negative if folded."""
+    """One row per pair. `signal` is 0 in line; there `alignment` is positive for stretched and negative for folded links."""
 
     time: np.ndarray
     signal: np.ndarray
     alignment: np.ndarray
 
     def at(self, time: float) -> np.ndarray:
-        """The three signals at a time between two samples."""
+        """The three signals at a time, interpolated between samples."""
         return np.array([np.interp(time, self.time, signal) for signal in self.signal])
 
     def postures(self, time: float, pairs: set[int]) -> tuple[str, str, str]:
@@ -96,7 +96,7 @@ class _Signals:
         return distal, left, right
 
     def passage(self, pairs: set[int], window: "_Window") -> str:
-        """Change of the signs of `pairs` by a stay."""
+        """The passage of `pairs` during a window: "crossed", "touched" or "start"."""
         before, after = (self.signal[sorted(pairs), sample] for sample in (window.before, window.after))
         if np.any((before * after < 0) & (np.abs(before) >= NEAR) & (np.abs(after) >= NEAR)):
             return "crossed"
@@ -105,9 +105,9 @@ class _Signals:
 
 @dataclass(frozen=True)
 class _Window:
-    """A stay from sample `first` to `last`, the sample on either side, and the moment nearest to the singularity, s.
+    """A stay near a singularity from sample `first` to `last`, the samples before and after it, and the nearest time, s.
 
-    Between two samples neither of which is near, `first` is the later and `last` the earlier one.
+    If a crossing lies between two samples and neither is near, `first` is the later and `last` the earlier sample.
     """
 
     first: int
@@ -118,14 +118,14 @@ class _Window:
     time: float
 
     def joined(self, later: "_Window") -> "_Window":
-        """Union of the two windows, named by the graver kind."""
+        """Union of the two windows, with the more severe kind."""
         graver = max(self, later, key=lambda window: KINDS.index(window.kind))
         first, last = min(self.first, later.first), max(self.last, later.last)
         return _Window(first, last, self.before, max(self.after, later.after), graver.kind, graver.time)
 
 
 def _signals(run: Run) -> _Signals:
-    # The distal angles are measured towards the tip: opposite directions mean a stretched pair.
+    # Distal angles point towards the tip, so opposite directions mean a stretched pair.
     between = run["passive.theta[2]"] - run["passive.theta[1]"]
     bends = [run[f"passive.theta[{leg}]"] - run[f"theta[{leg}]"] for leg in (1, 2)]
     largest = run.parameters["link[2].length"] * run.parameters["link[3].length"]
@@ -143,7 +143,7 @@ def _single(signals: _Signals, pair: int) -> list[Event]:
     jumps = np.flatnonzero((signal[:-1] * signal[1:] < 0) & ~near[:-1] & ~near[1:])
     events = []
     for first, last in sorted(_stays(near) + [(int(i) + 1, int(i)) for i in jumps]):
-        # One sample on either side shows whether the sign changes during the stay.
+        # The samples on either side show whether the sign changes during the stay.
         before, after = max(first - 1, 0), min(last + 1, len(signal) - 1)
         nearest = float(times[before + int(np.argmin(np.abs(signal[before : after + 1])))])
         window = _Window(first, last, before, after, KINDS[min(pair, 1)], nearest)
@@ -154,7 +154,7 @@ def _single(signals: _Signals, pair: int) -> list[Event]:
 
 
 def _windows(run: Run, signals: _Signals, single: list[Event]) -> list[_Window]:
-    """Windows of combined and constraint singularities, in the order of time, none touching another."""
+    """Windows of combined and constraint singularities, sorted by time and separate from each other."""
     kinds = np.array([run.items["singular.type"][int(value)] for value in run["singular.type"]])
     grave = np.isin(kinds, GRAVE)
     end = len(kinds) - 1
@@ -162,7 +162,7 @@ def _windows(run: Run, signals: _Signals, single: list[Event]) -> list[_Window]:
     for first, last in _stays(grave):
         stay = slice(first, last + 1)
         kind = max(kinds[stay], key=KINDS.index)
-        # How far from the singularity each sample is; the graver samples of a stay decide.
+        # Distance of each sample from the singularity; the samples of the most severe kind decide.
         distance = run["singular.sigmaPhi"][stay] if kind == "constraint" else _apart(signals.signal[:, stay])
         nearest = first + int(np.argmin(np.where(kinds[stay] == kind, distance, np.inf)))
         windows.append(_Window(first, last, max(first - 1, 0), min(last + 1, end), str(kind), float(run.time[nearest])))
@@ -180,13 +180,13 @@ def _windows(run: Run, signals: _Signals, single: list[Event]) -> list[_Window]:
 
 
 def _apart(signal: np.ndarray) -> np.ndarray:
-    """The larger of both determinants over their largest possible values: small in a combined singularity."""
+    """The larger of both normalised determinants: it is small only in a combined singularity."""
     larger: np.ndarray = np.maximum(np.abs(signal[0]), np.abs(signal[1] * signal[2]))
     return larger
 
 
 def _grave(signals: _Signals, window: _Window, parts: list[Event]) -> Event:
-    """The event of a window, of which `parts` are the single pairs of links seen in it."""
+    """The event of a window; `parts` are the events of single pairs of links in it."""
     pairs = {0, 1, 2}
     if window.kind == "combined":
         pairs = {0} | {pair for part in parts for pair in range(len(PAIRS)) if part.postures[pair]}
@@ -197,13 +197,13 @@ def _grave(signals: _Signals, window: _Window, parts: list[Event]) -> Event:
 
 
 def _stays(near: np.ndarray) -> list[tuple[int, int]]:
-    """Index ranges (first, last) of samples that are `near`."""
+    """Index ranges (first, last) of consecutive `near` samples."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], near, [False])).astype(np.int8)))
     return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
 
 
 def _crossing(times: np.ndarray, signal: np.ndarray, before: int, after: int) -> float:
-    """Time of the first change of sign between two samples, interpolated."""
+    """Interpolated time of the first change of sign between two samples."""
     sign = np.sign(signal[before])
     beyond = before + 1 + int(np.argmax(np.sign(signal[before + 1 : after + 1]) != sign))
     a, b = signal[beyond - 1], signal[beyond]

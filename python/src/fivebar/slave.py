@@ -1,4 +1,4 @@
-"""An instance of the FMU through FMPy, with its log kept in a list."""
+"""An instance of the FMU in FMPy, with its log in a list."""
 
 import threading
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from fivebar.shipped import library
 
 @dataclass
 class Log:
-    """Everything that an instance has logged."""
+    """All log messages of an instance."""
 
     messages: list[Message] = field(default_factory=list)
 
@@ -22,11 +22,11 @@ class Log:
         return callbacks(self.messages.append)
 
     def last(self) -> str:
-        """The last sentence of a warning or worse, or "" if there is none."""
+        """The last warning or error, or "" if there is none."""
         return next((m.text for m in reversed(self.messages) if m.status > fmi2.fmi2OK), "")
 
     def warnings(self) -> list[str]:
-        """The sentences of all warnings."""
+        """All warnings."""
         return [m.text for m in self.messages if m.status == fmi2.fmi2Warning]
 
 
@@ -36,9 +36,9 @@ _LOADING = threading.Lock()
 
 
 def load(kind: type[Kind], model: ModelDescription, directory: str, name: str, guid: str | None = None) -> Kind:
-    """An FMU extracted to `directory` with its library loaded, not yet instantiated; `guid` stands for the model's own.
+    """The FMU extracted to `directory`, with its library loaded but not yet instantiated; `guid` replaces the model's GUID.
 
-    FMPy changes the working directory of the process while it loads a library, so one thread at a time does.
+    FMPy changes the working directory of the process while it loads a library, so only one thread may load at a time.
     """
     identifier = model.coSimulation.modelIdentifier
     with _LOADING:
@@ -59,14 +59,14 @@ def instantiate(
     logging_on: bool = False,
     guid: str | None = None,
 ) -> fmi2.FMU2Slave:
-    """A fresh instance of the FMU extracted to `directory`; its logger fills `log`."""
+    """A new instance of the FMU extracted to `directory`; its messages go to `log`."""
     slave = load(fmi2.FMU2Slave, model, directory, name, guid)
     slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
     return slave
 
 
 def computed(model: ModelDescription) -> list[ScalarVariable]:
-    """Computed variables of the FMU: outputs, then local variables. Derivatives are other names of some of them."""
+    """Computed variables of the FMU: outputs, then local variables, without derivatives, which are aliases."""
     return [v for v in model.modelVariables if v.causality in ("output", "local") and v.derivative is None]
 
 

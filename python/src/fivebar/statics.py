@@ -1,6 +1,6 @@
-"""Motors at rest: torques that carry a machine's weight, payload and springs, and the force that the tip can hold beyond that.
+"""Statics: motor torques that hold weight, payload and springs, and the additional tip force that the motors can hold.
 
-Friction, stops and the contact plane are left out: what friction holds comes on top.
+Friction, stops and the contact plane are neglected; friction can hold additional loads.
 """
 
 import numpy as np
@@ -13,7 +13,10 @@ Floats = NDArray[np.float64]
 
 
 def holding_torques(scene: Scene, theta: ArrayLike) -> Floats:
-    """Torques of the motors, N·m, shape (..., 2), that hold the scene's machine at rest at postures (..., 4); refused at direct singularities."""
+    """Motor torques, N·m, shape (..., 2), that hold the scene's machine at rest at postures (..., 4).
+
+    Refused at direct singularities.
+    """
     theta = np.asarray(theta, dtype=np.float64)
     machine = Machine.from_scene(scene)
     carried = np.stack(
@@ -27,15 +30,15 @@ def holding_torques(scene: Scene, theta: ArrayLike) -> Floats:
 
 
 def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Floats:
-    """Largest force, N, shape (...), that the tip at rest holds in every direction by motor torques within +-`limits`, N·m.
+    """Largest force, N, shape (...), that the tip at rest holds in every direction with motor torques within +-`limits`, N·m.
 
-    The weight of links and payload and the springs take their share of the torques first; below 0 the motors do not carry even those.
-    Not above 0 at direct singularities.
+    Torques against weight and springs are deducted first. A negative value means that the motors cannot hold even these. At
+    direct singularities the value is at most 0.
     """
     theta = np.asarray(theta, dtype=np.float64)
     machine = Machine.from_scene(scene)
     sine = sines(theta)
-    # All torques times sin(theta3 - theta2), which is finite at direct singularities as well.
+    # All torques are multiplied by sin(theta3 - theta2) and so stay finite at direct singularities.
     t1, t2, t3, t4 = (theta[..., i] for i in range(4))
     l1, l2, l3, l4 = machine.lengths
     by_angle = _weight(scene, theta)
@@ -52,7 +55,7 @@ def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Fl
 
 
 def _weight(scene: Scene, theta: Floats) -> Floats:
-    """Generalised forces of gravity on the links' angles, N·m, shape (..., 4): links 1 and 2 carry the payload."""
+    """Generalised forces of gravity in the link angles, N·m, shape (..., 4); the payload is on links 1 and 2."""
     masses, arms, lengths = (
         [float(scene[f"link[{i}].{what}"]) for i in range(1, 5)] for what in ("mass", "com", "length")
     )
@@ -66,12 +69,12 @@ def _weight(scene: Scene, theta: Floats) -> Floats:
             masses[3] * arms[3] + masses[2] * lengths[3],
         ]
     )
-    # The direction of a link turned by 90 degrees, times that of gravity.
+    # Scalar product of gravity with the link's direction rotated by 90 degrees.
     return pull * moments * np.sin(float(scene["gravity.direction"]) - theta)
 
 
 def _springs(scene: Scene, theta: Floats) -> Floats:
-    """Torques of the springs on the motor axes, N·m, shape (..., 2), at the turn nearest to their rest."""
+    """Spring torques on the motor axes, N·m, shape (..., 2), with the angle at the whole turn nearest to the spring's rest angle."""
     motors = theta[..., [0, 3]]
     if not scene["spring.enabled"]:
         return np.zeros_like(motors)

@@ -1,7 +1,7 @@
-"""Drawings as strokes of a pen: the shapes of an SVG, whatever their colours, or the rows of a CSV.
+"""Drawings as strokes of a pen: the shapes of an SVG in any colour, or the rows of a CSV.
 
-A stroke is a chain of cubic Bézier curves, shape (n, 4, 2), in m, y upwards; lines are such curves too. Lengths of a drawing are in mm
-unless it says otherwise: an SVG by the units of its width and height, a CSV by its header, as in `x [m],y [m],pen`.
+A stroke is a chain of cubic Bézier curves, shape (n, 4, 2), in m, y upwards; lines are such curves too. The default unit of a
+drawing is mm. An SVG sets another unit by its width and height, a CSV by its header, as in `x [m],y [m],pen`.
 """
 
 import itertools
@@ -17,18 +17,18 @@ from fivebar.errors import FiveBarError
 Floats = NDArray[np.float64]
 
 LARGEST = 10_000_000
-"""Bytes of a drawing, at most."""
+"""Largest size of a drawing's file, bytes."""
 
 MOST_STROKES = 10_000
-"""Strokes of a drawing, at most: the rests between as many take more than an hour."""
+"""Largest number of strokes in a drawing: the rests between so many take more than an hour."""
 
 MOST_CURVES = 100_000
-"""Curves of a drawing, at most."""
+"""Largest number of curves in a drawing."""
 
 MM = 1e-3
 
 ROUND_OFF = 1e-12
-"""Size of a curve, in multiples of its largest coordinate, below which it is a point."""
+"""Size of a curve, in multiples of its largest coordinate, below which it counts as a point."""
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": MM, "in": 25.4e-3}
 """Units that the header of a CSV may name, in m."""
@@ -36,32 +36,32 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": MM, "in": 25.4e-3}
 
 @dataclass(frozen=True)
 class Drawing:
-    """Strokes that a pen is to draw."""
+    """Strokes for a pen."""
 
     strokes: list[Floats]
-    """Cubic curves, m, shape (n, 4, 2) each; a curve begins where the one before it ends."""
+    """Chains of cubic curves, m, shape (n, 4, 2) each; every curve begins at the end of the previous one."""
 
     left_out: tuple[str, ...] = ()
-    """Sentences on what the file has beside strokes, and on its units."""
+    """Sentences on parts of the file that are left out, and on its units."""
 
     @property
     def box(self) -> Floats:
-        """Lower left and upper right corner, m, shape (2, 2): of the curves, to 1e-3 of the drawing's size."""
+        """Bounding box of the curves: lower left and upper right corner, m, shape (2, 2), to 1e-3 of the drawing's size."""
         points = np.concatenate([points_of(stroke, 16).reshape(-1, 2) for stroke in self.strokes])
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def placed(self, at: tuple[float, float], width: float | None = None) -> "Drawing":
-        """The drawing with the middle of its box at a place, m, and scaled to a width, m, if one is told."""
+        """The drawing with the middle of its box at the point `at`, m, and scaled to `width`, m, if given."""
         low, high = self.box
         extent = high - low
-        # A drawing without width, as a vertical line, is as wide as it is high.
+        # For a drawing without width, such as a vertical line, `width` is its height.
         scale = 1.0 if width is None else width / float(extent[0] if extent[0] > 0 else extent[1])
         middle = (low + high) / 2
         return replace(self, strokes=[np.array(at) + scale * (stroke - middle) for stroke in self.strokes])
 
 
 def points_of(curves: Floats, count: int) -> Floats:
-    """Points of curves (n, 4, 2) at `count` + 1 even parameters: shape (n, count + 1, 2)."""
+    """Points of curves (n, 4, 2) at `count` + 1 equally spaced parameters, shape (n, count + 1, 2)."""
     u = np.linspace(0, 1, count + 1)[:, None]
     weights = np.concatenate([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3], axis=1)
     points: Floats = np.einsum("ui,nik->nuk", weights, curves)
@@ -69,7 +69,7 @@ def points_of(curves: Floats, count: int) -> Floats:
 
 
 def read(file: str | Path) -> Drawing:
-    """The drawing in an .svg or .csv. Raises FiveBarError, with one sentence, if there is none in it."""
+    """Reads a drawing from an .svg or .csv file. Raises FiveBarError, with one sentence, if the file has no drawing."""
     path = Path(file)
     kinds = {".svg": _svg, ".csv": _csv}
     if path.suffix.lower() not in kinds:
@@ -89,12 +89,12 @@ def read(file: str | Path) -> Drawing:
 
 def _svg(content: bytes) -> Drawing:
     found, remarks = svg.read(content, MOST_STROKES, MOST_CURVES)
-    # The y of an SVG points down.
+    # The y axis of an SVG points down.
     return Drawing([stroke for each in found for stroke in _without_points(each * (MM, -MM))], remarks)
 
 
 def _without_points(stroke: Floats) -> list[Floats]:
-    """The stroke without curves that are points but for round-off, or nothing if all are."""
+    """The stroke without curves that are points within round-off; an empty list if all are points."""
     if not len(stroke):
         return []
     sizes = np.abs(stroke - stroke[:, :1]).max(axis=(1, 2))
@@ -136,7 +136,7 @@ def _csv(content: bytes) -> Drawing:
 
 
 def _unit_of(header: list[str]) -> float:
-    """The unit of a header's columns, in m."""
+    """The unit in a header's columns, m."""
     found = [table.named(cell) for cell in header]
     names = [name.removeprefix("tip.") for name, _ in found]
     units = {unit or "mm" for _, unit in found[:2]}

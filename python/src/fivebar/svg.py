@@ -1,7 +1,6 @@
-"""The lines of an SVG: its tree with units, styles, references and transforms; svgelements reads path data and colours.
+"""Reads the lines of an SVG: elements, units, styles, references and transforms. svgelements reads path data and colours.
 
-The work is bounded: elements, strokes and curves are counted before anything is made of them, each as often as `<use>`
-repeats it.
+The effort is bounded: elements, strokes and curves are counted before they are processed, including the repetitions by `<use>`.
 """
 
 import re
@@ -37,10 +36,10 @@ Floats = NDArray[np.float64]
 Element = ElementTree.Element
 
 PX = 25.4 / 96
-"""mm, by CSS."""
+"""Size of a CSS pixel, mm."""
 
 UNITS = {"mm": 1.0, "cm": 10.0, "in": 25.4, "Q": 0.25, "pt": 25.4 / 72, "pc": 25.4 / 6, "px": PX}
-"""The absolute units of CSS, in mm; their case does not matter."""
+"""The absolute units of CSS, in mm; upper and lower case are equivalent."""
 
 FACTORS = {unit.lower(): factor for unit, factor in UNITS.items()}
 
@@ -48,19 +47,19 @@ ANGLES = {"": 1.0, "deg": 1.0, "rad": 180 / np.pi, "grad": 0.9, "turn": 360.0}
 """Units of angles, in degrees."""
 
 ARC = np.pi / 16
-"""Largest angle of an arc that one cubic curve stands for: it is off by 1e-8 of the radius."""
+"""Largest angle of an arc per cubic curve: the error is 1e-8 of the radius."""
 
 MOST_ELEMENTS = 100_000
-"""Elements that are looked at, with those that `<use>` repeats, at most."""
+"""Largest number of elements, including repetitions by `<use>`."""
 
 MOST_CHARACTERS = 10_000_000
-"""Characters of their attributes, at most."""
+"""Largest number of characters in their attributes."""
 
 MOST_DEPTH = 200
-"""Elements within each other at most, with those that `<use>` names: far below Python's limit of recursion."""
+"""Largest depth of nested elements, including references by `<use>`: far below Python's recursion limit."""
 
 MOST_REMARKS = 20
-"""Sentences on what is left out, at most."""
+"""Largest number of sentences on parts that are left out."""
 
 SVG = "{http://www.w3.org/2000/svg}"
 SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
@@ -74,7 +73,7 @@ INHERITED = {
     "stroke-opacity": "1",
     "stroke-width": "1",
 }
-"""Properties that children have from their parents, with their initial values."""
+"""Properties that children inherit from their parents, with initial values."""
 
 LEFT_OUT = {
     "clip-path": "The clip path",
@@ -84,18 +83,18 @@ LEFT_OUT = {
     "marker-end": "The marker",
     "stroke-dasharray": "The dash pattern",
 }
-"""Properties that change what is seen of a line."""
+"""Properties that change the appearance of a line, with their names in messages."""
 
 NUMBER = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"
 SEPARATOR = r"\s*+,?\s*+"
 LENGTH = re.compile(rf"\s*({NUMBER})\s*(%|[a-zA-Z]*)\s*")
 FLEXIBLE = re.compile(rf"\s*(?:auto|{NUMBER}\s*%)?\s*")
-"""A size that says nothing of how large a page is."""
+"""A relative size, which does not determine the size of a page."""
 
 TRANSFORM = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)[\s,]*")
 
 COMMANDS = re.compile(r"[\sMmZzLlHhVvCcSsQqTtAaEe0-9+\-.,]*")
-"""The characters of path data; `e` in numbers."""
+"""Characters of path data; `e` occurs in numbers."""
 
 ARGUMENTS = {
     **{
@@ -104,7 +103,7 @@ ARGUMENTS = {
     },
     "a": re.compile(rf"(?:{SEPARATOR}{NUMBER}){{3}}(?:{SEPARATOR}[01]){{2}}(?:{SEPARATOR}{NUMBER}){{2}}"),
 }
-"""One group of arguments of each command of path data that has any."""
+"""Pattern of one group of arguments, for each path command with arguments."""
 
 FUNCTIONS = {
     "matrix": (6,),
@@ -118,34 +117,34 @@ FUNCTIONS = {
     "skewX": (1,),
     "skewY": (1,),
 }
-"""Functions of a transform, and how many arguments they may have."""
+"""Functions of a transform, and their allowed numbers of arguments."""
 
 PLACES = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
-"""Words of a transform's origin."""
+"""Keywords of a transform's origin."""
 
 Style = dict[str, str]
 
 
 class _Frame(NamedTuple):
-    """Place of an element on the page."""
+    """Coordinate system of an element on the page."""
 
     matrix: Floats
-    """From its user units to mm, shape (3, 3), y downwards."""
+    """Matrix from user units to mm, shape (3, 3), y downwards."""
 
     viewport: tuple[float | None, float | None]
-    """Width and height of the nearest <svg>, user units, to which percentages refer; None if the page has no size."""
+    """Width and height of the nearest <svg>, user units, as the reference of percentages; None if the page has no size."""
 
     inherited: Style
     within: tuple[Element, ...] = ()
-    """The elements around it, with the <use> that named them."""
+    """The enclosing elements, including each <use> on the way."""
 
 
 _Planned = tuple[Element, Callable[[], Shape], Floats]
-"""An element, what makes its shape, and the matrix from its user units to mm."""
+"""An element, the function that makes its shape, and the matrix from its user units to mm."""
 
 
 def read(content: bytes, most_strokes: int, most_curves: int) -> tuple[list[Floats], tuple[str, ...]]:
-    """Strokes, cubic curves (n, 4, 2) in mm, y downwards, and sentences on units and on what is left out."""
+    """Strokes as cubic curves (n, 4, 2) in mm, y downwards, and sentences on units and on parts that are left out."""
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -158,13 +157,13 @@ def read(content: bytes, most_strokes: int, most_curves: int) -> tuple[list[Floa
 
 
 def _name(element: Element) -> str:
-    """The name of an SVG's element without its namespace; comments and elements of others have none."""
+    """The name of an SVG element without namespace; "" for comments and elements of other namespaces."""
     tag = element.tag if isinstance(element.tag, str) else "{}"
     return tag.removeprefix(SVG) if tag.startswith(SVG) or "{" not in tag else ""
 
 
 class _Document:
-    """An SVG as it is walked through."""
+    """An SVG, and the state of reading it."""
 
     def __init__(self, root: Element, most_strokes: int, most_curves: int):
         self.root = root
@@ -177,15 +176,15 @@ class _Document:
         self.spent: Counter[str] = Counter()
         self.said: dict[str, None] = {}
         self.hidden = ""
-        """A sentence on what is hidden, if anything is."""
+        """A sentence on hidden elements, or ""."""
         self.css = _Sheet(root, self.said)
-        # Of several elements with one id, browsers take the first.
+        # If several elements have the same id, browsers use the first.
         self.named = {identity: element for element in reversed([*root.iter()]) if (identity := element.get("id"))}
         self.unit = 1.0
-        """mm that a user unit of the page has, but for a viewBox: a page without any unit is in mm."""
+        """Size of a user unit of the page without viewBox, mm; 1 if the page has no units."""
 
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on units and on what is left out."""
+        """Sentences on units and on parts that are left out."""
         said = [*self.said, *filter(None, [self.hidden])]
         return tuple(
             said
@@ -194,7 +193,7 @@ class _Document:
         )
 
     def strokes(self) -> Iterator[Floats]:
-        """All strokes; to be called once. Shapes are made when all of them have been counted."""
+        """All strokes; call it once. All shapes are counted before the first is made."""
         for element, make, matrix in list(self._drawn(self.root, _Frame(np.eye(3), (None, None), INHERITED))):
             yield from self._of_shape(element, make, matrix)
 
@@ -206,7 +205,7 @@ class _Document:
     # Elements
 
     def _drawn(self, element: Element, frame: _Frame) -> Iterator[_Planned]:
-        """Shapes of an element and of those in it."""
+        """Shapes of an element and of its children."""
         name = _name(element)
         if name not in (*CONTAINERS, *SHAPES):
             self._leave_out(element, name)
@@ -251,7 +250,7 @@ class _Document:
                 yield from self._drawn(child, frame)
 
     def _leave_out(self, element: Element, name: str) -> None:
-        """Says what cannot be drawn; definitions and descriptions are not meant to be."""
+        """Reports an element that cannot be drawn, unless it is a definition or a description."""
         if name == "text":
             text = next((part.strip() for part in element.itertext() if part.strip()), "")
             self.said[
@@ -265,12 +264,12 @@ class _Document:
     def _hide(self, element: Element) -> None:
         if not self.hidden:
             self.hidden = (
-                f"What is hidden is not drawn, such as {_called(element)} "
+                f"Hidden elements are not drawn, such as {_called(element)} "
                 "(display, visibility, opacity, no size, or neither fill nor stroke)."
             )
 
     def _used(self, element: Element, style: Style, frame: _Frame) -> Iterator[_Planned]:
-        """Shapes of the element that a <use> refers to."""
+        """Shapes of the element to which a <use> refers."""
         target = next((value for key, value in element.items() if key.rpartition("}")[2] == "href"), "")
         used = self.named.get(target.removeprefix("#")) if target.startswith("#") else None
         if used is None:
@@ -282,7 +281,7 @@ class _Document:
             yield from self._drawn(used, frame._replace(matrix=frame.matrix @ _moved(x, y)))
 
     def _chosen(self, element: Element) -> list[Element]:
-        """The first child of a <switch> that asks neither for an extension nor for another language than English."""
+        """The first child of a <switch> that requires no extension and no other language than English."""
         for child in element:
             languages = [language.strip() for language in child.get("systemLanguage", "en").split(",")]
             if (
@@ -299,7 +298,7 @@ class _Document:
     def _length(
         self, element: Element, style: Style, name: str, frame: _Frame, axis: int | None, least: float = -np.inf
     ) -> float | None:
-        """A length in user units, None if it is not given; percentages are of axis 0, 1, or of the diagonal (None)."""
+        """A length in user units, or None if it is not given. Percentages refer to axis 0 or 1, or to the diagonal (None)."""
         text = style.get(name)
         if text is None or text == "auto":
             return None
@@ -312,7 +311,7 @@ class _Document:
         return value
 
     def _measure(self, what: str, text: str, share: float | None) -> float:
-        """A length in user units; a percentage is a share of that length."""
+        """A length in user units; percentages refer to the length `share`."""
         match = LENGTH.fullmatch(text)
         unit = match[2].lower() if match else ""
         if match is None or unit not in ("", "%", *FACTORS) or not np.isfinite(float(match[1])):
@@ -331,11 +330,11 @@ class _Document:
         self.said["Its px are 25.4/96 mm (CSS)."] = None
 
     def _page(self, root: Element, style: Style, frame: _Frame) -> _Frame:
-        """The frame of what is in the root, whose width and height say the units.
+        """The frame of the root's children; width and height of the root determine the units.
 
-        If one of both is missing, it follows from the viewBox's shape (CSS 2.1, section 10.4).
+        If one of the two is missing, it follows from the aspect ratio of the viewBox (CSS 2.1, section 10.4).
         """
-        # A style such as width:100% fits the page into a window: the attribute says how large it is.
+        # A style such as width:100% only fits the page into a window; the attribute has the size.
         told = {name: (style.get(name, ""), root.get(name, "")) for name in ("width", "height")}
         sizes = {name: [text.strip() for text in both if not FLEXIBLE.fullmatch(text)] for name, both in told.items()}
         texts = {name: found[0] for name, found in sizes.items() if found}
@@ -359,9 +358,9 @@ class _Document:
         return self._within_box(root, frame._replace(matrix=frame.matrix @ self._transform(root, style, frame)), box)
 
     def _nested(self, element: Element, style: Style, frame: _Frame) -> _Frame:
-        """The frame of what is in an <svg> within the root."""
+        """The frame of the children of an <svg> inside the root."""
         x, y = (self._length(element, style, name, frame, axis) or 0.0 for axis, name in enumerate("xy"))
-        # The sizes of a <use> that names it come before its own.
+        # The size of a <use> that refers to it has priority over its own.
         outer = frame.within[-2]
         size = self._size(element, style, frame)
         if _name(outer) == "use":
@@ -394,7 +393,7 @@ class _Document:
         return box
 
     def _within_box(self, element: Element, frame: _Frame, box: Floats | None) -> _Frame:
-        """The frame within a viewBox, fitted into the viewport by preserveAspectRatio."""
+        """The frame inside a viewBox, fitted into the viewport by preserveAspectRatio."""
         if box is None:
             return frame
         wide, high = frame.viewport
@@ -433,7 +432,7 @@ class _Document:
         if _word(style, "transform-box") not in ("", "view-box") and "transform-origin" in style:
             raise FiveBarError(
                 f"<{_name(element)}> has transform-box={style['transform-box']!r:.60}: "
-                "transform-origin is read with view-box only"
+                "with transform-origin, only view-box is allowed"
             )
         if len(origin) == 1:
             origin.append("center")
@@ -479,7 +478,7 @@ class _Document:
     # Shapes
 
     def _shape(self, element: Element, name: str, style: Style, frame: _Frame) -> Callable[[], Shape] | None:
-        """Counts the curves of a shape and returns what makes it, in its user units; None if there is nothing of it."""
+        """Counts the curves of a shape and returns a function that makes it in user units; None if the shape is empty."""
 
         def length(key: str, axis: int | None, least: float = -np.inf) -> float | None:
             return self._length(element, style, key, frame, axis, least)
@@ -518,7 +517,7 @@ class _Document:
                 if width > 0 and height > 0
                 else None
             )
-        # Four arcs, and what closes them.
+        # Four arcs and the closing line.
         self._spend("curves", 5)
         cx, cy = length("cx", 0) or 0.0, length("cy", 1) or 0.0
         if name == "circle":
@@ -529,7 +528,7 @@ class _Document:
         return partial(Ellipse, cx, cy, rx, ry) if rx > 0 and ry > 0 else None
 
     def _count(self, data: str) -> None:
-        """Refuses path data that are none, and counts its curves before they are made."""
+        """Refuses invalid path data, and counts its curves before they are made."""
         if data == "none":
             return
         if not COMMANDS.fullmatch(data):
@@ -557,7 +556,7 @@ class _Document:
                 at += 1
 
     def _of_shape(self, element: Element, make: Callable[[], Shape], matrix: Floats) -> Iterator[Floats]:
-        """Strokes of a shape: its curves, then transformed, because arcs are no arcs any more if a transform skews."""
+        """Strokes of a shape. Arcs become cubic curves before the transform, since a skewed arc is no longer an arc."""
         try:
             segments = list(Outline(make()).segments(transformed=False))
             parts = [
@@ -585,7 +584,7 @@ class _Document:
 
 
 def _cubic(segment: Any) -> list[complex]:
-    """The cubic curve of a segment, by four points."""
+    """The cubic curve of a segment as four points."""
     start, end = complex(segment.start), complex(segment.end)
     if isinstance(segment, CubicBezier):
         return [start, complex(segment.control1), complex(segment.control2), end]
@@ -597,7 +596,7 @@ def _cubic(segment: Any) -> list[complex]:
 
 
 def _stroke(curves: list[list[complex]], matrix: Floats) -> list[Floats]:
-    """A stroke in mm, or none if there are no curves."""
+    """A list with the stroke in mm; empty if there are no curves."""
     if not curves:
         return []
     points = np.array(curves, dtype=complex)
@@ -639,7 +638,7 @@ def _is_zero(text: str) -> bool:
 
 
 def _is_visible(inherited: Style) -> bool:
-    """Whether a shape is seen: it is not hidden, and filled or stroked with a colour that is not transparent."""
+    """Whether a shape is visible: not hidden, and filled or stroked with a colour that is not transparent."""
     painted = [
         not _is_clear(inherited[paint]) and not any(_is_zero(inherited[size]) for size in sizes)
         for paint, sizes in (("fill", ("fill-opacity",)), ("stroke", ("stroke-opacity", "stroke-width")))
@@ -649,23 +648,23 @@ def _is_visible(inherited: Style) -> bool:
 
 @lru_cache
 def _is_clear(colour: str) -> bool:
-    # svgelements does not know the opacity of rgb(0 0 0 / 0).
+    # svgelements does not read the opacity in rgb(0 0 0 / 0).
     if opacity := re.search(r"/\s*([^)]*)\)\s*$", colour):
         return _is_zero(opacity[1])
     try:
         made = Color(colour.strip())
     except (ValueError, TypeError, AttributeError, IndexError):
-        # Not a colour that svgelements knows: something is painted.
+        # svgelements does not know this colour, so it counts as visible.
         return False
     return made.value is None or made.alpha == 0
 
 
 class _Sheet:
-    """The style sheets of a drawing: selectors of one element, class or id."""
+    """The style sheets of a drawing; selectors of one element, class or id are read."""
 
     def __init__(self, root: Element, said: dict[str, None]):
         self.rules: dict[str, list[tuple[int, Style]]] = {}
-        """Declarations by selector, each with its place in the sheet."""
+        """Declarations by selector, each with its index in the sheet."""
         self.known: dict[Element, Style] = {}
         text = "".join("".join(element.itertext()) for element in root.iter() if _name(element) == "style")
         text = re.sub(r"/\*.*?\*/|<!--|-->", "", text, flags=re.DOTALL)
@@ -683,7 +682,7 @@ class _Sheet:
                     ] = None
 
     def style(self, element: Element) -> Style:
-        """Attributes and properties of an element, without those that it inherits, by the cascade."""
+        """Attributes and properties of an element after the cascade, without inherited properties."""
         if element not in self.known:
             name = _name(element)
             classes = element.get("class", "").split()
@@ -710,7 +709,7 @@ class _Sheet:
 
 
 def _declared(text: str) -> Style:
-    """Declarations `name: value`; the value of one that is `!important` ends in `!`."""
+    """Declarations `name: value`; values that are `!important` end in `!`."""
     found: Style = {}
     for part in text.split(";"):
         name, colon, value = part.partition(":")

@@ -1,8 +1,8 @@
-"""Tables as CSV: a head with a name for each column, then rows.
+"""Tables as CSV: a header with a name for each column, then rows.
 
-They are written with commas, numbers in full precision, and plain names, so that every reader of CSV finds a variable by its name. They are
-read as spreadsheets and loggers write them as well: with commas, semicolons or tabs between the columns, with a decimal comma, with units in
-brackets behind the names, and in any encoding that `fivebar.encoding` knows.
+Tables are written with commas, numbers in full precision and plain names, so every CSV reader finds a variable by its name.
+Tables of spreadsheets and loggers can be read too: with commas, semicolons or tabs between the columns, a decimal comma,
+units in brackets after the names, and in any encoding that `fivebar.encoding` knows.
 """
 
 import csv
@@ -24,13 +24,13 @@ from fivebar import encoding
 from fivebar.errors import FiveBarError
 
 LARGEST = 1_000_000_000
-"""Bytes of a table that is read, at most."""
+"""Largest size of a table to read, bytes."""
 
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null"))
-"""Cells without a number, in small letters."""
+"""Texts of cells without a number, in lower case."""
 
 UNIT = re.compile(r"(.+?)(?:\s+|(?!\[\d+]))\[([^][]*)]")
-"""A name and its unit; a number in brackets right behind a name, as in `theta[1]`, belongs to the name."""
+"""A name and its unit; a number in brackets directly after a name, as in `theta[1]`, belongs to the name."""
 
 
 @dataclass(frozen=True)
@@ -41,17 +41,18 @@ class Table:
     """The requested columns, (n) each."""
 
     units: dict[str, str]
-    """Units in the head, by the column's name."""
+    """Units in the header by column name."""
 
     others: list[str]
     """Names of all other columns."""
 
 
 def read(file: Path, wanted: Collection[str], counted: str, *, numbered: bool = False) -> Table:
-    """Reads the columns `wanted` and `counted`, as far as a table has them. Raises FiveBarError, with one sentence that names the file.
+    """Reads the columns `wanted` and `counted` that a table has. Raises FiveBarError, with one sentence that names the file.
 
-    The column `counted` counts from its first number, which is subtracted as a decimal: beyond 1e9, as times since 1970 are, floats have steps of 1e-7.
-    With `numbered`, a first row of numbers is no head: the columns are then called 1, 2, 3, ….
+    The first number of the column `counted` is subtracted from the column in decimal arithmetic: at times since 1970, above
+    1e9 s, floats have steps of 1e-7 s or more. With `numbered`, a first row of numbers is data, and the columns are called
+    1, 2, 3, ….
     """
     try:
         return _parse(encoding.read(file, LARGEST), wanted, counted, numbered)
@@ -112,13 +113,13 @@ def rows(text: str) -> Iterator[list[str]]:
 
 
 def named(cell: str) -> tuple[str, str]:
-    """The name of a column and its unit, or "" without one."""
+    """The name of a column and its unit, or "" if there is no unit."""
     found = UNIT.fullmatch(cell.strip())
     return (found[1], found[2].strip()) if found else (cell.strip(), "")
 
 
 def number(cell: str) -> float:
-    """The number in a cell, with a point or a comma, or NaN if there is none. Raises ValueError if there is something else."""
+    """The number in a cell, with decimal point or comma, or NaN for a cell without number. Raises ValueError for other text."""
     try:
         return float(cell)
     except ValueError:
@@ -135,7 +136,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _decimal(cell: str) -> Decimal:
-    """The number in a cell as a decimal. Raises InvalidOperation."""
+    """The number in a cell as a Decimal. Raises InvalidOperation for other text."""
     try:
         return Decimal(cell)
     except InvalidOperation:
@@ -143,15 +144,16 @@ def _decimal(cell: str) -> Decimal:
 
 
 def _pointed(cell: str) -> str:
-    """The cell's text in Python's notation of numbers."""
+    """The cell's number in Python's notation: with a decimal point, or "nan" if the number is missing."""
     text = cell.strip().lower()
     return "nan" if text in MISSING else text.replace(",", ".")
 
 
 def write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Writes columns of numbers, (n) each; floats have the shortest digits that give back every bit.
+    """Writes columns of numbers, (n) each; floats have the fewest digits that restore every bit.
 
-    Of a run, every second column never changes: its text becomes a part of the row's format. The first column counts the rows.
+    About half of a run's columns are constant. Their text becomes part of the row's format, which is faster. The first column
+    always counts as variable, since it determines the number of rows.
     """
     cells: list[str] = []
     changing: list[list[object]] = []

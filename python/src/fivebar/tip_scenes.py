@@ -1,15 +1,17 @@
-"""Scenes in the tip's coordinates: a start by the tip's place, and places that servos are to bring the tip to.
+"""Scenes in tip coordinates: a start by tip position, and tip trajectories for the servos.
 
-Keys of a scene's file, beside its variables:
+Additional keys of a scene's file:
 
-- `tip.x`, `tip.y`: where the tip is at the start, m; `init.theta[1..2]` and `init.assembly` follow;
-- `mode.working`: bends of the left and the right leg, such as ["minus", "plus"], which is meant unless the start is given by its angles;
-- `mode.assembly`: refused where the tip cannot be in it; it decides on a direct singularity only, where both are possible;
-- signals `tip.x`, `tip.y`: `servo.theta[1..2]` and `servo.omega[1..2]` follow at every communication point, by inverse kinematics of the
-  scene's own machine. A coordinate without a signal stays at its start; a start that is not given is the signals' at 0 s.
+- `tip.x`, `tip.y`: initial tip position, m. `init.theta[1..2]` and `init.assembly` follow from it.
+- `mode.working`: bends of the left and the right leg. The default is ["minus", "plus"], or the mode of the initial angles if
+  these are given.
+- `mode.assembly`: refused if the tip cannot be in it. It matters only at a direct singularity, where both are possible.
+- signals `tip.x`, `tip.y`: `servo.theta[1..2]` and `servo.omega[1..2]` follow at every communication point, by inverse
+  kinematics of the scene's machine. A coordinate without a signal keeps its initial value. If no initial position is given, it
+  is the value of the signals at 0 s.
 
-Angles are in the turn nearest to the middle of the motor's stops, of its spring's rest, or of 0, whichever comes first; those of signals go on
-from there.
+Initial angles are at the whole turn nearest to the middle of the motor's stops, or without stops to the rest angle of its
+spring, or without spring to 0. Signals continue from there.
 """
 
 from collections.abc import Mapping
@@ -29,10 +31,10 @@ Floats = NDArray[np.float64]
 WORKING, ASSEMBLY = MODE = ("mode.working", "mode.assembly")
 
 KEYS = (*TIP, *MODE)
-"""Keys of a file that are no variables to be set."""
+"""Keys of a file that are not settable variables."""
 
 START = ("init.theta[1]", "init.theta[2]", "init.assembly")
-"""Variables that follow from the tip's start."""
+"""Variables that follow from the initial tip position."""
 
 SERVO_ANGLES, SERVO_RATES = ("servo.theta[1]", "servo.theta[2]"), ("servo.omega[1]", "servo.omega[2]")
 """Variables that follow from the tip's signals."""
@@ -42,15 +44,15 @@ OUTWARD: Working = ("minus", "plus")
 
 @dataclass(frozen=True)
 class Tip:
-    """Part of a scene in the tip's coordinates."""
+    """The part of a scene in tip coordinates."""
 
     start: Mapping[str, float]
-    """Coordinates at the start that are given, m, by key."""
+    """Given initial coordinates, m, by key."""
 
     working: Working | None
     assembly: Sign | None
     signals: Mapping[str, Signal]
-    """By key."""
+    """Signals of the tip by key."""
 
     @property
     def follows(self) -> tuple[str, ...]:
@@ -58,7 +60,7 @@ class Tip:
         return (*SERVO_ANGLES, *SERVO_RATES) if self.signals else ()
 
     def placed(self, values: Values, unit: Mapping[str, Value]) -> Values:
-        """The values of a run with its start, unless that is given by angles; `unit` has the unit's own start values."""
+        """The values of a run with initial angles from the tip position, unless given; `unit` has the unit's start values."""
         if any(name in values for name in START[:2]):
             return values
         place = tuple(self.start[name] if name in self.start else self.signals[name].at(0.0) for name in TIP)
@@ -82,7 +84,7 @@ class Tip:
         return values | dict(zip(START, motors)) | ({} if assembly == "plus" else {START[2]: 2})
 
     def commands(self, values: Values, unit: Mapping[str, Value], points: Floats) -> dict[str, Floats]:
-        """References of the servos at communication points, s, for the machine and the start of these values."""
+        """Servo references at communication points, s; `values` has the machine and its start."""
         if not self.signals:
             return {}
         machine = _machine(values, unit)
@@ -115,7 +117,7 @@ class Tip:
         return np.array([signal.at(time) for time in points.tolist()])
 
     def _of_start(self, machine: Machine, motors: Floats, values: Values) -> Working:
-        """The working mode of the start."""
+        """The working mode of the initial angles."""
         try:
             left, right = machine.forward(motors, "minus" if values.get(START[2]) == 2 else "plus").working.tolist()
         except ValueError:
@@ -124,12 +126,12 @@ class Tip:
 
 
 def read(content: Mapping[str, Any], values: Values, signals: list[Signal], variables: Variables) -> Tip | None:
-    """Part of a file's content in the tip's coordinates, or None; `values` and `signals` are all that it has."""
+    """The part of a file's content in tip coordinates, or None; `values` and `signals` are all values and signals of the file."""
     start = {name: float(variables[name].value(content[name])) for name in TIP if name in content}
     moved = {signal.variable.name: signal for signal in signals if signal.variable.name in TIP}
     if not start and not moved:
         if mode := [name for name in MODE if name in content]:
-            raise FiveBarError(f"'{mode[0]}' says nothing without 'tip.x' and 'tip.y'")
+            raise FiveBarError(f"'{mode[0]}' has no effect without 'tip.x' and 'tip.y'")
         return None
     for name in TIP:
         if name not in start and name not in moved:
@@ -170,7 +172,7 @@ def _machine(values: Values, unit: Mapping[str, Value]) -> Machine:
 
 
 def _middle(values: Values, unit: Mapping[str, Value], leg: int) -> float:
-    """The angle, rad, to which the start of a motor is to be near."""
+    """The angle, rad, to which the initial angle of a motor should be nearest."""
     stops, rest = (f"stop.lower[{leg}]", f"stop.upper[{leg}]"), (f"spring.theta0[{leg}]",)
     for switch, names in (("stop.enabled", stops), ("spring.enabled", rest)):
         if values.get(switch, unit[switch]):
@@ -183,7 +185,7 @@ def _nearest_turn(angle: float, middle: float) -> float:
 
 
 def _first_mistake(machine: Machine, mode: Working, points: Floats, tip: Floats, velocity: Floats) -> str:
-    """Time and reason of the first place that cannot be reached, or not at this velocity."""
+    """Time and reason of the first point that cannot be reached, or not with this velocity."""
     for time, place, rate in zip(points.tolist(), tip, velocity):
         try:
             machine.motor_rates(machine.inverse(place, mode).theta, rate)

@@ -1,4 +1,4 @@
-"""The unit's variables by name, from its model description: types, units, start values, bounds, and what a given value has to be."""
+"""The unit's variables by name, from its model description: types, units, start values, bounds, and checks of given values."""
 
 import difflib
 import json
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription, ScalarVariable
 
 Value = float | int | bool
-"""A value as calls of the unit carry it: enumerations are integers (FMI 2.0.4, section 2.2.7)."""
+"""A value in calls of the unit: enumerations are integers (FMI 2.0.4, section 2.2.7)."""
 
 Values = dict[str, Value]
 
 MOST_ALIKE = 3
-"""Names that an unknown one may have been meant to be, at most."""
+"""Largest number of suggestions for an unknown name."""
 
 MOST_KNOWN = 6
-"""Names that are listed where none is alike, at most."""
+"""Largest number of known names in a message if none is similar."""
 
 INTEGERS = -(2**31), 2**31 - 1
 """FMI's integers."""
@@ -45,13 +45,13 @@ class Variable:
     causality: str
     variability: str
     unit: str
-    """"1" if it has none."""
+    """"1" if the variable has no unit."""
 
     start: Value | None
     least: float | None
     most: float | None
     items: Mapping[str, int]
-    """Of an enumeration: names and numbers of its items."""
+    """Names and numbers of the items of an enumeration."""
 
     description: str
 
@@ -60,7 +60,7 @@ class Variable:
         return self.causality in ("parameter", "input")
 
     def value(self, given: Any) -> Value:
-        """The value as calls carry it, from a number, True or False, or the name of an item; from NumPy as well."""
+        """Checks a number, a Boolean or the name of an item, also of NumPy, and converts it to a value for calls."""
         given = given.item() if isinstance(given, np.generic) else given
         is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
         if self.type == "Real":
@@ -84,7 +84,7 @@ class Variable:
         raise FiveBarError(f"'{self.name}' must be {wanted}, not {shown(given)}")
 
     def number(self, given: Any) -> Value:
-        """The value as calls carry it, from what Python and NumPy have for its type; enumerations also by number. Bounds of Reals are left to the unit."""
+        """Converts a value of Python or NumPy to a value for calls. An enumeration may be a number; the unit checks bounds of Reals."""
         plain = given.item() if hasattr(given, "item") else given
         if self.type == "Real" and isinstance(plain, (int, float)) and not isinstance(plain, bool):
             return float(plain)
@@ -118,7 +118,7 @@ class Variables(Mapping[str, Variable]):
         self._by_name = {v.name: _variable(v) for v in model.modelVariables}
         experiment = model.defaultExperiment
         self.stop_time, self.step_size = float(experiment.stopTime), float(experiment.stepSize)
-        """Of the unit's own experiment, s."""
+        """Stop time and step size of the unit's default experiment, s."""
 
     def __getitem__(self, name: str) -> Variable:
         return self._by_name[name]
@@ -131,11 +131,11 @@ class Variables(Mapping[str, Variable]):
 
     @cached_property
     def start(self) -> Mapping[str, Value]:
-        """Start values of what can be set, by name."""
+        """Start values of all settable variables by name."""
         return {v.name: v.start for v in self.values() if v.can_be_set and v.start is not None}
 
     def settable(self, name: str, others: Iterable[str] = ()) -> Variable:
-        """The parameter or input of that name; `others` are names that a misspelt one may mean as well."""
+        """The parameter or input of this name; `others` are further suggestions for a misspelt name."""
         if (found := self.get(name)) is None:
             raise FiveBarError(f"there is no variable '{name}'{similar(name, [*self.start, *others])}")
         if not found.can_be_set:
@@ -143,7 +143,7 @@ class Variables(Mapping[str, Variable]):
         return found
 
     def input(self, name: str) -> Variable:
-        """The input of that name."""
+        """The input of this name."""
         found = self.get(name)
         if found is not None and found.causality == "parameter":
             what = (
@@ -160,7 +160,7 @@ class Variables(Mapping[str, Variable]):
 
 
 def of_unit(fmu: Path | None = None) -> Variables:
-    """The variables of a packed unit, of the shipped one if none is given."""
+    """The variables of a packed unit, by default the shipped one."""
     file = shipped.unit() if fmu is None else fmu
     if not file.is_file():
         raise FiveBarError(f"there is no .fmu at {file}")
@@ -210,13 +210,13 @@ def unit(variable: "ScalarVariable") -> str:
 
 
 def shown(value: Any) -> str:
-    """A value of JSON in a sentence: in one line, and not endless."""
+    """A JSON value for a message: one line of limited length."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 
 def chosen(given: Iterable[str], known: Sequence[str]) -> list[str]:
-    """Those of the columns `known` that are given, by their names or how these begin; commas may stand between the names."""
+    """The columns of `known` selected by names or prefixes; each text in `given` may have several, separated by commas."""
     found: set[str] = set()
     for name in (part.strip() for text in given for part in text.split(",")):
         meant = [name] if name in known else [other for other in known if name and other.startswith(name)]
@@ -227,12 +227,12 @@ def chosen(given: Iterable[str], known: Sequence[str]) -> list[str]:
 
 
 def groups(names: Iterable[str]) -> dict[str, int]:
-    """How the structured names begin, and how many begin so."""
+    """Prefixes of structured names, and the number of names with each prefix."""
     return dict(Counter(re.split(r"[.[]", name, maxsplit=1)[0] for name in names))
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name: those it may have been meant to be, or some that are known."""
+    """The end of a message about an unknown name: similar names, or else some known names."""
     names = list(known)
     more = len(names) - MOST_KNOWN
     some = f"; known are {', '.join(names[:MOST_KNOWN])}" + (f" and {more} more" if more > 0 else "")
@@ -240,6 +240,6 @@ def similar(name: str, known: Iterable[str]) -> str:
 
 
 def meant(name: str, known: Mapping[str, str]) -> str:
-    """The end of a sentence about an unknown name: those it may have been meant to be, by what each is called; "" where none is alike."""
+    """The end of a message about an unknown name: similar names, replaced by their values in `known`; "" if none is similar."""
     near = difflib.get_close_matches(name, known, MOST_ALIKE)
     return f"; did you mean {' or '.join(repr(known[other]) for other in near)}?" if near else ""

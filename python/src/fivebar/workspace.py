@@ -1,6 +1,7 @@
-"""Workspace of a machine: reach, singular loci, condition number, stops, largest discs and the tip's force, by working mode.
+"""Workspace of a machine in each working mode: reach, singular loci, condition number, stops, largest discs and tip force.
 
-`compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures, `fivebar.map_page.write` a page.
+`compute` makes the map of a scene, `write` its tables, `fivebar.workspace_pictures.draw` its pictures and
+`fivebar.map_page.write` a page.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,23 +22,23 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 TIP, ANGLES = ("tip.x", "tip.y"), ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
-"""The unit's names of the tip's position and of the angles of the links 1 to 4."""
+"""The unit's names for the position of the tip and the angles of the links 1 to 4."""
 
 CELLS = 160
-"""Cells of the field along the longer side of the reach."""
+"""Number of cells along the longer side of the reach."""
 
 DISC_TOLERANCE = 1e-8
-"""Tolerance of the discs' radii, in multiples of the machine's size."""
+"""Tolerance of disc radii, in multiples of the machine's size."""
 
 MOST_DISCS = 3
-"""Discs that are looked for in an aspect."""
+"""Largest number of discs in an aspect."""
 
 MOST_CELLS = 48
-"""Cells that the search for a disc keeps at a time: where many places are equally good, as on a ring, some of them are enough."""
+"""Largest number of cells in the search for a disc. If many points are equally good, as on a ring, some of them are enough."""
 
 
 class Disc(NamedTuple):
-    """A largest disc within an aspect, a connected region of the tip without singularity, and within the stops."""
+    """A largest disc within the stops and one aspect, a connected region of the tip without singularity."""
 
     assembly: Sign
     x: float
@@ -49,22 +50,22 @@ class Path(NamedTuple):
     """Motion of a scene."""
 
     time: Floats
-    """s, shape (n,)."""
+    """Time, s, shape (n,)."""
 
     tip: Floats
-    """m, shape (n, 2)."""
+    """Position of the tip, m, shape (n, 2)."""
 
     theta: Floats
     """Angles of the links 1 to 4, rad, shape (n, 4)."""
 
     def parts(self, working: Working) -> list[slice]:
-        """Stretches in a working mode."""
+        """Parts of the motion in a working mode."""
         return stretches(bends_like(self.theta, working))
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The map of a working mode: fields over (y, x) as NaN-free arrays, which mean something where `reached`."""
+    """The map of a working mode: fields over (y, x) without NaN; values are meaningful only at `reached` points."""
 
     working: Working
     theta: Floats
@@ -72,13 +73,13 @@ class Mode:
 
     reached: Flags
     stop_margin: Floats
-    """How far the motors are from their stops, rad, negative beyond one; infinite without stops."""
+    """Margin of the motors to their stops, rad: negative beyond a stop, infinite without stops."""
 
     dexterity: Floats
-    """1 over the condition number, in [0, 1]."""
+    """Reciprocal of the condition number, in [0, 1]."""
 
     force: Floats | None
-    """Force that the tip at rest holds in every direction, N; None without limits of torque."""
+    """Force that the tip at rest can hold in every direction, N; None without torque limits."""
 
     curves: list[Curve]
     discs: list[Disc]
@@ -90,7 +91,7 @@ class Mode:
 
     @property
     def name(self) -> str:
-        """Such as `minusPlus`, as the unit's `mode.working` has it."""
+        """Name of the working mode, such as `minusPlus`, as in the unit's `mode.working`."""
         return mode_name(self.working)
 
 
@@ -101,14 +102,14 @@ class Map:
     scene: Scene
     machine: Machine
     limits: tuple[float, float] | None
-    """Limits of the motors' torques, N·m."""
+    """Torque limits of the motors, N·m."""
 
     x: Floats
     y: Floats
     """Axes of the fields, m."""
 
     circles: list[Circle]
-    """Inverse singularities, which all working modes share."""
+    """Inverse singularities, the same for all working modes."""
 
     modes: list[Mode]
     path: Path | None
@@ -121,7 +122,7 @@ def compute(
     cells: int = CELLS,
     modes: Iterable[Working] = WORKING_MODES,
 ) -> Map:
-    """The map of a scene. Limits of torque, N·m, are those of its servos unless given; `path` is a motion to show."""
+    """The map of a scene. The default torque limits, N·m, are the limits of its servos; `path` is a motion to show."""
     machine = Machine.from_scene(scene)
     if limits is None and scene["servo.enabled"]:
         limits = float(scene["servo.limit[1]"]), float(scene["servo.limit[2]"])
@@ -131,7 +132,7 @@ def compute(
 
 
 def follow(scene: Scene) -> Path:
-    """The scene's motion, by the unit."""
+    """The scene's motion, simulated by the unit."""
     from fivebar import simulate
 
     result = simulate.run(scene)
@@ -148,7 +149,7 @@ def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
             f"{near_right:.10g} to {right:.10g} m, so that they never meet; both must reach some common place."
         )
     begin, end = max(-left, machine.distance - right), min(left, machine.distance + right)
-    # The lens of both outer circles is highest where they meet, or where one of them is whole.
+    # The lens of both outer circles is highest at their intersection, or at the top of a circle inside the lens.
     crossing = (machine.distance**2 + left**2 - right**2) / (2 * machine.distance) if machine.distance > 0 else 0.0
     centre_inside = begin <= 0 <= end and left <= right or begin <= machine.distance <= end and right <= left
     height = min(left, right) if centre_inside else float(np.sqrt(max(left**2 - crossing**2, 0.0)))
@@ -180,14 +181,14 @@ def _mode(
 
 
 def _coarse(chain: Floats) -> tuple[Floats, float]:
-    """A chain of every 16th point, and how far it may be from the chain."""
+    """A chain of every 16th point, and a bound of its distance from the full chain."""
     rows = np.append(np.arange(0, len(chain) - 1, 16), len(chain) - 1)
     lengths = np.hypot(*np.diff(chain, axis=0).T)
     return chain[rows], float(np.add.reduceat(lengths, rows[:-1]).max() / 2)
 
 
 def _aspects(regions: NDArray[np.int8]) -> list[tuple[int, Flags]]:
-    """Connected sets of cells of one kind but 0, by their sides, each with its kind."""
+    """Sets of cells with the same nonzero kind, connected by their sides, each with its kind."""
     labels = np.where(regions != 0, np.arange(1, regions.size + 1).reshape(regions.shape), 0)
     while True:
         before = labels.copy()
@@ -201,7 +202,7 @@ def _aspects(regions: NDArray[np.int8]) -> list[tuple[int, Flags]]:
             smaller = np.minimum(labels[low], labels[high])
             labels[low] = np.where(joined, smaller, labels[low])
             labels[high] = np.where(joined, np.minimum(smaller, labels[high]), labels[high])
-        # Each label is the number of a cell, whose own label may have become smaller.
+        # A label is the number of a cell; take over that cell's label, which may have become smaller.
         labels = np.where(labels > 0, labels.ravel()[labels - 1], 0)
         if np.array_equal(labels, before):
             break
@@ -209,9 +210,10 @@ def _aspects(regions: NDArray[np.int8]) -> list[tuple[int, Flags]]:
 
 
 def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve], x: Floats, y: Floats) -> list[Disc]:
-    """The largest disc of each aspect, a connected region without singularity, and others there that do not touch larger ones; all sorted.
+    """The largest discs of each aspect, sorted by size.
 
-    Those of a few cells are left out.
+    An aspect is a connected region without singularity. Discs in the same aspect do not touch each other, and discs of a few
+    cells are left out.
     """
     circles, chains = machine.inverse_singularities(), [curve.tip for curve in curves]
     coarse = [_coarse(chain) for chain in chains]
@@ -232,7 +234,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
         while len(start) and len(found) < MOST_DISCS:
 
             def room(middles: Floats, near: Obstacles, side: int = side, taken: list[Disc] = found) -> Floats:
-                """Distance from all obstacles and discs so far, negative outside the region."""
+                """Distance from all obstacles and previous discs, negative outside the region."""
                 distance = near.distance(middles)
                 distance = np.where(region(middles) == side, distance, -distance)
                 for disc in taken:
@@ -257,11 +259,11 @@ def _roomiest(
     slack: float,
     tolerance: float,
 ) -> tuple[Floats, float]:
-    """The place with the most room in square cells about `middles`, and how much there is.
+    """The point with the largest room in square cells around `middles`, and its room (branch and bound).
 
-    The room changes by no more than the way that a place moves. So a cell has nowhere more room than at its middle by more than half its
-    diagonal: cells that cannot be better than the best so far are dropped, the others divided, until they are small enough. `rough` obstacles
-    are off by up to `slack`; `fine` ones take their place where that matters.
+    Room is a distance, so it changes by at most the distance between two points. The room in a cell therefore exceeds the room
+    at its middle by at most half its diagonal. Cells that cannot exceed the best room so far are dropped, the others divided
+    until they are small enough. `rough` obstacles have errors up to `slack`; `fine` ones replace them once cells are small.
     """
     near, error = rough, slack
     values = room(middles, near)
@@ -288,7 +290,10 @@ def _roomiest(
 
 
 def write(survey: Map, folder: str | FilePath) -> list[FilePath]:
-    """Writes `field.csv`, `loci.csv`, `discs.csv` and, where there is a motion, `path.csv` into a folder, in s, m, rad and N; returns the files."""
+    """Writes `field.csv`, `loci.csv`, `discs.csv` and, if there is a motion, `path.csv` to a folder; returns the files.
+
+    Units are s, m, rad and N.
+    """
     directory = FilePath(folder)
     directory.mkdir(parents=True, exist_ok=True)
     tables: dict[str, tuple[list[str], Iterable[Sequence[object]]]] = {
@@ -312,7 +317,7 @@ def write(survey: Map, folder: str | FilePath) -> list[FilePath]:
 
 
 def _field_rows(survey: Map) -> Iterable[list[object]]:
-    """One row for each place that is reached."""
+    """One row for each reached point."""
     places = np.stack(np.meshgrid(survey.x, survey.y), axis=-1)
     for mode in survey.modes:
         on = mode.reached
@@ -331,7 +336,7 @@ def _field_rows(survey: Map) -> Iterable[list[object]]:
 
 
 def _locus_rows(survey: Map) -> Iterable[list[object]]:
-    """Curves of each mode, every tenth point; circles of all modes, whose angles depend on the mode."""
+    """Every tenth point of the curves of each mode, and circles, with angles that depend on the mode."""
     for number, circle in enumerate(survey.circles):
         for angle in np.linspace(-np.pi, np.pi, 361).tolist():
             tip = circle.centre[0] + circle.radius * np.cos(angle), circle.centre[1] + circle.radius * np.sin(angle)

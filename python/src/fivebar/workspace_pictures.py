@@ -1,7 +1,7 @@
-"""Pictures of a map: for each working mode the condition number, and where torques are limited the tip's force.
+"""Pictures of a map: the condition number in each working mode and, if torques are limited, the tip force.
 
-Colours are those of Okabe and Ito and the map `cividis`, which readers with colour-blindness tell apart; every line has a style of its own
-as well. The legend stands below the axes.
+The colours by Okabe and Ito and the colour map `cividis` are safe for colour-blind readers. Lines also differ in style. The
+legend is below the axes.
 """
 
 from pathlib import Path
@@ -33,13 +33,13 @@ BLACK, GREY, SKY, WHITE = "#000000", "#6c757d", "#56b4e9", "#ffffff"
 DIRECT, INVERSE = KIND_COLOURS["direct"], KIND_COLOURS["inverse"]
 
 MM = 1e3
-"""Lengths are drawn in mm."""
+"""Factor from m to mm, the unit of all pictures."""
 
 LEFT_ROOM, BELOW_ROOM = 0.75, 2.2
-"""Inches beside and below the axes."""
+"""Room to the left of and below the axes, inches."""
 
 KAPPAS = (np.inf, 20.0, 10.0, 5.0, 3.0, 2.0, 1.5, 1.0)
-"""Condition numbers between two colours."""
+"""Condition numbers at the limits between colours."""
 
 BENDS = {"plus": "counter-clockwise", "minus": "clockwise"}
 
@@ -55,7 +55,7 @@ STYLE: "dict[RcKeyType, Any]" = {
 
 
 def draw(survey: Map, folder: str | Path) -> list[Path]:
-    """Draws `condition_MODE` and `force_MODE` as .svg and .png into a folder; returns the files."""
+    """Draws `condition_MODE` and `force_MODE` as .svg and .png to a folder; returns the files."""
     directory = Path(folder)
     directory.mkdir(parents=True, exist_ok=True)
     files = []
@@ -88,12 +88,12 @@ def condition_picture(survey: Map, mode: Mode) -> Figure:
 
 
 def scale_colours(count: int) -> list[str]:
-    """Colours of a scale with so many steps, from dark to light."""
+    """Colours of a scale with `count` steps, from dark to light."""
     return [to_hex(colour) for colour in matplotlib.colormaps["cividis"](np.linspace(0, 1, count))]
 
 
 def force_picture(survey: Map, mode: Mode) -> Figure:
-    """The force that the tip at rest holds in every direction, over the reach."""
+    """The force that the tip at rest can hold in every direction, over the reach."""
     assert mode.force is not None and survey.limits is not None
     figure, axes, bar = _page(survey, mode)
     handles: list[Patch] = []
@@ -118,7 +118,7 @@ def force_picture(survey: Map, mode: Mode) -> Figure:
 
 
 def force_levels(mode: Mode) -> Floats:
-    """Forces between two colours, N, from 0 on: up to what nine tenths of the reach hold; none where nothing is held."""
+    """Forces at the limits between colours, N: from 0 to the 90 % quantile over the reach; empty if no force can be held."""
     assert mode.force is not None
     known = mode.force[mode.reached & mode.within_stops]
     positive = known[(known > 0) & np.isfinite(known)]
@@ -129,7 +129,7 @@ def force_levels(mode: Mode) -> Floats:
 
 
 def load_words(survey: Map) -> str:
-    """Limits of torque and payload of a force's field, in words."""
+    """Torque limits and payload of a force field, as text."""
     assert survey.limits is not None
     left, right = survey.limits
     load = (
@@ -139,14 +139,14 @@ def load_words(survey: Map) -> str:
 
 
 def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
-    """A figure with axes of equal scales in mm, and those of its colour bar."""
+    """A figure with axes of equal scales in mm, and the axes of its colour bar."""
     shown = np.concatenate(
         [survey.machine.motors, _posture(survey, mode), np.stack([survey.x[[0, -1]], survey.y[[0, -1]]], axis=-1)]
     )
     low, high = shown.min(axis=0), shown.max(axis=0)
     margin = 0.03 * float(np.max(high - low))
     low, high = (low - margin) * MM, (high + margin) * MM
-    # In inches: the axes, and room for labels, colour bar and legend.
+    # In inches: the axes, then room for labels, colour bar and legend.
     width, height = (4.4 * (high - low) / np.max(high - low)).tolist()
     size = LEFT_ROOM + width + 1.2, BELOW_ROOM + height + 0.9
     figure = Figure(figsize=size)
@@ -169,7 +169,7 @@ def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
 
 
 def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
-    """Everything over the field, and the legend."""
+    """Draws everything above the field, and the legend."""
     hide_outside(axes, survey.machine)
     handles = [
         *more,
@@ -192,7 +192,7 @@ def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
 
 
 def hide_outside(axes: Axes, machine: Machine) -> None:
-    """White over all that a leg does not reach: the fields go on there, so that their borders are the exact circles."""
+    """Paints the area out of reach white. The fields continue there, so their visible borders are the exact circles."""
     far = 100 * MM * machine.size
     frame = np.array([(-far, -far), (-far, far), (far, far), (far, -far), (-far, -far)])
     for circle in machine.inverse_singularities():
@@ -211,7 +211,7 @@ def _codes(count: int) -> NDArray[np.uint8]:
 
 
 def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
-    """Hatches where a motor would be beyond its stops, and the arcs where it is at one."""
+    """Hatches the area with a motor beyond its stops, and draws the arcs with a motor at a stop."""
     if not survey.scene["stop.enabled"]:
         return []
     margin = np.clip(mode.stop_margin, -10, 10)
@@ -226,7 +226,7 @@ def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
 
 
 def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float = 1.0) -> list[Line2D]:
-    """Draws circles and curves of singularities, in mm, with lines of so many times the usual width; what the legend is to have."""
+    """Draws circles and curves of singularities, in mm, with line widths scaled by `weight`; returns the legend's entries."""
     thin, thick = 1.3 * weight, 1.6 * weight
     handles = [
         Line2D(
@@ -262,7 +262,7 @@ def draw_loci(axes: Axes, machine: Machine, curves: list[Curve], weight: float =
 
 
 def _within(axes: Axes, machine: Machine, patch: Circle, leg: int) -> None:
-    """Adds the part of a leg's circle that the other leg reaches."""
+    """Adds the part of a leg's circle within the reach of the other leg."""
     other = machine.motors[1 - leg] * MM
     radius = machine.reach[1 - leg, 1] * MM * (1 + 1e-3)
     axes.add_patch(patch)
@@ -270,7 +270,7 @@ def _within(axes: Axes, machine: Machine, patch: Circle, leg: int) -> None:
 
 
 def _discs(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
-    """The largest discs without singularity."""
+    """Draws the largest discs without singularity; returns the legend's entries."""
     if survey.machine.is_degenerate(mode.working):
         return [Line2D([], [], linestyle="none", label="every posture is a direct singularity")]
     handles = []
@@ -291,7 +291,7 @@ def _discs(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
 
 
 def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
-    """The scene's motion: where it is in this working mode, and faintly elsewhere."""
+    """Draws the scene's motion in this working mode, and faintly in other modes; returns the legend's entries."""
     if survey.path is None:
         return []
     tip = survey.path.tip * MM
@@ -323,7 +323,7 @@ def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
 
 
 def _posture(survey: Map, mode: Mode) -> Floats:
-    """Joints of the machine, m, shape (n, 2), n = 5 or 0: at the motion's start if that is in this mode, or else in a large disc."""
+    """Joints of the machine, m, shape (5, 2) or (0, 2): at the motion's start if it is in this mode, otherwise in a large disc."""
     machine, path = survey.machine, survey.path
     if path is not None and any(part.start == 0 for part in path.parts(mode.working)):
         return chain(machine, path.theta[0], path.tip[0])
@@ -335,7 +335,7 @@ def _posture(survey: Map, mode: Mode) -> Floats:
 
 
 def _machine(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
-    """The machine in one of its postures, and its motors."""
+    """Draws the machine in one posture, with its motors; returns the legend's entries."""
     axes.plot(*(survey.machine.motors.T * MM), "^", color=BLACK, markersize=7, zorder=9)
     joints = _posture(survey, mode) * MM
     if not len(joints):
@@ -349,20 +349,20 @@ def _machine(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
 
 
 def draw_legs(axes: Axes, joints: Floats, width: float) -> None:
-    """The legs of a posture from the `joints` of `chain`, in mm."""
+    """Draws the legs of a posture, in mm; `joints` are from `chain`."""
     for colour, rows in ((LEFT, [0, 1, 2]), (RIGHT, [2, 3, 4])):
         axes.plot(*joints[rows].T, color=colour, linewidth=width, marker="o", markersize=1.75 * width, zorder=8)
 
 
 def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
-    """Left motor, left elbow, tip, right elbow, right motor, m, shape (5, 2)."""
+    """Positions of left motor, left elbow, tip, right elbow and right motor, m, shape (5, 2)."""
     left = machine.lengths[0] * np.array([np.cos(theta[0]), np.sin(theta[0])])
     right = machine.motors[1] + machine.lengths[3] * np.array([np.cos(theta[3]), np.sin(theta[3])])
     return np.stack([machine.motors[0], left, tip, right, machine.motors[1]])
 
 
 def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> None:
-    """Draws the machine with its tip at one place, m, in each working mode, with its links' numbers and the signs that name the mode."""
+    """Draws the machine with its tip at a point, m, in each working mode, with link numbers and the signs that define the mode."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.0))
         grid = figure.subplots(2, 2, sharex=True, sharey=True)
