@@ -1,12 +1,12 @@
-"""Intake of samples: the twin takes new ones, and late ones that still find their place; all others are refused with a sentence.
+"""Intake of samples: accepts new samples and samples that are not too late, and refuses all others with a reason.
 
-A series of samples counts on, whatever its clock does. A machine that begins to count anew is believed after `CONSISTENT` samples that
-follow each other, newer than those that were taken, at times near the pipeline's own or near where the series' clock would be by now: one
-forged sample cannot end a series, and old ones sent again begin none. What is remembered against these follows the machine's clock where
-it jumps, and is bounded: a time of another clock, however late, keeps nothing out, and a series that has been silent for `FORGOTTEN` is
-none any more.
+A series is identified by its sample numbers, even if its clock jumps. A machine that restarts its count is accepted after `CONSISTENT`
+consecutive samples. They must be newer than all accepted samples, with times near the pipeline's clock or near the extrapolated clock of
+the series. So one forged sample cannot end a series, and repeated old samples cannot start one. The time limit against old samples follows
+jumps of the machine's clock and is bounded: a time of another clock, however late, blocks nothing. A series without samples for
+`FORGOTTEN` is forgotten.
 
-Times must be in ns: a series whose times are, or go on, as those of a longer unit would is never believed.
+Times must be in ns: a series is never accepted if its times or its time steps look like a longer unit.
 """
 
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ from fivebar.twin.messages import Message
 
 CONSISTENT: Final = 20
 NEAR: Final = 10_000_000_000
-"""Nanoseconds by which two clocks may differ that show the same time."""
+"""Allowed difference between two synchronised clocks, ns."""
 
 FORGOTTEN: Final = 60_000_000_000
-"""Nanoseconds of silence after which a series no longer says which times are plausible."""
+"""Time without samples after which the times of a series are forgotten, ns."""
 
 YEAR: Final = 31_557_600_000_000_000
-"""Nanoseconds by which a clock may be off if its times are to be recognised in another unit."""
+"""Maximum clock error with which times in a wrong unit are recognised, ns."""
 
 QUIET: Final = 1_000_000_000
-"""Nanoseconds without a newer message after which an older one of the pipeline itself is taken."""
+"""Time without a newer message after which older messages of the pipeline itself are accepted, ns."""
 
 LONGEST_LEAP: Final = 20
-"""Samples that may be missing where the times do not say so too."""
+"""Maximum number of missing samples that the times need not confirm."""
 
 LASTING: Final = 1_000_000_000
-"""Nanoseconds after which refused samples, with none taken, are reported: longer than it takes to believe a machine."""
+"""Time with only refused samples after which they are reported, ns: longer than the acceptance of a machine takes."""
 
 
 @dataclass
@@ -42,11 +42,11 @@ class _Series:
     time: int
     length: int = 1
     first: int = 0
-    """Time of its first sample, ns."""
+    """Time of the first sample, ns."""
 
 
 class Intake:
-    """Remembers where the series is. `admit` classifies a sample; `taken` are those of the last `window` that came."""
+    """State of the series. `admit` classifies a sample, which may be late by less than `window` samples."""
 
     def __init__(self, period: float, window: int = 64):
         self.period_ns = round(1e9 * period)
@@ -55,13 +55,13 @@ class Intake:
         self.candidate: _Series | None = None
         self.newest_time = -1
         self.arrived = 0
-        """When the newest sample of the series came, on the pipeline's clock, ns."""
+        """Arrival of the newest sample of the series on the pipeline's clock, ns."""
         self.came: set[int] = set()
         self.missing = 0
-        """Samples of the series that never came, so far as one can tell: a late one counts back."""
+        """Number of samples of the series missing so far; a late sample reduces it."""
 
     def admit(self, message: Message, now: int) -> Literal["new", "late", "series"]:
-        """Class of a sample that came at `now` of the pipeline's clock, ns; `Refused` if it is not to be taken."""
+        """Classifies a sample that arrived at `now` on the pipeline's clock, ns. Raises `Refused` if it is not accepted."""
         if unit := units.of_time(message.time, now - NEAR, now + NEAR):
             raise Refused(units.asks_by_time(f"meas {message.seq}", message.time, unit))
         if self.series is None:
@@ -83,16 +83,16 @@ class Intake:
         return "new"
 
     def forget(self) -> None:
-        """The next sample begins a series, whatever was before: an operator has asked for it."""
+        """Lets the next sample begin a series in any case, at an operator's request."""
         self.series, self.candidate, self.newest_time = None, None, -1
 
     def go_on_from(self, seq: int, time: int) -> None:
-        """Goes on after that sample, which an earlier life of this process took."""
+        """Resumes after a sample that this process accepted before its restart."""
         self.series, self.newest_time, self.arrived = _Series(seq, time), time, time
         self.came = {seq}
 
     def _plausible(self, series: _Series, message: Message) -> bool:
-        """Few samples later, whatever the clocks show, or as many later as the clocks say."""
+        """Whether a sample is few samples later at any time, or as many samples later as its time says."""
         ahead = message.seq - series.seq
         odd = abs(message.time - series.time - ahead * self.period_ns)
         return 0 < ahead <= LONGEST_LEAP or (ahead > 0 and odd <= max(self.period_ns, ahead * self.period_ns // 4))
@@ -111,7 +111,7 @@ class Intake:
         )
 
     def _may_begin(self, message: Message, now: int) -> bool:
-        """Whether a new series may have a sample of that time."""
+        """Whether a new series may contain a sample with this time."""
         if self.series is None:
             return True
         silent = now - self.arrived
@@ -119,17 +119,17 @@ class Intake:
             return True
         own = abs(message.time - now) <= NEAR
         if own and self.newest_time > now + NEAR:
-            # The newest is of another clock, and says nothing about this one.
+            # The newest time is from another clock, and no limit for this one.
             return True
         return (own or abs(message.time - self.series.time - silent) <= NEAR) and message.time > self.newest_time
 
     def _else(self, message: Message, sentence: str, now: int) -> Literal["series"]:
-        """The sample does not belong to the series: perhaps to another one, which is to show first."""
+        """Handles a sample outside the series: it may belong to a new series, which must first be confirmed."""
         if not self._may_begin(message, now):
             raise Refused(sentence)
         candidate = self.candidate
         if candidate is not None and (message.seq, message.time) == (candidate.seq, candidate.time):
-            # A doubled sample does not end the candidate's series.
+            # A duplicate does not end the candidate series.
             raise Refused(sentence)
         if (
             candidate is not None
@@ -138,7 +138,7 @@ class Intake:
         ):
             self.candidate = _Series(message.seq, message.time, candidate.length + 1, candidate.first)
             step = (message.time - candidate.first) / candidate.length
-            # A machine that is timed by software may send a few samples too fast.
+            # A machine with a software timer may send a few samples too fast.
             if self.candidate.length >= CONSISTENT // 2 and (unit := units.of_step(step, self.period_ns)):
                 expected = f"{1e-9 * self.period_ns:g} s"
                 raise Refused(f"meas {message.seq}: {units.asks_by_step(1e-9 * step, expected, unit.name)}")
@@ -160,7 +160,7 @@ class Intake:
 
     def _step(self, message: Message, now: int) -> None:
         self.series, self.candidate, self.arrived = _Series(message.seq, message.time), None, now
-        # A clock that was set back far is followed: its earlier times count no more.
+        # After the clock was set back far, its earlier times no longer count.
         followed = self.newest_time > max(now, message.time) + NEAR
         self.newest_time = message.time if followed else max(self.newest_time, message.time)
         self.came.add(message.seq)
@@ -169,14 +169,14 @@ class Intake:
 
 
 class Newest:
-    """The newest message of the pipeline itself: messages older by number and time are refused, until no newer one has come for a while."""
+    """The newest message of the pipeline itself. A message with both an older number and an older time is refused, unless none arrived for `QUIET`."""
 
     def __init__(self) -> None:
         self.newest: tuple[int, int] | None = None
         self.arrived = 0
 
     def admit(self, message: Message, now: int) -> None:
-        """Takes note of a message that came at a time of the pipeline's clock, ns; `Refused` if it is an old one."""
+        """Accepts a message that arrived at `now` on the pipeline's clock, ns. Raises `Refused` for an old message."""
         if self.newest is not None and now - self.arrived < QUIET:
             seq, time = self.newest
             if message.seq <= seq and message.time <= time:
@@ -185,13 +185,13 @@ class Newest:
 
 
 class Orders:
-    """Intake of orders: each must be newer than the last one, and given at a time near the pipeline's own."""
+    """Intake of commands and parameters: each must be newer than the last one, with a time near the pipeline's clock."""
 
     def __init__(self) -> None:
         self.newest = -1
 
     def check(self, message: Message, now: int) -> None:
-        """`Refused` if the order is not to be taken at that time of the pipeline's clock, ns."""
+        """Raises `Refused` if a command is not accepted at `now` on the pipeline's clock, ns."""
         if abs(message.time - now) > NEAR:
             raise Refused(
                 f"{_elsewhen(message, now)}; up to {1e-9 * NEAR:g} s are allowed: set the clock from which the order comes"
@@ -203,41 +203,41 @@ class Orders:
             )
 
     def taken(self, message: Message) -> None:
-        """The order was carried out."""
+        """Marks a command as executed."""
         self.newest = message.time
 
 
 class Refusals:
-    """Samples that are refused for `LASTING` or longer while none is taken: how many, and why."""
+    """Number of samples, and reason, in spans of `LASTING` or longer with only refused samples."""
 
     def __init__(self) -> None:
         self.count = 0
-        """Samples refused in all such spans."""
+        """Number of refused samples in all such spans."""
         self.first = ""
-        """The reason in the first span."""
+        """Reason in the first span."""
         self._refused, self._counted = 0, 0
-        """Samples refused since one was taken, and how many of them `count` includes."""
+        """Number of refused samples since the last accepted one, and how many of them `count` includes."""
         self._since = 0
-        """When the first of them came, ns."""
+        """Arrival of the first of them, ns."""
         self._reported = 0
-        """When `lasting` last returned a sentence, ns."""
+        """Time of the last sentence from `lasting`, ns."""
         self._reason = ""
 
     def add(self, why: str, now: int) -> None:
-        """A sample was refused at a time of the pipeline's clock, ns."""
+        """Counts a sample that was refused at `now` on the pipeline's clock, ns."""
         if not self._refused:
             self._since = now
-        # A question about the unit explains more than the first sentence about times that are far away.
+        # A question about the unit of time explains more than a sentence about distant times.
         if not self._refused or ("?" in why and "?" not in self._reason):
             self._reason = why
         self._refused += 1
 
     def taken(self) -> None:
-        """A sample was taken."""
+        """Restarts the count after an accepted sample."""
         self._refused, self._counted = 0, 0
 
     def lasting(self, now: int) -> str:
-        """A sentence, at most once in `LASTING`, if no sample has been taken for that long; else ""."""
+        """A sentence if no sample was accepted for `LASTING`, at most once per `LASTING`; else ""."""
         if self._refused == self._counted or now - self._since < LASTING:
             return ""
         self.count += self._refused - self._counted
@@ -250,7 +250,7 @@ class Refusals:
 
 
 def _elsewhen(message: Message, now: int) -> str:
-    """Sentence about a message whose time is not near the pipeline's own."""
+    """Sentence about a message with a time far from the pipeline's clock."""
     what = message.kind if message.kind != "meas" else f"meas {message.seq}"
     if unit := units.of_time(message.time, now - YEAR, now + YEAR):
         return units.asks_by_time(what, message.time, unit)

@@ -1,4 +1,4 @@
-"""`fivebar load`: how many machines of 200 samples a second a broker carries, from sending to the subscriber; docs/notes/growth.md."""
+"""`fivebar load`: measures how many machines with 200 samples per second a broker can serve; see docs/notes/growth.md."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from fivebar.twin.starter import free_port
 
 RATE: Final = 200.0
 LIMIT: Final = 5e-3
-"""s: the latency (p99) up to which a number of machines counts as carried."""
+"""Maximum latency (p99) at which a number of machines counts as served, s."""
 
 FIELDS: Final = {
     f"{name}[{i}]": 1.2345678901234567 for name in ("measured.theta", "servo.theta", "servo.omega") for i in (1, 2)
@@ -32,7 +32,7 @@ FIELDS: Final = {
 
 
 def run(at: str | None, seconds: float, most: int) -> int:
-    """0 if the broker carries one machine at least."""
+    """Runs the measurement; returns 0 if the broker serves at least one machine."""
     with tempfile.TemporaryDirectory() as folder:
         if at is not None:
             host, port = configuration.host_and_port(at)
@@ -76,7 +76,7 @@ def _rise(host: str, port: int, broker: psutil.Process | None, seconds: float, m
 
 
 def _listening(port: int) -> psutil.Process | None:
-    """The process of this machine that listens there, if the system tells."""
+    """The local process that listens on a port; None if the system does not show it."""
     try:
         found = [
             c.pid
@@ -89,12 +89,12 @@ def _listening(port: int) -> psutil.Process | None:
 
 
 def _cpu(broker: psutil.Process | None) -> float:
-    """Seconds of CPU that the broker has taken."""
+    """CPU time of the broker, s."""
     return sum(broker.cpu_times()[:2]) if broker else 0.0
 
 
 def _measure(host: str, port: int, machines: int, seconds: float) -> tuple[int, np.ndarray]:
-    """Messages sent, and latencies of those that came, s."""
+    """Number of sent messages, and latencies of the received ones, s."""
     latencies: list[float] = []
     subscribed = threading.Event()
     listener = mqtt.Client(CallbackAPIVersion.VERSION2)
@@ -112,7 +112,7 @@ def _measure(host: str, port: int, machines: int, seconds: float) -> tuple[int, 
                 client.connect(host, port)
                 break
             except OSError:
-                # The broker that comes along needs a moment.
+                # The embedded broker needs a moment to start.
                 time.sleep(0.1)
         client.loop_start()
     if not subscribed.wait(10):

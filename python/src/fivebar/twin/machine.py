@@ -1,7 +1,7 @@
-"""The machine's stand-in: a unit with properties that the twin does not know, encoders, and drives that follow a scene; publishes `meas`.
+"""The stand-in for the machine: an FMU instance with properties unknown to the twin, encoders, and drives that follow a scene; publishes `meas`.
 
-It is a machine: it does not stop when its connection does, and when this process is started again the machine is where it would have
-been. A real one takes its place by publishing the same message; docs/pipeline.md has the ten lines of Python.
+Like a real machine, it keeps moving without a connection, and while its process restarts. A real machine replaces it by publishing the
+same message; docs/pipeline.md has the ten lines of Python.
 """
 
 import base64
@@ -29,29 +29,29 @@ from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Messag
 from fivebar.twin.setup import Setup
 
 STORE_EVERY: Final = 200
-"""Samples between two stored states."""
+"""Number of samples between two stored states."""
 
 LEAD_NS: Final = 100_000_000
-"""Nanoseconds between the start of a machine and its first sample."""
+"""Time between the start of a machine and its first sample, ns."""
 
 PAUSE: Final = LONGEST_GAP + 1.0
-"""s between two series of a recording that is played: the twin starts anew after it."""
+"""Pause between two series of a played recording, s: long enough for the twin to restart."""
 
 SHOWN: Final = ("theta[1]", "theta[2]", *TRACKED)
-"""What samples are made of."""
+"""Outputs of the unit that go into a sample."""
 
 log = logging.getLogger("fivebar")
 
 
 class StandIn:
-    """The samples of the machine in their order."""
+    """Generates the samples of a simulated machine in order."""
 
     def __init__(self, config: Config, library: Library):
         self.config = config
         self.scene = scene.read(Path(config.scene))
         secret = dict(config.machine.hidden)
         self.offsets = [float(secret.pop(name, 0.0)) for name in OFFSETS]
-        """Angles that encoders show beyond the true ones, rad. The drives see what encoders show, and are told what these show by the scene."""
+        """Encoder reading minus true angle, rad. The drives close their loops on the encoders, so that commands are encoder readings, too."""
 
         self.encoders = setup.encoders(config, self.scene)
         values = self.scene.values | secret
@@ -65,14 +65,14 @@ class StandIn:
         self.continuous = [name for name in self.surroundings if library.variable(name).variability == "continuous"]
         self.seq = 0
         self.start_ns = 0
-        """When the first sample is taken, ns since 1970."""
+        """Time of the first sample, ns since 1970."""
 
     def next(self) -> Message:
-        """The next sample."""
+        """Returns the next sample and moves the machine one period further."""
         seq, period, machine = self.seq, self.config.period, self.config.machine
         truth = self.rider.unit.floats(SHOWN)
         told = self.scene.shown(self.scene.told(seq * period))
-        # Of each sample its own, so that a machine that is started again has the same noise.
+        # A generator for each sample, so that a restarted machine has the same noise.
         chance = random.Random(f"{machine.seed} {seq}")
         fields: dict[str, float] = {}
         for i, (name, offset) in enumerate(zip(MEASURED, self.offsets, strict=True), 1):
@@ -87,7 +87,7 @@ class StandIn:
         return Message("meas", self.config.unit, at, seq, fields | told | {name: truth[name] for name in TRACKED})
 
     def _move(self, told: dict[str, float]) -> None:
-        """To the next sample."""
+        """Moves the machine to the next sample."""
         now = self.rider.unit.time
         period = self.config.period
         true = {f"servo.theta[{i}]": offset for i, offset in enumerate(self.offsets, 1)}
@@ -100,7 +100,7 @@ class StandIn:
             1,
         )
         self.rider.hold(book)
-        # The twin is not told of inputs beside those of the drives, such as a hand's force.
+        # Other inputs than drive commands, such as the force of a hand, are unknown to the twin.
         begin, end = (
             {name: self.scene.at(name, k * period) for name in self.surroundings} for k in (self.seq, self.seq + 1)
         )
@@ -110,14 +110,14 @@ class StandIn:
         self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
 
     def store(self) -> bytes:
-        """From which it goes on to the same bits."""
+        """The stored state, from which the machine resumes with the same bits."""
         content = base64.b64encode(self.rider.unit.state().to_bytes()).decode("ascii")
         return json.dumps(
             {"seq": self.seq, "clock": self.rider.unit.time, "start": self.start_ns, "state": content}
         ).encode()
 
     def go_on_from(self, file: Path) -> None:
-        """Goes on from a stored state."""
+        """Resumes from a stored state."""
         content = read_json(file)
         try:
             self.rider.unit.restore(base64.b64decode(content["state"], validate=True), float(content["clock"]))
@@ -133,7 +133,7 @@ class StandIn:
 
 
 class Player:
-    """The samples of a recording at their times; series one after another, with a pause in which the twin gives up following."""
+    """Plays the samples of a recording at their times, with a pause between two series in which the twin restarts."""
 
     def __init__(self, config: Config):
         self.config, self.start_ns = config, 0
@@ -141,36 +141,36 @@ class Player:
         steps = np.diff(self.recording.time)
         steps[np.array(self.recording.begins, dtype=int) - 1] = PAUSE
         self.times = np.round(1e9 * np.concatenate([[0.0], np.cumsum(steps)])).astype(np.int64)
-        """ns from the first sample."""
+        """Times since the first sample, ns."""
 
         counts = np.maximum(1, np.round(steps / config.period).astype(np.int64))
         self.numbers = np.concatenate([[0], np.cumsum(counts)])
-        """The machine's count of each sample; lost samples count too."""
+        """Number of each sample; lost samples count, too."""
 
         self.row = 0
 
     @property
     def seq(self) -> int:
-        """The number of the next sample; after the last one, the number behind it."""
+        """Number of the next sample; at the end, one more than the last."""
         return int(self.numbers[self.row]) if self.row < len(self.numbers) else int(self.numbers[-1]) + 1
 
     def check(self) -> None:
-        """Refuses a recording of which no machine can be followed, as a calibration does."""
-        # Imported here because the machine's process does without its packages.
+        """Raises `TwinError` for a recording that no twin can follow, by the checks of a calibration."""
+        # Imported here because the machine process does not need the packages of a calibration.
         from fivebar.twin.calibrate import data
 
         data.check(data.split(self.recording))
 
     def store(self) -> bytes:
-        """From which it goes on."""
+        """The stored state."""
         return json.dumps({"seq": self.seq, "start": self.start_ns}).encode()
 
     def go_on_from(self, file: Path) -> None:
-        """Goes on where the recording would be by now."""
+        """Resumes at the place that the recording would have reached by now."""
         self.start_ns = int(read_json(file)["start"])
 
     def next(self) -> Message | None:
-        """The next sample that has an angle, or None after the last one."""
+        """The next sample with an angle, or None at the end."""
         while self.row < len(self.times):
             row, seq = self.row, self.seq
             self.row += 1
@@ -181,18 +181,18 @@ class Player:
         return None
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Does nothing: a player has no open resources."""
 
 
 class Mangler:
-    """Faults of the transport, made on purpose: from one sample to the payloads that are sent."""
+    """Injected faults of the transport: turns each sample into the payloads to send."""
 
     def __init__(self, faults: Faults, seed: int):
         self.faults, self.chance = faults, random.Random(f"faults {seed}")
         self.held: deque[tuple[int, bytes]] = deque()
 
     def send(self, message: Message) -> list[bytes]:
-        """Payloads that are sent in the place of the sample."""
+        """Payloads to send instead of the sample."""
         faults, chance = self.faults, self.chance
         if faults.clock_jump and message.seq >= 2000:
             message = replace(message, time=max(0, message.time + round(1e9 * faults.clock_jump)))
@@ -217,7 +217,7 @@ class Mangler:
 
 
 def run(file: Path) -> int:
-    """Publishes samples at their times until told to stop, or until the recording has ended."""
+    """Publishes samples at their times until the process is asked to stop or the recording ends."""
     config = process.read_config(file)
     process.set_up_log()
     priority.take("machine")
@@ -234,7 +234,7 @@ def run(file: Path) -> int:
     delay, period = round(1e9 * config.machine.delay), round(1e9 * config.period)
     if file.is_file():
         source.go_on_from(file)
-        # The motion since the stored state has not been seen by anyone.
+        # The samples between the stored state and now are skipped, as nobody could receive them.
         while source.start_ns + source.seq * period + delay < time.time_ns() and source.next() is not None:
             pass
         log.info("going on with sample %d", source.seq)
@@ -243,7 +243,7 @@ def run(file: Path) -> int:
         process.replace_file(file, source.store(), safe=True)
     published = 0
     while not stop.event.is_set():
-        # Ready before its time, so that it is sent in time: the unit's computation does not delay the sample.
+        # Each sample is computed before its time, so that the computation does not delay it.
         message = source.next()
         if message is None:
             break

@@ -1,10 +1,10 @@
-"""The messages: points in JSON as the Incubator has them, one a sample, fields under the names of the unit's variables.
+"""The messages: points in JSON in the format of the Incubator, one per sample, with fields named as the unit's variables.
 
     {"measurement": "meas", "time": 1795331400000000000, "seq": 17, "tags": {"unit": "bench"}, "fields": {"measured.theta[1]": 1.57, …}}
 
-`time` is in ns since 1970 on the machine's clock, `seq` counts samples. What a message of each kind may have is in
-`messages.schema.json`, a JSON Schema that the dashboard's page reads as well: one file, checked by every reader. What `decode` returns
-has been checked completely: kind, types, sizes, finite numbers, names, ranges. Nothing that is received is ever executed or unpickled.
+`time` is in ns since 1970 on the machine's clock, `seq` counts samples. `messages.schema.json` defines the content of each kind. It is a
+JSON Schema that all readers use, also the dashboard's page. Messages from `decode` are completely checked: kind, types, sizes, finite
+numbers, names, ranges. Received data is never executed or unpickled.
 """
 
 import json
@@ -35,11 +35,11 @@ KINDS: Final = (
     "gap",
     "setup",
 )
-"""The last part of a topic. `state` has the twin's stored state, for replays; `ahead` has one that a forecast is to start from, and is
-not recorded. The last two are only in records: what is missing in them, and of which run they are."""
+"""Kinds of messages; the last part of a topic. `state` contains the twin's state for replays. `ahead` contains a state from which a
+forecast starts, and is not recorded. `gap` (missing messages) and `setup` (of the run) are only in records."""
 
 LARGEST: Final = {"state": 64_000, "ahead": 64_000, "whatif": 64_000, "forecast": 64_000, "setup": 2_000_000}
-"""Bytes of a message, where they are more than `LARGEST_USUAL`."""
+"""Maximum size of a message by kind, bytes; other kinds have `LARGEST_USUAL`."""
 
 LARGEST_USUAL: Final = 16_000
 
@@ -51,20 +51,20 @@ SCHEMA: Final[dict[str, Any]] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8
 SERVOS: Final = ("servo.theta[1]", "servo.theta[2]")
 
 INPUTS: Final = (*SERVOS, *(f"{name}[{i}]" for name in ("servo.omega", "tau") for i in (1, 2)))
-"""Commands of the drives: fields of `meas` that the twin hands to its unit."""
+"""Drive commands: fields of `meas` that the twin passes to its unit."""
 
 MEASURED: Final = ("measured.theta[1]", "measured.theta[2]")
 
 TRACKED: Final = ("tip.x", "tip.y")
-"""Tip as a tracker outside the machine may see it: recorded and compared with, never used by the twin."""
+"""Tip position from an external tracker: recorded and compared, never used by the twin."""
 
 MEAS_FIELDS: Final = (*MEASURED, *INPUTS, *TRACKED)
-"""Fields that `meas` may have: rad, rad/s, N.m, m."""
+"""All fields of `meas`: rad, rad/s, N.m, m."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """A message that has been checked. `extra` has values that are no scalar of the unit: path of a forecast, cause of an alarm."""
+    """A checked message. `extra` contains values that are not scalars of the unit: path of a forecast, cause of an alarm."""
 
     kind: str
     unit: str
@@ -75,12 +75,12 @@ class Message:
 
 
 def topic(unit: str, kind: str) -> str:
-    """Topic of messages of a kind."""
+    """The MQTT topic for a kind of message."""
     return f"fivebar/{unit}/{kind}"
 
 
 def encode(message: Message) -> bytes:
-    """The message as it is sent: the same message, the same bytes. Numbers have the digits that give them back to the bit."""
+    """Encodes a message for sending: equal messages give equal bytes, and all numbers are exact to the bit."""
     content = {
         "measurement": message.kind,
         "time": message.time,
@@ -92,7 +92,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(from_topic: str, payload: bytes) -> Message:
-    """The message, or `Refused` with one sentence."""
+    """Decodes and checks a message. Raises `Refused` with one sentence."""
     prefix, _, rest = from_topic.partition("/")
     unit, _, kind = rest.partition("/")
     _require(
@@ -105,7 +105,7 @@ def decode(from_topic: str, payload: bytes) -> Message:
     _check(kind, content)
     _require(content["tags"]["unit"] == unit, f"tags are {_show(content['tags'])}; the unit of this topic is {unit!r}")
     for name in ("time", "seq"):
-        # JSON Schema takes 1.0 for an integer, the code that counts with it does not.
+        # JSON Schema accepts 1.0 as an integer, but the code needs an int.
         _require(isinstance(content[name], int), _no_integer(name, content[name]))
     fields = {name: float(value) for name, value in content["fields"].items()}
     extra = {
@@ -138,7 +138,7 @@ def _no_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 @cache
 def _validator(kind: str) -> Callable[[Any], Any]:
-    """The schema of a kind as a function: fastjsonschema writes Python for it, which takes some 10 µs where an interpreter takes a ms."""
+    """The schema of a kind as a function. fastjsonschema compiles it to Python, which takes some 10 µs instead of 1 ms per message."""
     schema = {name: SCHEMA[name] for name in ("$schema", "definitions")} | {
         "allOf": [{"$ref": f"#/definitions/{kind}"}]
     }
@@ -153,7 +153,7 @@ def _check(kind: str, content: dict[str, Any]) -> None:
 
 
 def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
-    """Sentence of an error: the field, its value, and the allowed values."""
+    """Sentence about an error: the field, its value and the allowed values."""
     name = (error.name or "").removeprefix("data").removeprefix(".").removeprefix("fields.")[:80] or "the message"
     name = "".join(each if each.isprintable() else "?" for each in name)
     value, rule, allowed = error.value, error.rule, error.rule_definition
@@ -181,7 +181,7 @@ def _sentence(error: fastjsonschema.JsonSchemaValueException) -> str:
 
 
 def _no_integer(name: str, value: Any) -> str:
-    """Sentence about a value that is no integer: a time with a fraction is mostly one in s."""
+    """Sentence about a value that is not an integer; a time with a fraction is usually in s."""
     unit = units.of_time(value) if name == "time" and isinstance(value, float) else None
     if unit is not None:
         return units.asks_by_time("the message", value, unit)
@@ -189,7 +189,7 @@ def _no_integer(name: str, value: Any) -> str:
 
 
 def _show(value: Any) -> str:
-    """Text of a value, never longer than a line."""
+    """Text of a value, at most one line."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**40:
         return "an integer of very many digits"
     text = repr(value)

@@ -1,9 +1,9 @@
-"""Priorities of a run's processes where cores are few: the way from a sample to its estimate is short only if nobody waits for a core.
+"""Priorities of a run's processes: on few cores, the latency from a sample to its estimate is short only if no process waits for a core.
 
-Broker, machine, twin and watch compute for some tens of microseconds and sleep again. Where the system allows it (root, or a limit for
-real-time priorities) they have one of the lowest of these; elsewhere they ask Linux for short turns, in return for being woken at once.
-The recorder comes next, for it must not fall behind. What is looked at by people, and what looks ahead, is patient. Whatever has been
-killed is in a hurry until it works again.
+Broker, machine, twin and watch compute for some tens of microseconds and sleep again. If the system allows it (root, or a limit for
+real-time priorities), they get a low real-time priority; otherwise they ask Linux for short time slices, with which it wakes them at once.
+The recorder comes next, because it must not fall behind. Dashboard and forecasts come last. A restarted process has a raised priority
+until it is ready.
 """
 
 import contextlib
@@ -16,17 +16,17 @@ FIRST: Final = ("broker", "machine", "follow", "watch")
 LAST: Final = ("forecast", "dashboard")
 
 PATIENCE: Final = 10
-"""The niceness of those that come last, where there is no real-time priority."""
+"""Niceness of the last processes without real-time priorities."""
 
 TURN_NS: Final = 100_000
-"""Of those that go first, where there is no real-time priority; Linux's own turns last milliseconds."""
+"""Time slice of the first processes without real-time priorities; Linux's default is some milliseconds."""
 
 SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
-"""The number of the call, which libraries of C have no name for before glibc 2.41."""
+"""Number of the system call, by machine; glibc has no function for it before 2.41."""
 
 
 class _Attributes(ctypes.Structure):
-    """`struct sched_attr` of Linux, of which an ordinary process has niceness and turn (`sched_runtime`, since Linux 6.12)."""
+    """`struct sched_attr` of Linux. An ordinary process uses its niceness and time slice (`sched_runtime`, since Linux 6.12)."""
 
     _fields_ = (
         *((name, ctypes.c_uint32) for name in ("size", "policy")),
@@ -38,26 +38,26 @@ class _Attributes(ctypes.Structure):
 
 
 def hurry(pid: int) -> None:
-    """A process that has just been started may load its packages before others go on, but not before those that go first."""
+    """Raises the priority of a new process while it imports its packages, but not above the first processes."""
     _real_time(pid, 0)
 
 
 def take(name: str) -> None:
-    """Gives the calling process the priority of its name; threads that it makes afterwards inherit it."""
+    """Gives the calling process the priority for its name; threads that start later inherit it."""
     allowed = _real_time(0, int(name in FIRST))
     if name in FIRST and not allowed:
         _short_turns()
     if name in LAST:
         with contextlib.suppress(OSError):
             if allowed:
-                # Behind the others as it is.
+                # An ordinary process already comes after the real-time ones.
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             elif hasattr(os, "nice"):
                 os.nice(PATIENCE)
 
 
 def _real_time(pid: int, above: int) -> bool:
-    """Whether the system allows it."""
+    """Sets a real-time priority and returns whether the system allows it."""
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
@@ -71,5 +71,5 @@ def _short_turns() -> None:
     number = SCHED_SETATTR.get(platform.machine())
     if number is not None and platform.system() == "Linux":
         attributes = _Attributes(size=ctypes.sizeof(_Attributes), runtime=TURN_NS)
-        # An older kernel does not look at it, or refuses it: then all is as usual.
+        # An older kernel ignores or refuses it: the default time slice stays.
         ctypes.CDLL(None).syscall(number, 0, ctypes.byref(attributes), 0)

@@ -1,4 +1,4 @@
-"""Frame of every process of a run: signals, log, connection, a status file, an end when the starter is gone."""
+"""Common frame of the processes of a run: signals, log, connection, status file, and an end when the starter has died."""
 
 import contextlib
 import gc
@@ -25,7 +25,7 @@ from fivebar.twin.messages import Message, decode, encode
 
 STATUS_EVERY: Final = 0.5
 AGAIN: Final = 5.0
-"""Seconds after which the same trouble is told again; the log has each."""
+"""Time after which the same problem is reported again, s; the log contains each."""
 
 NUMBER: Final = re.compile(r"\d[-+.e\d]*")
 TICK: Final = 0.05
@@ -34,7 +34,7 @@ log = logging.getLogger("fivebar")
 
 
 class Worker(ABC):
-    """One process' work. `handle` and `tick` never run at the same time."""
+    """The work of one process. `handle` and `tick` never run at the same time."""
 
     name: ClassVar[str]
     kinds: ClassVar[tuple[str, ...]] = ()
@@ -44,9 +44,9 @@ class Worker(ABC):
         self.config = config
         self.send: Callable[[str, bytes], bool] = self._not_yet
         self.keep: Callable[[Path, bytes], None] = replace_file
-        """Has a file replaced."""
+        """Replaces a file."""
         self.hear_others: Callable[[bool], None] = self._nobody
-        """Listens to the samples of all units, or no longer."""
+        """Starts or stops listening to the samples of all units."""
         self.refused = 0
         self.when_told: dict[str, float] = {}
 
@@ -59,7 +59,7 @@ class Worker(ABC):
         pass
 
     def received(self, topic: str, payload: bytes, now: int) -> None:
-        """A message as it came, at a time in ns: handled, or refused with one line in the log."""
+        """Handles a received message at a time in ns, or refuses it with one line in the log."""
         try:
             message = decode(topic, payload)
             if message.kind not in self.kinds:
@@ -71,7 +71,7 @@ class Worker(ABC):
             self.refuse(topic, error, now)
 
     def refuse(self, topic: str, error: Refused, now: int) -> None:
-        """A message that is not taken, at a time in ns: a line in the log."""
+        """Logs a message refused at a time in ns."""
         self.refused += 1
         log.warning("refused: %s", error)
 
@@ -81,14 +81,14 @@ class Worker(ABC):
         return self.send(message.kind, encode(message))
 
     def trouble(self, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any) -> None:
-        """Something that keeps the twin from its work."""
+        """Reports a problem that keeps the twin from its work."""
         self.tell("trouble", cause, sentence, now, seq, every, **more)
 
     def tell(
         self, state: str, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any
     ) -> None:
-        """Something to be known at once, at a time in ns: a line in the log each time; an alarm and a line on standard output, which the
-        starter shows, if the same (but for its numbers) was not told a moment ago."""
+        """Reports an event at a time in ns. Each report goes to the log. It also goes to an alarm and to standard output, which the starter
+        shows, unless the same sentence (apart from numbers) was reported within the last `every` seconds."""
         log.warning("%s", sentence)
         key = f"{cause} {NUMBER.sub('#', sentence)}"
         moment = time.monotonic()
@@ -96,7 +96,7 @@ class Worker(ABC):
             return
         self.when_told = {k: when for k, when in self.when_told.items() if moment - when < AGAIN} | {key: moment}
         with contextlib.suppress(OSError):
-            # A starter that is gone hears nothing.
+            # If the starter has died, nobody reads standard output.
             print(sentence, flush=True)
         self.publish(
             Message(
@@ -110,32 +110,32 @@ class Worker(ABC):
         )
 
     def begin(self) -> None:
-        """Before the first message; a stored state is read here."""
+        """Called before the first message, to read a stored state."""
 
     @abstractmethod
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        """A message that has been checked. May raise `Refused`."""
+        """Handles a checked message. May raise `Refused`."""
 
     def tick(self, now: int) -> None:
-        """Called some twenty times a second, with the time in ns."""
+        """Called about 20 times per second, with the time in ns."""
 
     def write(self) -> None:
-        """Called after each `tick`, while messages may be handled: for work of the disk."""
+        """Called after each `tick`, in parallel with `handle`: for disk access."""
 
     def status(self) -> dict[str, Any]:
-        """Figures of this life of the process, all of fixed size."""
+        """Figures since the start of this process, all of fixed size."""
         return {}
 
     def finished(self) -> bool:
-        """Whether there is nothing left to do."""
+        """Whether the work is complete."""
         return False
 
     def end(self) -> None:
-        """Stores what has to be stored."""
+        """Called at the end, to store results."""
 
 
 def set_up_log() -> None:
-    """One line per event on standard error, with the time in UTC."""
+    """Configures the log: one line per event on standard error, with the time in UTC."""
     handler = logging.StreamHandler(sys.stderr)
     formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
     formatter.converter = time.gmtime
@@ -145,7 +145,7 @@ def set_up_log() -> None:
 
 
 class Stop:
-    """Set by SIGTERM, by Ctrl-C, and when the process that started this one is gone."""
+    """Stop event, set by SIGTERM, by Ctrl-C, and after the death of the parent process."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
@@ -154,14 +154,14 @@ class Stop:
             signal.signal(number, lambda *_: self.event.set())
 
     def wait(self, seconds: float) -> bool:
-        """Whether to stop, after at most so long."""
+        """Waits for at most `seconds` and returns whether to stop."""
         if os.getppid() != self.parent:
             self.event.set()
         return self.event.wait(max(seconds, 0.0))
 
 
 class Disk:
-    """Writes files in a thread of its own: urgent work never waits for a disk. Of each file the newest content counts."""
+    """Writes files in its own thread, so that urgent work never waits for a disk. Only the newest content of each file is written."""
 
     def __init__(self) -> None:
         self.waiting: dict[Path, tuple[bytes, bool]] = {}
@@ -172,7 +172,7 @@ class Disk:
         self.thread.start()
 
     def put(self, file: Path, content: bytes, safe: bool = False) -> None:
-        """Has a file replaced, soon; safe is against a failure of the power as well."""
+        """Queues the replacement of a file; with `safe`, it survives a power failure."""
         with self.come:
             self.waiting[file] = content, safe
             self.come.notify()
@@ -188,13 +188,13 @@ class Disk:
                 replace_file(file, content, safe)
                 self.failing.discard(file)
             except OSError as error:
-                # The next content comes soon, and may find the disk well again.
+                # The next content comes soon, and the disk may work again by then.
                 if file not in self.failing:
                     log.warning("%s is not written: %s", file, error.strerror)
                 self.failing.add(file)
 
     def close(self) -> None:
-        """Writes what is waiting."""
+        """Writes all waiting files."""
         with self.come:
             self.ended = True
             self.come.notify()
@@ -202,7 +202,7 @@ class Disk:
 
 
 class Status:
-    """A small file that says what the process has done; replaced, never half written."""
+    """A small file with the figures of a process; it is replaced as a whole, never half written."""
 
     def __init__(self, config: Config, name: str, disk: Disk):
         self.file, self.disk = config.path / "status" / f"{name}-{os.getpid()}.json", disk
@@ -210,17 +210,17 @@ class Status:
         self.written = 0.0
 
     def due(self, ready: bool) -> bool:
-        """Whether it is time to write it: at once when the process has become ready."""
+        """Whether it is time to write the file; immediately when the process becomes ready."""
         return ready != self.ready or time.monotonic() - self.written >= STATUS_EVERY
 
     def write(self, content: dict[str, Any]) -> None:
-        """Has it written."""
+        """Queues new content for the file."""
         self.ready, self.written = content["ready"], time.monotonic()
         self.disk.put(self.file, json.dumps(content).encode())
 
 
 def serve(worker: Worker) -> int:
-    """Runs a worker until it is told to stop."""
+    """Runs a worker until the process is asked to stop."""
     set_up_log()
     priority.take(worker.name)
     config = worker.config
@@ -259,14 +259,14 @@ def serve(worker: Worker) -> int:
 
 
 def spare_collector() -> None:
-    """Spares the garbage collector: objects of now live to the end, later ones have no cycles, so that it runs rarely and skips the old."""
+    """Makes garbage collection rare. Present objects are exempt because they live to the end; later ones have no reference cycles."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
 
 
 def memory_kb() -> int:
-    """Resident memory of the process, kB; 0 where the system does not say."""
+    """Resident memory of the process, kB; 0 if the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except (OSError, IndexError, ValueError):
@@ -275,7 +275,7 @@ def memory_kb() -> int:
 
 
 def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
-    """Writes a file so that a reader finds the old or the new content; if it is to be safe, also when the power fails."""
+    """Replaces a file atomically: a reader finds the old or the new content. With `safe`, also after a power failure."""
     file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_suffix(".writing")
     try:
@@ -286,12 +286,12 @@ def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
                 os.fsync(stream.fileno())
         beside.replace(file)
     except OSError:
-        # Half a file would take room that others need.
+        # An incomplete file would take disk space that others need.
         beside.unlink(missing_ok=True)
         raise
 
 
 def read_config(file: Path) -> Config:
-    """The configuration that a process was given. Files that the process writes from then on are its owner's alone."""
+    """Reads the configuration of a process. From then on, files of the process are accessible to their owner only."""
     os.umask(0o077)
     return configuration.read(file)
