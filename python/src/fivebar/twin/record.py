@@ -1,7 +1,7 @@
 """Records: Parquet with the columns topic, time, seq, payload, one file or a folder of parts. Written by the recorder, read by many.
 
-A part is complete when it has its name: it is written under another one, brought to the disk and renamed. `part-FIRST-LAST.parquet`
-holds what came in flushes FIRST to LAST, so that one that was joined of others takes their place whether or not these are gone.
+A part is written under a temporary name, flushed to disk and renamed, so that a part with its final name is complete.
+`part-FIRST-LAST.parquet` contains the messages of flushes FIRST to LAST. A joined part replaces its parts, whether or not they are deleted.
 """
 
 import os
@@ -25,17 +25,17 @@ TYPES: Final[dict[str, pa.DataType]] = {
 SCHEMA: Final = pa.schema(TYPES)
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
 MAGIC: Final = b"PAR1"
-"""Begin of a file of Parquet."""
+"""First bytes of a Parquet file."""
 
 LARGEST_RECORD: Final = 64_000_000_000
-"""Bytes of a record that is read at most."""
+"""Maximum size of a record, bytes."""
 
 COLUMNS: Final = {
     "topic": (pa.types.is_string, pa.types.is_large_string),
     "time": (pa.types.is_integer,),
     "seq": (pa.types.is_integer,),
 } | {"payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)}
-"""Types of Arrow that each column may have."""
+"""Allowed Arrow types of each column."""
 
 
 class Row(NamedTuple):
@@ -48,7 +48,7 @@ class Row(NamedTuple):
 
 
 def write_part(folder: Path, first: int, last: int, rows: list[Row]) -> Path:
-    """Writes a part; under its name it is complete and on the disk."""
+    """Writes a part; once it has its name, it is complete and on the disk."""
     columns = zip(*rows, strict=True) if rows else ((), (), (), ())
     return write_table(folder, first, last, pa.table([list(column) for column in columns], schema=SCHEMA))
 
@@ -64,14 +64,14 @@ def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
             os.fsync(stream.fileno())
         beside.rename(path)
     except OSError:
-        # Half a part would take room that the next one needs.
+        # An incomplete part would take disk space that the next one needs.
         beside.unlink(missing_ok=True)
         raise
     return path
 
 
 def is_record(file: Path) -> bool:
-    """Whether a file or folder is a record, and no table."""
+    """Whether a file or folder is a record, not a table."""
     if file.is_dir() or file.suffix.lower() == ".parquet":
         return True
     try:
@@ -82,7 +82,7 @@ def is_record(file: Path) -> bool:
 
 
 def parts(record: Path) -> list[Path]:
-    """The files of a record in order: the file itself, or those of the folder that no other one has taken the place of."""
+    """The files of a record in order: the file itself, or the parts in the folder that no joined part replaces."""
     if record.is_file():
         return [record]
     if not record.is_dir():
@@ -101,14 +101,14 @@ def parts(record: Path) -> list[Path]:
 
 
 def setup(record: Path) -> Message:
-    """The message about the recorded run: the recorder writes it first."""
+    """The message `setup` about the recorded run, which the recorder writes first."""
     for message in messages(record, "setup", refused=lambda _: None):
         return message
     raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
 
 
 def rows(record: Path) -> Iterator[Row]:
-    """All rows in the order of their arrival, some thousands in memory at a time."""
+    """Iterates over all rows in order of arrival, with some thousands in memory at a time."""
     for path in parts(record):
         file = _file(path)
         missing = [name for name in SCHEMA.names if name not in file.schema_arrow.names]
@@ -121,7 +121,7 @@ def rows(record: Path) -> Iterator[Row]:
         try:
             for batch in file.iter_batches(batch_size=4096, columns=SCHEMA.names):
                 for topic, time, seq, payload in zip(*(column.to_pylist() for column in batch.columns), strict=True):
-                    # A missing payload is no message, as whoever decodes it says.
+                    # A missing payload becomes an empty message, which `decode` refuses.
                     payload = payload.encode() if isinstance(payload, str) else payload or b""
                     yield Row(topic or "", time or 0, seq or 0, payload)
         except (OSError, pa.ArrowException) as error:
@@ -129,7 +129,7 @@ def rows(record: Path) -> Iterator[Row]:
 
 
 def messages(record: Path, *kinds: str, refused: Callable[[str], None]) -> Iterator[Message]:
-    """The messages of those kinds (all, if none is named), in the order of their arrival; a row that is none goes to `refused`, as a sentence."""
+    """Iterates over the messages of some kinds (default: all) in order of arrival. For each invalid row, `refused` gets a sentence."""
     for row in rows(record):
         if kinds and row.topic.rpartition("/")[2] not in kinds:
             continue

@@ -1,4 +1,4 @@
-"""The recorder's process: everything that is published, into Parquet, in parts that survive whatever ends the process."""
+"""The recorder process: writes all published messages to Parquet, in parts that survive a crash of the process."""
 
 import logging
 import time
@@ -19,22 +19,22 @@ from fivebar.twin.process import Worker
 from fivebar.twin.record import Row
 
 FLUSH_EVERY: Final = 0.4
-"""Seconds between two parts: less than this and the time of writing is lost by SIGKILL."""
+"""Time between two parts, s. SIGKILL loses at most the messages of this time and of the last write."""
 
 MOST_WAITING: Final = 20_000
-"""Rows that wait for the disk at most; further ones are lost and reported."""
+"""Maximum number of rows that wait for the disk; further ones are lost and reported."""
 
 JOINED: Final = 64
-"""Parts that become one."""
+"""Number of parts that are joined into one."""
 
 PATIENCE: Final = 1.0
-"""Seconds after which a number that is missing is missing."""
+"""Time after which a missing number is reported, s; it may arrive late."""
 
 log = logging.getLogger("fivebar")
 
 
 class Gaps:
-    """Numbers of a kind that never came, reported once `PATIENCE` is over."""
+    """Missing numbers of a kind, reported after `PATIENCE`."""
 
     def __init__(self, kind: str):
         self.kind, self.newest = kind, -1
@@ -46,11 +46,11 @@ class Gaps:
         for _, first, last, came in self.waiting:
             if first <= seq <= last:
                 came.add(seq)
-        # A machine that counts anew is a new series.
+        # A machine that restarts its count begins a new series.
         self.newest = seq if seq > self.newest or seq < self.newest - 1000 else self.newest
 
     def due(self, now: float) -> list[tuple[int, int]]:
-        """First and last number of each gap whose time has come."""
+        """First and last number of each gap that has waited for `PATIENCE`."""
         ranges: list[tuple[int, int]] = []
         for when, first, last, came in self.waiting:
             if when <= now:
@@ -71,7 +71,7 @@ class Recorder(Worker):
         self.folder = config.record
         self.rows: list[Row] = []
         self.taken: list[Row] = []
-        """Rows to be written next."""
+        """Rows to write next."""
         self.flushed = time.monotonic()
         self.number = 0
         self.parts: list[tuple[int, int, Path]] = []
@@ -79,9 +79,9 @@ class Recorder(Worker):
         self.counts = dict.fromkeys(("recorded", "written", "gaps", "overrun"), 0)
         self.about: Message | None = None
         self.failing, self.failed, self.why = False, 0.0, ""
-        """Whether the disk takes nothing, when it was tried last, s, and its error."""
+        """Whether writing fails, time of the last attempt, s, and its error."""
         self.lost: dict[str, tuple[int, int]] = {}
-        """First and last number of each kind that were not recorded because nothing could wait any more."""
+        """First and last number of the messages of each kind lost because too many rows were waiting."""
         self.now = 0
 
     def begin(self) -> None:
@@ -107,7 +107,7 @@ class Recorder(Worker):
             self.gaps[message.kind].see(message.seq, 1e-9 * now)
 
     def _row(self, message: Message) -> None:
-        """A row of the recorder's own."""
+        """Appends a message of the recorder itself."""
         self.rows.append(Row(topic(self.config.unit, message.kind), message.time, message.seq, encode(message)))
 
     def tick(self, now: int) -> None:
@@ -124,12 +124,12 @@ class Recorder(Worker):
             self._take()
 
     def _take(self) -> None:
-        """The rows so far are a part."""
+        """Makes the rows so far the next part."""
         self.flushed = time.monotonic()
         self.taken, self.rows = [*self.taken, *self.rows], []
 
     def write(self) -> None:
-        """Writes the rows that have come; those that the disk does not take wait, and are tried again with the next ones."""
+        """Writes the waiting rows as a part; after a failure they are written with the next ones."""
         rows = self.taken
         if not rows or (self.failing and time.monotonic() - self.failed < FLUSH_EVERY):
             return
@@ -156,17 +156,17 @@ class Recorder(Worker):
             self._join()
 
     def _join(self) -> None:
-        """One part in the place of many; these go when it is on the disk."""
+        """Joins many parts into one and deletes them once it is on the disk."""
         table = pa.concat_tables([pq.read_table(path, schema=record.SCHEMA) for _, _, path in self.parts])
         try:
             record.write_table(self.folder, self.parts[0][0], self.parts[-1][1], table)
         except OSError:
-            # There may be room for the parts, and not for both.
+            # The disk may have no space for a copy of the parts.
             return
         for _, _, path in self.parts:
             path.unlink(missing_ok=True)
         self.parts = []
-        # Memory of the join goes back to the system.
+        # Returns the memory of the join to the system.
         del table
         pa.default_memory_pool().release_unused()
 
@@ -184,7 +184,7 @@ class Recorder(Worker):
 
 
 def guid(fmu: Path) -> str:
-    """GUID of the unit; read without FMPy, whose loading would delay the first part."""
+    """GUID of the FMU, read without FMPy because its import would delay the first part."""
     try:
         with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as stream:
             return str(next(ElementTree.iterparse(stream, events=["start"]))[1].attrib["guid"])

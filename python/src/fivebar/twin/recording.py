@@ -1,7 +1,7 @@
-"""Recordings: a machine's samples in the order of time, by the names of the fields of `meas`.
+"""Recordings: a machine's samples sorted by time, with columns named as the fields of `meas`.
 
-`read` makes a recording of a table as CSV; a reader of another source gives clock and columns to `of`, which holds the rules for both. A clock that
-falls back has been restarted: the samples from there on are another series, and `time` puts the series one after another.
+`read` reads a CSV table; readers of other sources pass clock and columns to `of`, which applies the same rules to all. If a clock goes back, it
+was restarted: the following samples are another series, and `time` appends the series to each other.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ Array = NDArray[Any]
 TIME: Final = "time"
 
 UNITS: Final = {TIME: "s", "theta": "rad", "omega": "rad/s", "tau": "N.m", "tip.x": "m", "tip.y": "m"}
-"""Units of the columns, by the last words of their names."""
+"""Units of the columns, by the end of their names."""
 
 TRUE: Final = {name.removeprefix("measured."): name for name in MEASURED}
 """Columns of runs, which stand for measured ones that are missing."""
@@ -36,10 +36,10 @@ GIVEN: Final = "the record"
 """What columns without a file are called."""
 
 SLOW: Final = 0.5
-"""s between two samples: a machine that is followed is sampled faster, and times in ms look slower."""
+"""Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""
 
 SHOWN: Final = 8
-"""Names of other columns that a note has, at most."""
+"""Maximum number of other columns named in a note."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,19 @@ class Recording:
     """Samples of a machine."""
 
     source: str | Path
-    """A file or folder, for messages."""
+    """File or folder, for error messages."""
 
     time: Array
-    """(n), s from the first sample, rising. Where the clock restarted, the step is the usual one."""
+    """(n), s from the first sample, rising. At a restart of the clock, the step is the median step."""
 
     columns: dict[str, Array]
-    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN where a sample has none. Commands of drives have no NaN: each stays until the next one."""
+    """Fields of `meas` by name, (n) each: rad, rad/s, N.m, m; NaN if a sample has no value. Drive commands have no NaN: each stays until the next one."""
 
     begins: tuple[int, ...]
     """Indices of the first samples after each restart of the clock."""
 
     notes: list[str]
-    """Sentences on rows and columns that were left out."""
+    """Sentences about ignored rows and columns."""
 
     def part(self, first: int, last: int) -> "Recording":
         """Samples first to last - 1; times stay."""
@@ -69,12 +69,12 @@ class Recording:
 
     @property
     def period(self) -> float:
-        """The usual distance of two samples, s; 0 if there is one sample."""
+        """Median sampling period, s; 0 for a single sample."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
 
 
 def read(file: Path) -> Recording:
-    """The recording in a table with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
+    """Reads a table with the columns `time` in s, measured.theta[1] and measured.theta[2] (or theta[1] and theta[2]) in rad, and other fields of `meas`."""
     try:
         found = table.read(file, COLUMNS, TIME)
     except FiveBarError as error:
@@ -134,7 +134,7 @@ def _of_table(source: str | Path, columns: dict[str, Array], unused: Sequence[st
 
 
 def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[str]) -> Recording:
-    """The recording of samples in their order, by the readings of their clock, s. Refuses times and angles in other units."""
+    """Makes a recording from samples in order and their clock, s. Raises `TwinError` for times and angles in other units."""
     usable = np.flatnonzero(np.isfinite(clock))
     own = usable[np.diff(clock[usable], prepend=np.nan) != 0]
     if len(own) < len(clock):
@@ -159,7 +159,7 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
 
 
 def _check_units(given: Recording) -> None:
-    """Refuses times that look like milliseconds and angles that look like degrees."""
+    """Raises `TwinError` for times that look like milliseconds and angles that look like degrees."""
     if unit := units.of_long_step(given.period, SLOW):
         raise TwinError(f"{given.source}: {units.asks_by_step(given.period, f'less than {SLOW:g} s', unit)}")
     for name, column in given.columns.items():
@@ -172,7 +172,7 @@ def _check_units(given: Recording) -> None:
 
 
 def _stays(column: Array) -> Array:
-    """A column with each NaN replaced by the last number before it, or by the first number of all."""
+    """Replaces each NaN by the last number before it; leading NaN by the first number."""
     known = np.flatnonzero(np.isfinite(column))
     return np.asarray(column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), side="right") - 1, 0)]])
 
@@ -182,5 +182,5 @@ def _unit(name: str) -> str:
 
 
 def _plain(unit: str) -> str:
-    """A unit without signs of multiplication, which are written in many ways."""
+    """A unit without multiplication signs, which have many spellings."""
     return "".join(c for c in unit if c not in " .·*")

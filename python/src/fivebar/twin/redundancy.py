@@ -1,9 +1,8 @@
-"""What a recording says twice: which encoder is left, which way it counts and where its zero is, weighed against all that depends on it.
+"""Redundant information in a recording: the order, signs and zeros of the encoders, checked against all other measurements.
 
-An `Assignment` exchanges the encoders or not, and reverses each or not. A kind of evidence (angles of the distal links, a tracked tip, commands,
-torques at rest, the reach of the machine) gives each assignment a misfit, after it has fitted the zeros that it can tell. The scene's lengths (to
-`estimator.sigma0.length`), its
-assembly, commands and torques are taken as right.
+An `Assignment` is one choice of order and signs of the encoders. Each kind of evidence (angles of the distal links, a tracked tip, commands,
+torques at rest, the reach of the machine) gives each assignment a misfit, with fitted zeros if it depends on them. The scene's lengths (to
+`estimator.sigma0.length`), assembly, commands and torques are assumed to be right.
 """
 
 from collections.abc import Callable
@@ -25,57 +24,57 @@ from fivebar.twin.recording import Array, Recording
 TURN: Final = 2 * np.pi
 
 SAMPLES: Final = 60
-"""Samples of the coarse search, and ten times as many of the fit: postures all over the record."""
+"""Number of samples in the coarse search, spread over the record; the fit uses ten times as many."""
 
 COARSE: Final = 36
-"""Zeros that are tried for each encoder: every 10 degrees, a tenth of what keeps a fit in its valley."""
+"""Zeros tried for each encoder: every 10 degrees, a tenth of the width in which a fit converges."""
 
 STARTS: Final = 4
-"""Best coarse zeros from which a fit begins."""
+"""Number of best coarse zeros from which a fit starts."""
 
 CLOSES: Final = 0.98
-"""Share of the samples that have to close: outliers do not."""
+"""Minimum share of samples with a closed loop; the rest may be outliers."""
 
 ALIKE: Final = 2.0
-"""Ratio of misfits up to which two assignments fit alike."""
+"""Ratio of misfits up to which two assignments fit equally well."""
 
 FLOOR: Final = 5e-4
-"""Misfit, rad, below which all assignments fit: encoders have steps of as much."""
+"""Misfit, rad, below which every assignment fits: the resolution of a coarse encoder."""
 
 WORST: Final = 0.01
-"""Misfit, rad, of a machine that is not the scene's: zeros make up for most of what wrong lengths do, and lengths that are a quarter off leave this."""
+"""Misfit, rad, that shows another machine than the scene. Fitted zeros hide most of the effect of wrong lengths; lengths 25 % off leave this misfit."""
 
 UNLIKE: Final = 0.5
-"""Misfit, in shares of what varies, that is no likeness."""
+"""Misfit relative to the variation of the data, above which there is no resemblance."""
 
 MOVES: Final = 0.05
-"""rad: less motion of a command tells nothing."""
+"""Minimum motion of a command for evidence, rad."""
 
 SURE: Final = 0.02
-"""rad: a zero with a larger standard deviation is not told."""
+"""Maximum standard deviation of an identified zero, rad."""
 
 CLOSED_OFF: Final = 1.0
-"""Residual, rad, of a posture that does not close."""
+"""Residual, rad, of a posture without a closed loop."""
 
 
 Residuals = Callable[["_Loop", Array, Array], Array]
-"""Residuals (..., n, m) of a loop's motor angles (..., n, 2) at n samples; NaN if a posture does not close."""
+"""Function from a loop's motor angles (..., n, 2) at n samples to residuals (..., n, m); NaN if the loop does not close."""
 
 
 class Assignment(NamedTuple):
-    """Which encoder is the left one, and which way each counts: angles are sign x (the encoder's) + zero."""
+    """Order and signs of the encoders: motor angle = sign x encoder angle + zero."""
 
     exchanged: bool
     signs: tuple[int, int]
-    """Of the left and the right angle."""
+    """Signs of the left and the right angle."""
 
     def angles(self, encoders: Array) -> Array:
-        """Angles of the motors, rad, (n, 2), before zeros are added."""
+        """Motor angles, rad, (n, 2), without zeros."""
         ordered = encoders[:, ::-1] if self.exchanged else encoders
         return np.asarray(ordered * np.array(self.signs))
 
     def words(self) -> str:
-        """In a sentence."""
+        """Description for a sentence."""
         reversed_ = [side for side, sign in zip(("left", "right"), self.signs, strict=True) if sign < 0]
         words = (["encoders exchanged"] if self.exchanged else []) + [f"{side} angle reversed" for side in reversed_]
         return " and ".join(words) or "encoders as in the map"
@@ -84,39 +83,39 @@ class Assignment(NamedTuple):
 ASSIGNMENTS: Final = tuple(
     Assignment(exchanged, (left, right)) for exchanged, left, right in product((False, True), (1, -1), (1, -1))
 )
-"""The first one is that of the map."""
+"""All assignments; the first one is the assignment of the map."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How an assignment fits a kind of evidence."""
+    """Fit of an assignment to a kind of evidence."""
 
     misfit: float
-    """rms, in the unit of the evidence; inf if the machine cannot be so."""
+    """rms, in the unit of the evidence; inf if the assignment is impossible."""
 
     zeros: Array
-    """To be added to the angles, rad, (2)."""
+    """Zeros to add to the angles, rad, (2)."""
 
     sigma: Array
-    """Standard deviations of the zeros, rad, (2), with errors of lengths of `estimator.sigma0.length`; inf if they are not told."""
+    """Standard deviations of the zeros, rad, (2), including the length errors `estimator.sigma0.length`; inf if not identified."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A kind of evidence."""
+    """A kind of evidence, with its fits."""
 
     name: str
     unit: str
-    """Of the misfits."""
+    """Unit of the misfits."""
 
     fits: tuple[Fit, ...]
-    """In the order of `ASSIGNMENTS`."""
+    """Fits in the order of `ASSIGNMENTS`."""
 
     floor: float
-    """Misfit below which an assignment fits in any case."""
+    """Misfit below which an assignment always fits."""
 
     most: float
-    """Misfit of the best assignment above which the evidence is of another machine, or of one that is moved by hand."""
+    """Maximum misfit of the best assignment; above it, the machine is another one or was moved by hand."""
 
     @property
     def is_believed(self) -> bool:
@@ -124,7 +123,7 @@ class Evidence:
         return min(fit.misfit for fit in self.fits) <= self.most
 
     def fitting(self) -> frozenset[int]:
-        """Assignments that fit about as well as the best one."""
+        """Indices of the assignments that fit about as well as the best one."""
         best = min(fit.misfit for fit in self.fits)
         most = max(ALIKE * best, self.floor)
         return frozenset(k for k, fit in enumerate(self.fits) if np.isfinite(fit.misfit) and fit.misfit <= most)
@@ -132,41 +131,41 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Passive:
-    """The angle of a distal link: which column, which way it counts, and its zero."""
+    """The measured angle of a distal link: its column, sign and zero."""
 
     column: int
     """Index in `maps.PASSIVE`."""
 
     sign: int
     zero: float
-    """rad."""
+    """Zero, rad."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a recording tells."""
+    """Conclusions from a recording."""
 
     evidence: tuple[Evidence, ...]
     possible: tuple[int, ...]
-    """Indices of assignments that nothing contradicts, the chosen one first."""
+    """Indices of the assignments without contradicting evidence, the chosen one first."""
 
     zeros: Array
-    """Of the chosen assignment, rad, (2); 0 if they are not told."""
+    """Zeros of the chosen assignment, rad, (2); 0 if not identified."""
 
     sigma: Array
-    """Their standard deviations, rad, (2); inf if they are not told."""
+    """Standard deviations of the zeros, rad, (2); inf if not identified."""
 
     passive: tuple[Passive, Passive] | None
-    """Left and right distal link, if both were recorded and fit."""
+    """Left and right distal link, if both are recorded and fit."""
 
     @property
     def chosen(self) -> Assignment:
-        """The assignment that is proposed: that of the map, if it is possible."""
+        """The proposed assignment: the assignment of the map, if it is possible."""
         return ASSIGNMENTS[self.possible[0]]
 
 
 def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, False)) -> Verdict:
-    """What a recording with both encoders tells about them. `relative`: which angles of distal links have the proximal encoder's added."""
+    """Draws conclusions from a recording with both encoders. `relative`: whether each distal angle counts from its proximal link."""
     loop = _Loop(given, scene, relative)
     evidence = []
     if loop.passive is not None:
@@ -177,12 +176,12 @@ def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, 
         evidence.append(loop.closure("torques at rest", "of their variation", _Loop.torque_residuals, 0.1, UNLIKE))
     if loop.commands is not None:
         evidence.append(loop.commanded())
-    # Other evidence finds zeros, with which all is within reach.
+    # Reach is only used alone: other evidence fits zeros, and with them all samples are within reach.
     evidence = evidence or [loop.reach()]
     possible = frozenset(range(len(ASSIGNMENTS)))
     believed = [each for each in evidence if each.is_believed]
     for each in believed:
-        # Evidence that contradicts all that is left is worth less than what came before.
+        # Evidence that contradicts all remaining assignments is ignored: earlier evidence is stronger.
         possible = possible & each.fitting() or possible
     order = tuple(sorted(possible))
     zeros, sigma = np.zeros(2), np.full(2, np.inf)
@@ -195,7 +194,7 @@ def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, 
 
 
 class _Loop:
-    """The machine's loop at samples of a recording."""
+    """The kinematic loop of the machine at the samples of a recording."""
 
     def __init__(self, given: Recording, scene: Scene, relative: tuple[bool, bool]):
         self.scene, self.machine = scene, Machine.from_scene(scene)
@@ -227,7 +226,7 @@ class _Loop:
         )
 
     def _rates(self, given: Recording, encoders: Array) -> Array:
-        """How fast the faster encoder moves at the samples, rad/s."""
+        """Speed of the faster encoder at the samples, rad/s."""
         ends = np.clip(np.stack([self.known - 1, self.known + 1]), 0, len(given.time) - 1)
         apart = np.abs(encoders[ends[1]] - encoders[ends[0]]).max(axis=1)
         return np.asarray(
@@ -235,7 +234,7 @@ class _Loop:
         )
 
     def postures(self, motors: Array) -> tuple[Array, Array, Array]:
-        """Which motor angles (..., 2) close, link angles (..., 4) and tip (..., 2); NaN if they do not."""
+        """For motor angles (..., 2): whether the loop closes, link angles (..., 4) and tip (..., 2); NaN if it does not."""
         l1, l2, l3, l4 = self.machine.lengths
         left, right = (length * np.exp(1j * motors[..., i]) for i, length in ((0, l1), (1, l4)))
         apart = np.abs(right + self.machine.distance - left)
@@ -247,7 +246,7 @@ class _Loop:
         return closes, theta, tip
 
     def longer(self) -> "list[_Loop]":
-        """Loops with one length each that is longer by its standard deviation."""
+        """Loops in which one length is increased by its standard deviation, one loop for each length."""
         values = [self.machine.distance, *self.machine.lengths]
         loops = []
         for k in range(len(values)):
@@ -260,14 +259,14 @@ class _Loop:
     # Residuals
 
     def passive_residuals(self, motors: Array, rows: Array) -> Array:
-        """Angles of the distal links, best way round, less their means: their zeros are free."""
+        """Residuals of the distal links' angles, minus their means because their zeros are free, with the best order and signs."""
         _, theta, _ = self.postures(motors)
         found = self._legs(theta, rows)
         swapped = np.sum(found[1] ** 2, axis=(-2, -1)) < np.sum(found[0] ** 2, axis=(-2, -1))
         return np.where(swapped[..., None, None], found[1], found[0])
 
     def _legs(self, theta: Array, rows: Array) -> tuple[Array, Array]:
-        """Residuals of both legs with the columns as they are and exchanged, each by its better sign."""
+        """Residuals of both legs with the columns in order and exchanged, each with its better sign."""
         assert self.passive is not None
         found = []
         for order in ((0, 1), (1, 0)):
@@ -281,12 +280,12 @@ class _Loop:
         return found[0], found[1]
 
     def tip_residuals(self, motors: Array, rows: Array) -> Array:
-        """Tip, in radians of the machine's mean length."""
+        """Residuals of the tip relative to the mean length of the links."""
         assert self.tip is not None
         return np.asarray((self.postures(motors)[2] - self.tip[rows]) / np.mean(self.machine.lengths))
 
     def torque_residuals(self, motors: Array, rows: Array) -> Array:
-        """Torques less those that carry the weight, in shares of what they vary by. Only slow samples count."""
+        """Residuals of torques minus gravity torques, relative to the variation of the torques. Only slow samples count."""
         assert self.torques is not None
         closes, theta, _ = self.postures(motors)
         found = np.full(motors.shape, np.nan)
@@ -300,7 +299,7 @@ class _Loop:
     # Kinds of evidence
 
     def reach(self) -> Evidence:
-        """Whether the samples close with the zeros of the map. A misfit is the share that does not."""
+        """Evidence from the reach: the misfit is the share of samples for which the loop does not close with the zeros of the map."""
         shares = [1 - float(np.mean(self.postures(each.angles(self.encoders))[0])) for each in ASSIGNMENTS]
         untold = np.zeros(2), np.full(2, np.inf)
         return Evidence(
@@ -314,7 +313,7 @@ class _Loop:
     def closure(
         self, name: str, unit: str, residuals: Residuals, floor: float = FLOOR, most: float = WORST
     ) -> Evidence:
-        """Evidence by which zeros are found: on a grid, then by a fit from the best ones, and from those of the map."""
+        """Evidence that also finds zeros: on a grid, then by fits from the best grid points and from the zeros of the map."""
         fits = tuple(self._fit(assignment.angles(self.encoders), residuals) for assignment in ASSIGNMENTS)
         return Evidence(name, unit, fits, floor, most)
 
@@ -336,13 +335,13 @@ class _Loop:
             if self.postures(motors + found.x)[0].mean() < CLOSES:
                 continue
             misfit = float(np.sqrt(np.mean(of(found.x) ** 2)))
-            # Zeros of the map are kept unless others are clearly better.
+            # The zeros of the map stay unless others are clearly better.
             if misfit < 0.99 * best.misfit:
                 jacobian = np.asarray(found.jac)
                 normal = jacobian.T @ jacobian
                 sigma = np.full(2, np.inf)
                 if np.linalg.cond(normal) < 1e12:
-                    # Zeros make up for lengths that are a little wrong: a share of the misfit would be far too small an error.
+                    # Slightly wrong lengths shift the zeros far more than the misfit shows.
                     lengths = [of(found.x, loop) - of(found.x) for loop in self.longer()]
                     moved = np.linalg.solve(normal, jacobian.T @ np.column_stack(lengths))
                     sigma = np.sqrt(misfit**2 * np.diag(np.linalg.inv(normal)) + np.sum(moved**2, axis=1))
@@ -350,7 +349,7 @@ class _Loop:
         return best
 
     def commanded(self) -> Evidence:
-        """Whether angles follow their commands; zeros are those of the commands."""
+        """Evidence from commands: the angles should follow them, and the zeros come from them."""
         assert self.commands is not None
         fits = []
         spread = np.std(self.commands, axis=0)
@@ -363,7 +362,7 @@ class _Loop:
         return Evidence("commands", "of their variation", tuple(fits), 0.05, UNLIKE)
 
     def legs(self, assignment: Assignment, zeros: Array) -> tuple[Passive, Passive]:
-        """Which column is which distal link, its sign and its zero."""
+        """Column, sign and zero of each distal link."""
         assert self.passive is not None
         _, theta, _ = self.postures(assignment.angles(self.encoders) + zeros)
         straight, crossed = (float(np.nanmean(each**2)) for each in self._legs(theta[None], np.arange(len(theta))))
@@ -377,12 +376,12 @@ class _Loop:
 
 
 def _wrapped(angle: Array) -> Array:
-    """Angles in [-pi, pi], rad."""
+    """Wraps angles to [-pi, pi], rad."""
     return np.asarray(angle - TURN * np.round(angle / TURN))
 
 
 def _wrapped_about_mean(angle: Array) -> Array:
-    """Angles (..., n) less their mean on the circle, rad."""
+    """Angles (..., n) minus their circular mean, rad."""
     with np.errstate(invalid="ignore"):
         turned = np.exp(1j * angle)
         known = np.isfinite(turned)

@@ -1,4 +1,4 @@
-"""`fivebar replay FILE`: computes the estimates of a record again, from its samples, and compares them to the bit."""
+"""`fivebar replay FILE`: recomputes the estimates of a record from its samples and compares them bit by bit."""
 
 import math
 import time
@@ -15,16 +15,16 @@ from fivebar.twin.messages import Message, decode, encode
 from fivebar.twin.setup import of_message
 
 KEPT: Final = 20_000
-"""Inputs that are remembered until an estimate names them."""
+"""Maximum number of inputs kept until an estimate names them."""
 
 PATIENCE: Final = 500
-"""Messages after which an input that an estimate names is missing."""
+"""Number of messages after which an input that an estimate names counts as missing."""
 
 TOLD: Final = 5
-"""Differences, gaps and rows that are no messages that are shown."""
+"""Maximum number of differences, gaps and invalid rows that are shown."""
 
 MOSTLY_LEFT_OUT: Final = 3
-"""The exit code where all compared estimates agree, and are less than half."""
+"""Exit code if all compared estimates agree, but more are left out than compared."""
 
 
 @dataclass
@@ -34,25 +34,25 @@ class Result:
     compared: int = 0
     differing: list[str] = field(default_factory=list)
     left_out: int = 0
-    """Estimates whose inputs the record does not have, up to the next stored state."""
+    """Number of estimates without their inputs in the record, up to the next stored state."""
 
     not_asked: int = 0
-    """Estimates before `since`."""
+    """Number of estimates before `since`."""
 
     gaps: list[str] = field(default_factory=list)
-    """Gaps that the recorder has reported."""
+    """Gaps reported by the recorder."""
 
     bad: list[str] = field(default_factory=list)
-    """Why rows are no messages."""
+    """Reasons why rows are not valid messages."""
 
     states: int = 0
     seconds: float = 0.0
     spanned: float = 0.0
-    """Seconds on the machine's clock."""
+    """Replayed time on the machine's clock, s."""
 
 
 class Replay:
-    """Goes through the messages of a record in their order."""
+    """Replays the messages of a record in order."""
 
     def __init__(self, follower: Follower):
         self.follower = follower
@@ -61,13 +61,13 @@ class Replay:
         self.seen = 0
         self.waiting: deque[tuple[int, Message, bytes]] = deque()
         self.lost = True
-        """Whether the twin's state is not known: until a start or a stored state."""
+        """Whether the twin's state is unknown, until a start or a stored state."""
 
     def see(self, message: Message, payload: bytes) -> None:
-        """The next message of the record."""
+        """Takes the next message of the record."""
         self.seen += 1
         if message.kind in ("meas", "param", "cmd", "state"):
-            # The first of two with the same number is the one that was taken.
+            # Of two inputs with the same number, the twin took the first.
             self.inputs.setdefault((message.kind, message.seq, message.time), message)
             while len(self.inputs) > KEPT:
                 del self.inputs[next(iter(self.inputs))]
@@ -76,12 +76,12 @@ class Replay:
         self._go_on()
 
     def end(self) -> None:
-        """No more messages."""
+        """Finishes after the last message."""
         self.seen += PATIENCE
         self._go_on()
 
     def _go_on(self) -> None:
-        """As far as the inputs reach: a broker may bring an estimate before its sample."""
+        """Continues as far as the inputs reach; a broker may deliver an estimate before its sample."""
         while self.waiting:
             since, message, payload = self.waiting[0]
             here = message.kind == "state" or all(self._given(*one) is not None for one in message.extra["inputs"])
@@ -94,10 +94,10 @@ class Replay:
                 self._estimate(message, payload)
 
     def _given(self, kind: str, seq: int, time: int) -> Message | None:
-        """An input, if the record has it."""
+        """An input; None if it has not arrived."""
         given = self.inputs.get((kind, seq, time))
         if given is None and kind == "cmd" and ("meas", seq, time) in self.inputs:
-            # The twin's own decision that the machine counts anew from this sample.
+            # The twin itself decided that the machine restarted its count at this sample.
             return Message("cmd", "", time, seq, {})
         return given
 
@@ -114,7 +114,7 @@ class Replay:
 
     def _estimate(self, message: Message, payload: bytes) -> None:
         taken = message.extra["inputs"]
-        # An estimate that the record does not have may have had other inputs than this one.
+        # If an estimate is missing in the record, its inputs are unknown.
         self.lost = self.lost or message.extra.get("after") != self.follower.after
         begins = bool(taken) and (taken[0][0] == "state" or (self.lost and self.first(taken)))
         if self.lost and not begins:
@@ -142,7 +142,7 @@ class Replay:
             self._differs(f"the estimate after sample {message.seq} differs")
 
     def first(self, taken: list[list[object]]) -> bool:
-        """Whether these are the first inputs of a twin that starts."""
+        """Whether these are the first inputs after a start of the twin."""
         return self.result.compared == 0 and self.result.left_out == 0 and taken[0][0] in ("meas", "param", "cmd")
 
     def _differs(self, sentence: str) -> None:
@@ -150,7 +150,7 @@ class Replay:
 
 
 def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.inf) -> Result:
-    """Computes a record's estimates again; `since` and `until` are seconds after its first message."""
+    """Recomputes the estimates of a record; `since` and `until` are seconds after its first message."""
     setup = of_message(record.setup(file))
     library = Library(fmu)
     follower = Follower(library, setup)
@@ -164,7 +164,7 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
             first = row.time if first is None else first
             passed = 1e-9 * (row.time - first)
             if not since <= passed <= until:
-                # From the middle a stored state is needed.
+                # A replay from the middle needs a stored state.
                 work.result.not_asked += kind == "est" and passed < since
                 continue
             try:
@@ -189,7 +189,7 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
 
 
 def gap(message: Message) -> str:
-    """A gap in words."""
+    """Description of a gap."""
     why = message.extra.get("why")
     return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (
         f" ({why})" if why else ""
@@ -197,7 +197,7 @@ def gap(message: Message) -> str:
 
 
 def run(file: Path, fmu: Path, since: float, until: float) -> int:
-    """0 if every estimate is the same to the bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
+    """Returns 0 if all estimates agree bit by bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
     result = replay(file, fmu, since, until)
     for what, sentences in (
         ("", result.differing),
