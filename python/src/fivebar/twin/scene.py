@@ -1,4 +1,4 @@
-"""The scene of a run, resolved when the run begins: start values, and commands of the drives over time."""
+"""The scene of a run, resolved at its begin: start values, and drive commands over time."""
 
 import json
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from fivebar.twin.messages import INPUTS
 from fivebar.variables import Variables
 
 SOURCE: Final = "source.json"
-"""Copy of the scene's own file, in the folder of a run."""
+"""Name of the copy of the scene's source file in the folder of a run."""
 
 
 OFFSET_OF: Final = {
@@ -22,12 +22,12 @@ OFFSET_OF: Final = {
     for i, offset in enumerate(scene_file.OFFSETS, 1)
     for name in ("measured.theta", "servo.theta", "init.theta")
 }
-"""Mounting angle that is in a field or a start value, by its name."""
+"""Mounting angle that a field or start value includes, by the name of the field."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene. Its signals begin again at their end where they end as they began; others keep their last value."""
+    """A resolved scene. Its signals repeat if they end at their first values; otherwise they keep their last values."""
 
     name: str
     description: str
@@ -37,10 +37,10 @@ class Scene:
     signals: dict[str, list[float]]
     periodic: bool
     offsets: dict[str, float]
-    """Mounting angles of encoders that are known, rad, by the keys of a scene's file. Other angles here are true ones."""
+    """Known mounting angles of the encoders, rad, by their keys in a scene file. All other angles of a scene are true angles."""
 
     def content(self) -> dict[str, Any]:
-        """As `parse` takes it."""
+        """The content of a file for `parse`."""
         return {
             "name": self.name,
             "description": self.description,
@@ -52,23 +52,23 @@ class Scene:
         }
 
     def shown(self, fields: Mapping[str, float]) -> dict[str, float]:
-        """Angles of samples and orders as encoders show them, by the true ones: the drives close on their encoders."""
+        """Converts true angles of samples and commands to encoder readings; the drives close their loops on the encoders."""
         return {name: value + self._beyond(name) for name, value in fields.items()}
 
     def true(self, fields: Mapping[str, float]) -> dict[str, float]:
-        """True angles of samples and orders, by those that encoders show."""
+        """Converts encoder readings of samples and commands to true angles."""
         return {name: value - self._beyond(name) for name, value in fields.items()}
 
     def _beyond(self, name: str) -> float:
-        """Angle by which a field of `meas` is beyond the true one, rad."""
+        """Encoder reading minus true angle for a field of `meas`, rad."""
         return self.offsets.get(OFFSET_OF.get(name, ""), 0.0)
 
     def told(self, time: float) -> dict[str, float]:
-        """Commands of the drives, by true angles, at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
+        """Drive commands at a time, s, as true angles: the values of the `messages.INPUTS` in the scene, by name."""
         return {name: self.at(name, time) for name in self.signals if name in INPUTS}
 
     def at(self, name: str, time: float) -> float:
-        """A signal at a time, s."""
+        """Value of a signal at a time, s."""
         values = self.signals[name]
         place = (time % self.stop_time if self.periodic else min(max(time, 0.0), self.stop_time)) / self.step_size
         below = min(int(place + 1e-9), len(values) - 1)
@@ -77,7 +77,7 @@ class Scene:
 
 
 def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
-    """Writes a scene, by its name or file, to the folder of a run, with nothing left to look up: processes read it at once."""
+    """Writes a scene, given by name or file, to the folder of a run, with all values resolved so that processes read it quickly."""
     file, source = folder / "scene.json", folder / SOURCE
     for each in (file, source):
         each.touch(mode=0o600)
@@ -89,7 +89,7 @@ def resolve(given: str | Path, variables: Variables, folder: Path) -> Path:
 
 
 def read(file: Path) -> Scene:
-    """The scene in a file that `resolve` has written."""
+    """Reads a scene file written by `resolve`."""
     try:
         return parse(config.read_json(file))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
@@ -97,7 +97,7 @@ def read(file: Path) -> Scene:
 
 
 def parse(content: dict[str, Any]) -> Scene:
-    """The scene of such a file's content."""
+    """The scene from the content of such a file."""
     signals = {str(name): [float(x) for x in values] for name, values in content["signals"].items()}
     return Scene(
         name=str(content["name"]),
@@ -107,6 +107,6 @@ def parse(content: dict[str, Any]) -> Scene:
         step_size=float(content["stepSize"]),
         signals=signals,
         periodic=bool(signals) and all(abs(values[-1] - values[0]) < 1e-9 for values in signals.values()),
-        # Records of earlier versions have none.
+        # Records of older versions contain no offsets.
         offsets={str(name): float(value) for name, value in content.get("offsets", {}).items()},
     )

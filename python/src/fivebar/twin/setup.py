@@ -1,4 +1,4 @@
-"""Setup of a twin, from which its estimates follow: the unit, its start values, the plan of the drives, the sampling period."""
+"""Setup of a twin, which determines its estimates: the unit, its start values, the plan of the drives, the sampling period."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -11,11 +11,11 @@ from fivebar.twin.messages import Message
 from fivebar.twin.scene import Scene, parse
 
 CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
-"""Start values with which a unit follows a machine."""
+"""Start values for a unit that follows a machine."""
 
 MOTION: Final[dict[str, float | int | bool]] = {"solver.method": 6, "solver.errorTolerance": 1e-6}
-"""automatic, whatever method the scene's own runs have, at a hundredth of a step of a 16-bit encoder, rad, where the scene has no tolerance: inputs
-change with every sample, which costs it less than i3alp, and leaves a two-hundredth of the error."""
+"""Integration method of the twin: automatic, also if the scene has another one. The default tolerance is 1 % of the resolution of a 16-bit encoder, rad.
+The inputs change with every sample; there this method is cheaper than i3alp, with 1/200 of its error."""
 
 
 EXACT: Final[dict[str, float | int | bool]] = {
@@ -24,13 +24,13 @@ EXACT: Final[dict[str, float | int | bool]] = {
     "estimator.sigma0.eccentricity": 0.0,
     "estimator.sigma0.scale": 0.0,
 }
-"""Start values of a twin that takes lengths and encoders as exact."""
+"""Start values of a twin that assumes exact lengths and encoders."""
 
 
 def learning(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
-    """Start values with which the twin of a scene learns; widths that the scene gives stay.
+    """Start values with which the twin of a scene learns; prior standard deviations in the scene stay.
 
-    Viscous friction is learned also where the scene has none: bearings have some. Its width is then the unit's usual friction.
+    Viscous friction is also learned if the scene has none, because bearings always have some. Its prior σ is then the unit's default friction.
     """
     told: dict[str, float | int | bool] = {"estimator.learn.enabled": True}
     if values.get("viscous.enabled"):
@@ -45,34 +45,34 @@ def learning(library: Library, values: dict[str, float | int | bool]) -> dict[st
 
 @dataclass(frozen=True)
 class Setup:
-    """Data that determine the estimates to the bit, together with the messages."""
+    """Data that, together with the messages, determine the estimates bit by bit."""
 
     guid: str
     scene: Scene
     values: dict[str, float | int | bool]
-    """Start values of the twin, those of the scene included."""
+    """Start values of the twin, including the scene's values."""
 
     period: float
-    """Between two samples, s."""
+    """Sampling period, s."""
 
     step: float = 1e-3
-    """The unit's macro step, s: an estimate is made one such step after its sample, for outputs change in steps only."""
+    """Macro step of the unit, s. An estimate is for one macro step after its sample, because outputs change only in steps."""
 
     horizon: float = 0.5
-    """Of forecasts, s."""
+    """Horizon of forecasts, s."""
 
     @property
     def step_ns(self) -> int:
         return round(1e9 * self.step)
 
     def to_message(self, unit: str, time: int) -> Message:
-        """As records have it."""
+        """The message `setup` of a record."""
         content = asdict(self) | {"scene": self.scene.content()}
         return Message("setup", unit, time, 0, {}, content)
 
 
 def encoders(config: Config, scene: Scene) -> dict[str, float]:
-    """Steps and noise of the encoders, rad, by their start values: those of the scene, or else of the configuration."""
+    """Resolution and noise of the encoders, rad, by start value: from the scene, else from the configuration."""
     machine = config.machine
     names = {
         f"estimator.{name}[{i}]": value
@@ -92,7 +92,7 @@ def of_run(config: Config, scene: Scene, guid: str) -> Setup:
 
 
 def of_message(message: Message) -> Setup:
-    """The setup that a record has."""
+    """The setup in a record's message."""
     try:
         content: dict[str, Any] = dict(message.extra)
         scene = parse(content.pop("scene"))

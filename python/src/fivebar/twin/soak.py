@@ -1,4 +1,4 @@
-"""`fivebar soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
+"""`fivebar soak`: runs machine, twin, watch and recorder over hours of samples, without broker and clock; nothing may be lost or grow."""
 
 import re
 import sys
@@ -21,28 +21,28 @@ from fivebar.twin.recorder import Recorder
 from fivebar.twin.watch import Watch
 
 BEGIN: Final = 1_795_331_400_000_000_000
-"""When the machine starts, ns."""
+"""Start time of the machine, ns."""
 
 SETTLED: Final = 360.0
-"""s of samples in half of which everything that is kept for a while has been kept: the memory of shorter runs still grows."""
+"""Minimum duration for a judgement of the memory, s: by half of it, all bounded buffers are full. The memory of shorter runs still grows."""
 
 LOOKS: Final = 20
-"""At the memory, evenly over the samples."""
+"""Number of memory measurements, evenly spaced over the samples."""
 
 
 class Wire:
-    """Brings the messages of one worker to those that listen to it, at once."""
+    """Delivers the messages of each worker immediately to the workers that listen to them."""
 
     def __init__(self, config: Config, *workers: Worker):
         self.config, self.workers = config, workers
         self.now = BEGIN
-        """The workers' clock, ns: that of the newest sample."""
+        """Clock of the workers, ns: the time of the newest sample."""
         for worker in workers:
             worker.begin()
             worker.send = self.send
 
     def send(self, kind: str, payload: bytes) -> bool:
-        """Hands a message over."""
+        """Delivers a message."""
         if kind == "meas" and (found := re.search(rb'"time":(\d{19})\b', payload)):
             self.now = max(self.now, int(found[1]))
         for worker in self.workers:
@@ -51,13 +51,13 @@ class Wire:
         return True
 
     def tick(self) -> None:
-        """Periodic work of the workers."""
+        """Runs the periodic work of all workers."""
         for worker in self.workers:
             worker.tick(self.now)
             worker.write()
 
     def end(self) -> None:
-        """The recorder last."""
+        """Ends all workers, the recorder last."""
         for worker in sorted(self.workers, key=lambda worker: isinstance(worker, Recorder)):
             worker.end()
 
@@ -67,10 +67,10 @@ class Options:
     """Options of a soak: scenes and duration."""
 
     hours: float
-    """Of 200 samples a second."""
+    """Duration, with 200 samples per second."""
 
     scene: str | Path
-    """The name of a shipped scene, or a file."""
+    """Name of a shipped scene, or a file."""
 
     fmu: Path
     faults: str
@@ -81,7 +81,7 @@ class Options:
 def configured(
     folder: Path, fmu: Path, library: Library, given: str | Path, learn: bool = False, exact: bool = False
 ) -> Config:
-    """A configuration in which the stand-in differs from its twin as in a run of `fivebar twin` with those switches."""
+    """A configuration with the same differences between stand-in and twin as `fivebar twin` with these options."""
     folder.mkdir(parents=True, exist_ok=True)
     file = scene.resolve(given, library.known, folder)
     values = scene.read(file).values
@@ -98,7 +98,7 @@ def machine(config: Config, library: Library) -> StandIn:
 
 
 def run(options: Options) -> int:
-    """0 if every sample has an estimate and the memory has stopped growing, 3 if forecasts were not as good as promised."""
+    """Returns 0 if every sample has an estimate and the memory has stopped growing, 3 if forecasts were worse than promised, else 1."""
     if not 0 < options.hours <= 1000:
         raise TwinError(f"hours are {options.hours:g}; more than 0 and at most 1000 are allowed")
     faults = starter.parse_faults(options.faults)
@@ -142,7 +142,7 @@ def run(options: Options) -> int:
     finally:
         library.close()
     counts = twin.counts
-    # After a half everything that is kept for a while has been kept, and parts have been joined.
+    # By half-time, all bounded buffers are full and parts have been joined.
     half = memory[len(memory) // 2]
     growth = memory[-1] - half
     print(

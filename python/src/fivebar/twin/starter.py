@@ -1,4 +1,4 @@
-"""`fivebar twin`: starts the processes of a twin in their order, restarts those that die, shows progress, ends all, sums up."""
+"""`fivebar twin`: starts the processes of a twin in order, restarts dead ones, shows progress, ends all and writes a summary."""
 
 import contextlib
 import json
@@ -32,76 +32,76 @@ from fivebar.twin.messages import MEASURED, Message
 from fivebar.twin.process import STATUS_EVERY
 
 READY_WITHIN: Final = 20.0
-"""Seconds that a process may take to be ready."""
+"""Time limit for a process to become ready, s."""
 
 ANSWERS_WITHIN: Final = 5.0
-"""Seconds in which a broker has to take a connection."""
+"""Time limit for a broker to accept a connection, s."""
 
 MOST_RESTARTS: Final = 20
-"""Of one process in a minute; more is not a mishap."""
+"""Maximum number of restarts of one process within a minute; beyond it, the run fails."""
 
 KEPT_RUNS: Final = 5
 
 ORDER: Final = ("broker", "record", "watch", "dashboard", "forecast", "follow", "machine")
-"""In which they start; they end the other way round, the recorder and the broker last."""
+"""Order in which the processes start; they end in reverse order, but recorder and broker last."""
 
 SETTLED_WITHIN: Final = 10.0
-"""Seconds in which the last messages have to arrive."""
+"""Time limit for the arrival of the last messages, s."""
 
 LARGEST_LOG: Final = 1_000_000
-"""Bytes of a process' log after which it begins anew; the one before it stays, as `.log.1`."""
+"""Maximum size of a process' log, bytes; a longer one is copied to `.log.1` and emptied."""
 
 TROUBLES: Final = 1000
-"""Messages of processes that are kept for the summary."""
+"""Maximum number of messages from processes in the summary."""
 
 ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
-"""The watch first, or it would take the end for silence."""
+"""Order in which the processes end. The watch is first, because it would report the missing estimates as silence."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a twin is run."""
+    """Options of a run."""
 
     seconds: float
-    """Of real time; infinite until Ctrl-C."""
+    """Duration in real time; infinite: until Ctrl-C."""
 
     scene: str | Path
-    """The name of a shipped scene, or a file."""
+    """Name of a shipped scene, or a file."""
 
     fmu: Path
     out: Path
-    """For summary, pictures, page and record."""
+    """Folder for summary, pictures, page and record."""
 
     unit: str
     """Name of the machine in topics."""
 
     broker: str | None
-    """HOST:PORT of any MQTT broker; without one that comes along."""
+    """HOST:PORT of any MQTT broker; None: the embedded one."""
 
     user: str
     ca_file: str
     machine: str
-    """`stand-in`, or `none` where a real one publishes."""
+    """`stand-in`, or `none` if a real machine publishes."""
 
     csv: Path | None
-    """A recording that is played in the place of the stand-in."""
+    """A recording to play instead of the stand-in."""
 
     hidden: Path | None
-    """JSON of what the stand-in has and the twin does not know."""
+    """JSON file with properties of the stand-in that the twin does not know."""
 
     faults: str
     learn: bool
     """Whether the twin learns masses, payload, friction, lengths and mounting angles."""
 
     exact: bool
-    """Whether lengths and encoders are as the scene says, and the twin takes them so."""
+    """Whether lengths and encoders of the stand-in are exact, and the twin assumes so."""
 
     open: bool
     """Whether to show the dashboard and keep running."""
 
     @property
     def publishes(self) -> bool:
-        """Whether this run has a machine of its own: a recording, or the stand-in."""
+        """Whether this run has its own machine: a recording or the stand-in."""
         return self.csv is not None or self.machine != "none"
 
 
@@ -113,15 +113,15 @@ class Child:
     command: list[str]
     log: Path
     say: Callable[[str], None]
-    """Takes the messages of the process, a line at a time."""
+    """Receives the messages of the process, one line at a time."""
 
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
     recent: tuple[float, ...] = ()
 
     def start(self) -> None:
-        # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
-        # cores among sessions first: who is patient could not let others of this run go first.
+        # A process group of its own, so that Ctrl-C only reaches the starter, which ends all in order. Not its own session, because Linux
+        # first shares the cores among sessions: low priority would have no effect within this run.
         group = 0 if os.name == "posix" else None
         with open(self.log, "ab", opener=private) as log:
             self.process = subprocess.Popen(
@@ -131,14 +131,14 @@ class Child:
         threading.Thread(target=self._listen, args=(self.process,), name=self.name, daemon=True).start()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Standard output is for people, and needs no disk: a full disk is among the messages."""
+        """Forwards standard output, which is for users. It needs no disk, so that even a full disk is reported."""
         assert process.stdout is not None
         with process.stdout as lines:
             for line in lines:
                 self.say(f"{self.name}: {line.decode(errors='replace').strip()}")
 
     def look(self) -> bool:
-        """Starts it again if it has died; whether it is a machine that has come to its end."""
+        """Restarts the process if it has died; returns whether it is a machine that has ended."""
         code = None if self.process is None else self.process.poll()
         if code is None:
             return False
@@ -155,7 +155,7 @@ class Child:
         return False
 
     def rotate(self) -> None:
-        """Begins its log anew when it is long. The process writes at the end of the file, wherever that is."""
+        """Copies a long log to `.log.1` and empties it. The process appends, so that it continues in the emptied file."""
         with contextlib.suppress(OSError):
             if self.log.stat().st_size > LARGEST_LOG:
                 with self.log.open("rb") as old, open(self.log.with_suffix(".log.1"), "wb", opener=private) as kept:
@@ -163,7 +163,7 @@ class Child:
                 os.truncate(self.log, 0)
 
     def end(self, patience: float = 5.0) -> None:
-        """Asks it to end, and ends it."""
+        """Asks the process to end, and kills it if it does not."""
         if self.process is None or self.process.poll() is not None:
             return
         self.process.terminate()
@@ -174,12 +174,12 @@ class Child:
             self.process.wait()
 
     def tail(self) -> str:
-        """The last lines of its log."""
+        """The last lines of the log."""
         return "\n".join(self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-8:])
 
 
 def private(path: str, flags: int) -> int:
-    """Opens a file for its owner alone."""
+    """Opens a file that only its owner can access."""
     return os.open(path, flags, 0o600)
 
 
@@ -201,7 +201,7 @@ class Run:
         }
 
     def start(self) -> None:
-        """Starts all, the machine last, when the others listen."""
+        """Starts all processes, the machine last, after the others listen."""
         for name, child in self.children.items():
             if name == "machine":
                 self._wait_for([n for n in self.children if n != "machine"])
@@ -211,7 +211,7 @@ class Run:
         self._wait_for(list(self.children))
 
     def look(self) -> bool:
-        """Restarts processes that have died; returns whether the machine has come to its end."""
+        """Restarts dead processes; returns whether the machine has ended."""
         ended = [name for name, child in self.children.items() if child.look()]
         for child in self.children.values():
             child.rotate()
@@ -223,7 +223,7 @@ class Run:
         print(clear() + line, flush=True)
 
     def end(self) -> None:
-        """Ends all: first the senders, then the receivers, each when all has arrived."""
+        """Ends all processes: first the senders, then the receivers, after all messages have arrived."""
         for name in ENDING:
             if name in ("follow", "record"):
                 self._settle()
@@ -231,14 +231,14 @@ class Run:
                 self.children[name].end()
 
     def _settle(self) -> None:
-        """Waits until nothing arrives at the recorder any more: the last messages may still be on their way where cores are busy."""
+        """Waits until the recorder receives no more messages; on busy cores, the last ones may still be on their way."""
         begin, changed, before = time.monotonic(), time.monotonic(), -1
         while time.monotonic() - begin < SETTLED_WITHIN:
             lives = self.status()
             count = total(lives.get("record", []), "recorded")
             if count != before:
                 before, changed = count, time.monotonic()
-            # A recorder that was killed has not counted all that it recorded.
+            # A killed recorder has not reported all of its messages.
             behind = len(lives.get("record", [])) == 1 and count < sum(
                 total(lives.get("follow", []), n) for n in ("taken", "estimated")
             )
@@ -247,7 +247,7 @@ class Run:
             time.sleep(0.05)
 
     def status(self) -> dict[str, list[dict[str, Any]]]:
-        """The status of every life of every process, by name."""
+        """The status of all processes by name, with an entry for each start of a process."""
         found: dict[str, list[dict[str, Any]]] = {}
         for file in sorted((self.config.path / "status").glob("*.json"), key=lambda path: path.stat().st_mtime):
             content = json.loads(file.read_text(encoding="utf-8"))
@@ -266,19 +266,19 @@ class Run:
 
 
 def clear() -> str:
-    """Escape sequence that clears a line of a terminal."""
+    """Escape sequence that clears a line on a terminal."""
     return "\r\x1b[K" if sys.stdout.isatty() else ""
 
 
 def total(lives: list[dict[str, Any]], name: str) -> int:
-    """A count, over all lives of a process."""
+    """Sum of a count over all starts of a process."""
     return sum(int(life.get(name, 0)) for life in lives)
 
 
 def hidden(
     library: Library, values: dict[str, float | int | bool], exact: bool = False
 ) -> dict[str, float | int | bool]:
-    """Properties of the stand-in that the twin does not know, as those of machines are.
+    """Properties of the stand-in that the twin does not know, with errors like a real machine.
 
     Masses are up to 5 % off, the payload is a fifth heavier, bearings have friction; lengths are 0.1 % off and encoders 1 mrad, unless
     they are `exact`.
@@ -292,7 +292,7 @@ def hidden(
         for what in ("mass", "inertia"):
             changed[f"link[{i}].{what}"] = factor * value(f"link[{i}].{what}")
     if not exact:
-        # Signs with which the tip of pick_and_place is 0.5 mm off, as it is or more with half of all signs.
+        # With these signs, the tip of pick_and_place is 0.5 mm off; half of all choices of signs give as much or more.
         for i, factor in enumerate((1.001, 0.999, 0.999, 1.001), 1):
             changed[f"link[{i}].length"] = factor * value(f"link[{i}].length")
         changed["base.distance"] = 0.999 * value("base.distance")
@@ -303,14 +303,14 @@ def hidden(
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody has."""
+    """A free port of the loopback interface."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
 def parse_faults(text: str) -> Faults:
-    """`lost=0.05,doubled=0.02`: shares of the samples; clock_jump in s."""
+    """Parses faults such as `lost=0.05,doubled=0.02`: shares of the samples; clock_jump in s."""
     known = [f.name for f in fields(Faults)]
     given: dict[str, float] = {}
     for part in filter(None, text.split(",")):
@@ -327,7 +327,7 @@ def parse_faults(text: str) -> Faults:
 
 
 def run_folder(out: Path) -> Path:
-    """A folder for this run; of the older ones the last few stay."""
+    """Makes a folder for this run and deletes old ones, except the last few."""
     runs = out / "runs"
     try:
         runs.mkdir(parents=True, exist_ok=True)
@@ -339,13 +339,13 @@ def run_folder(out: Path) -> Path:
             file.rmdir() if file.is_dir() else file.unlink()
         old.rmdir()
     folder = runs / f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}"
-    # Records, states and logs are their owner's alone.
+    # Only the owner may read records, states and logs.
     folder.mkdir(mode=0o700)
     return folder
 
 
 def configure(options: Options, folder: Path) -> Config:
-    """The configuration of a run that keeps what it writes in that folder."""
+    """The configuration of a run with its files in `folder`."""
     if not options.seconds > 0:
         raise TwinError(f"seconds are {options.seconds:g}; more than 0 are needed")
     if options.hidden is not None and (options.csv or options.machine == "none"):
@@ -395,7 +395,7 @@ def configure(options: Options, folder: Path) -> Config:
 
 
 def sampling(csv: Path) -> float:
-    """The usual distance of two samples of a recording, s."""
+    """Median sampling period of a recording, s."""
     period = round(recording.read(csv).period, 9) or Config.period
     if period < configuration.SHORTEST_PERIOD:
         raise TwinError(
@@ -405,7 +405,7 @@ def sampling(csv: Path) -> float:
 
 
 def check_followed(config: Config, stand_in: bool) -> None:
-    """Refuses a scene that no machine can move by or no twin can follow, with the unit's sentence, instead of a run without estimates."""
+    """Raises `TwinError` with the FMU's message if the scene cannot run or no twin can follow it, instead of a run without estimates."""
     library = Library(Path(config.fmu))
     try:
         known = scene.read(Path(config.scene))
@@ -424,7 +424,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
                     machine = StandIn(config, library)
                 except UnitError as error:
                     raise TwinError(f"no machine can move by {known.name}: {error}") from None
-            # The first that tells where the machine is.
+            # The twin starts at the first sample with both angles.
             while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
                 pass
             machine.close()
@@ -443,7 +443,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
 
 
 def check_broker(broker: Broker) -> None:
-    """Refuses a broker that does not answer, instead of processes that wait for it."""
+    """Raises `TwinError` if the broker does not answer, instead of processes that wait for it."""
     if broker.embedded:
         return
     try:
@@ -453,8 +453,8 @@ def check_broker(broker: Broker) -> None:
 
 
 def run(options: Options) -> int:
-    """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
-    # Whatever cannot work is refused before a folder is made.
+    """Returns 0 if the twin followed, 1 if not, 3 if its forecasts were worse than promised; the summary is in OUT/summary.json."""
+    # Invalid options are refused before the folder is made.
     with tempfile.TemporaryDirectory() as before:
         config = configure(options, Path(before))
         check_broker(config.broker)
@@ -479,9 +479,9 @@ def run(options: Options) -> int:
     finally:
         run.end()
         with contextlib.suppress(OSError):
-            # A disk that is full has room for this, mostly; else the run looks like one under way, and stays.
+            # A full disk usually has space for this empty file. Without it, the run seems active and its folder is never deleted.
             (folder / "finished").touch()
-    # Packages that draw are loaded when no message is urgent any more.
+    # The slow import of plot packages waits until no message is urgent.
     from fivebar.twin import summary
 
     return summary.write(
@@ -494,7 +494,7 @@ def run(options: Options) -> int:
 
 
 class Asked:
-    """Whether Ctrl-C or SIGTERM has asked for the end."""
+    """Whether Ctrl-C or SIGTERM has requested the end."""
 
     def __init__(self) -> None:
         self.end = False
@@ -506,7 +506,7 @@ class Asked:
 
 
 def _watch(run: Run, asked: Asked, seconds: float) -> None:
-    """Until the time is over, the recording has ended, or the end is asked for."""
+    """Watches the run until the time is over, the recording has ended, or the end is requested."""
     begin = time.monotonic()
     for _ in _progress(run, begin, seconds):
         if asked.end or time.monotonic() - begin >= seconds:
@@ -517,7 +517,7 @@ def _watch(run: Run, asked: Asked, seconds: float) -> None:
 
 
 def _progress(run: Run, begin: float, seconds: float) -> Iterator[None]:
-    """A line twice a second on a terminal, ten lines in all elsewhere."""
+    """Prints progress: twice per second on a terminal, otherwise ten lines in total."""
     terminal = sys.stdout.isatty()
     every = 0.5 if terminal else max(1.0, seconds / 10 if math.isfinite(seconds) else 60.0)
     shown = begin
@@ -530,7 +530,7 @@ def _progress(run: Run, begin: float, seconds: float) -> Iterator[None]:
         lives = run.status()
         watch = lives.get("watch", [{}])[-1]
         of = f" of {seconds:g}" if math.isfinite(seconds) else ""
-        # Only the stand-in says how many samples it has published; those of any other machine are counted where they arrive.
+        # Only the stand-in reports its number of published samples; for other machines, the watch counts the received ones.
         samples = max(total(lives.get("machine", []), "published"), total(lives.get("watch", []), "samples"))
         line = (
             f"{now - begin:6.1f}{of} s   {samples} samples, "

@@ -1,4 +1,4 @@
-"""Summary of a run: summary.json, pictures, one self-contained page, and a few lines on the terminal."""
+"""Summary of a run: summary.json, pictures, a self-contained page, and a few lines on the terminal."""
 
 import html
 import io
@@ -30,13 +30,13 @@ from fivebar.twin.figures import Judged, Story
 from fivebar.twin.watch import Histogram
 
 LEARNED: Final = "learned.json"
-"""Scene with what the twin has learned."""
+"""Name of the scene file with the learned parameters."""
 
 MOST_POINTS: Final = 3000
-"""Of a line in a picture."""
+"""Maximum number of points of a line in a picture."""
 
 USUAL, SHOWN = 0.95, 1.5
-"""Range of a picture: `SHOWN` times the value below which the share `USUAL` of all values lies."""
+"""Range of a picture: `SHOWN` times the `USUAL` quantile of all values."""
 
 TWIN, MACHINE, BAND, BAD = TIP, "#1d2329", "#a3b28f", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
@@ -58,7 +58,7 @@ def write(
     out: Path,
     troubles: Sequence[str] = (),
 ) -> int:
-    """Writes everything to the run's folder and to `out`; 0 if the twin followed and its forecasts are as good as promised, 3 if they are not."""
+    """Writes the summary to the run's folder and to `out`. Returns 0 if the twin followed, 3 if its forecasts were worse than promised, else 1."""
     try:
         story = figures.read(config.record)
     except TwinError as error:
@@ -89,7 +89,7 @@ def write(
 
 
 def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]], out: Path) -> None:
-    """Writes the files, the summary first: it is the least, and says most."""
+    """Writes the files, summary.json first: it is small and the most important one."""
     out.mkdir(parents=True, exist_ok=True)
     summary = config.path / "summary.json"
     summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
@@ -102,7 +102,7 @@ def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Fig
         made.append(config.path / LEARNED)
         handover.write(made[0], config.path / scene.SOURCE, learned["values"])
     else:
-        # One of an earlier run would pass for this run's.
+        # A file of an earlier run would look like a result of this one.
         (out / LEARNED).unlink(missing_ok=True)
     for name, (figure, _) in pictures.items():
         file = config.path / f"{name}.png"
@@ -160,7 +160,7 @@ def _tell(content: dict[str, Any], out: Path) -> None:
 
 
 def _gaps(gaps: list[dict[str, Any]]) -> str:
-    """Gaps of the record, in words."""
+    """Description of the gaps in the record."""
     said = [f"{gap['of']} {gap['first']} to {gap['last']}" + (f" ({gap['why']})" if gap["why"] else "") for gap in gaps]
     return "; ".join(said[:3]) + (f" and {len(said) - 3} more gaps" if len(said) > 3 else "") or "nothing"
 
@@ -284,7 +284,7 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
 
 
 def _legend(axes: Axes) -> None:
-    """Above the picture, where nothing is drawn, of what is there: a machine that no tracker sees has no line."""
+    """Adds a legend above the picture, only for lines with data: without a tracker, the machine has no line."""
     known = [
         (handle, label) for handle, label in zip(*axes.get_legend_handles_labels(), strict=True) if _is_there(handle)
     ]
@@ -301,7 +301,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _is_there(drawn: Artist) -> bool:
-    """Whether a line or an area has a point that is shown."""
+    """Whether a line or an area has a visible point."""
     if isinstance(drawn, Line2D):
         places = np.asarray(drawn.get_xydata())
     else:
@@ -311,7 +311,7 @@ def _is_there(drawn: Artist) -> bool:
 
 
 def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
-    """Shows the usual range; the few that are far beyond, as the first forecast of a run may be, are arrows at the edge with their values."""
+    """Limits the picture to the usual range. Values far beyond, such as the first forecast of a run, become arrows at the edge with numbers."""
     known = values[np.isfinite(values)]
     if not len(known):
         return
@@ -344,7 +344,7 @@ def _mark_alarms(axes: Axes, story: Story) -> None:
 
 
 def _svg(figure: Figure) -> str:
-    """The picture as an element of a page: no prolog, nothing from elsewhere."""
+    """The picture as an element of a page, without XML prolog and external references."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
     text = stream.getvalue()
@@ -354,7 +354,7 @@ def _svg(figure: Figure) -> str:
 def page_of(
     title: str, description: str, cards: str, pictures: dict[str, tuple[Figure, str]], content: dict[str, Any]
 ) -> str:
-    """A self-contained page: cards, pictures with their captions, and all figures folded."""
+    """A self-contained page: cards, pictures with captions, and all figures in a collapsed section."""
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>"
         for name, value in _flat(content)
@@ -377,7 +377,7 @@ def page_of(
 
 
 def card(value: float | None, digits: str, unit: str, label: str) -> str:
-    """A figure in front on a page."""
+    """A card with one figure at the top of a page."""
     text = "–" if value is None else f"{value:{digits}}"
     return f"<div><b>{text}<small> {html.escape(unit)}</small></b><span>{html.escape(label)}</span></div>"
 

@@ -1,4 +1,4 @@
-"""The turn in which a machine begins: encoders may count from another turn than the scene, but servos, springs and stops depend on the turn."""
+"""The initial turn of each axis: encoders may count from another turn than the scene, but servos, springs and stops depend on the turn."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,21 +11,21 @@ TURN: Final = 2 * math.pi
 
 
 class Begin(NamedTuple):
-    """Where an axis begins."""
+    """Initial turn of an axis."""
 
     turns: int
-    """To be added to the reading."""
+    """Whole turns to add to the reading."""
 
     sentence: str
-    """Reports a change of turn; "" without one."""
+    """Sentence about a change of turn; "" without one."""
 
 
 def begins(
     library: Library, values: Mapping[str, Value], commands: Mapping[str, float], angles: Sequence[float]
 ) -> list[Begin]:
-    """For each axis, the turn nearest to its command, else to its spring, the middle of its stops, or the start of its scene.
+    """For each axis, the turn nearest to its command; without a command, nearest to its spring, the middle of its stops, or its start in the scene.
 
-    `commands` and `angles` (one for each encoder) are true angles, rad; an angle that is NaN gets no turn. Start values that `values` lacks are the unit's.
+    `commands` and `angles` (one per encoder) are true angles, rad; an angle of NaN gets no turn. Start values missing in `values` are the unit's defaults.
     """
     found = []
     for i, angle in enumerate(angles, 1):
@@ -42,14 +42,14 @@ def begins(
 def _reference(
     library: Library, values: Mapping[str, Value], commands: Mapping[str, float], i: int
 ) -> tuple[str, float]:
-    """Name and value, rad, of the angle that decides the turn of axis `i`."""
+    """Name and value, rad, of the angle that determines the turn of axis `i`."""
 
     def value(name: str) -> float:
         return float(values.get(name, library.variable(name).start))
 
     def enabled(effect: str) -> bool:
         name = f"{effect}.enabled"
-        # FMPy gives the start of a Boolean as its text.
+        # FMPy returns the start value of a Boolean as text.
         return bool(values.get(name, library.variable(name).start == "true"))
 
     servo, spring, lower, upper = (
@@ -59,7 +59,7 @@ def _reference(
         return servo, float(commands.get(servo, value(servo)))
     if enabled("spring") and value(f"spring.k[{i}]") > 0:
         return spring, value(spring)
-    # Stops that are further apart than a turn allow several turns.
+    # Stops more than a turn apart allow several turns.
     if enabled("stop") and value(upper) - value(lower) <= TURN:
         return f"the middle of {lower} and {upper}", 0.5 * (value(lower) + value(upper))
     return f"init.theta[{i}]", value(f"init.theta[{i}]")

@@ -1,9 +1,9 @@
-"""Times in a wrong unit: which unit they probably have, and the question about it. For `meas`, recordings and records."""
+"""Times in a wrong unit: detects the probable unit and asks about it. For `meas`, recordings and records."""
 
 from typing import Final, NamedTuple
 
 FIRST, LAST = 1e17, 2.0**63
-"""ns since 1970: the years 1973 and 2262. No number is a time between them in two units."""
+"""Range of plausible times, ns since 1970: from 1973 to 2262. No number is in this range in two units."""
 
 
 class Unit(NamedTuple):
@@ -17,20 +17,20 @@ LONGER: Final = (Unit("microseconds", 10**3), Unit("milliseconds", 10**6), Unit(
 
 
 def of_time(time: float, first: float = FIRST, last: float = LAST) -> Unit | None:
-    """The longer unit in which a number is a time from `first` to `last`, ns; None if there is none."""
+    """The unit longer than ns in which a number is a time from `first` to `last`, ns; None if there is none."""
     return next((unit for unit in LONGER if first <= time * unit.ns < last), None)
 
 
 def of_step(step: float, period: float) -> Unit | None:
-    """The longer unit of times that go on by `step`, if they should go on by `period`, both in ns; None if they are in ns.
+    """The unit longer than ns of times that increase by `step` instead of the expected `period`, both in ns; None if they are in ns.
 
-    The limit is half-way between two units by ratio: a step that is up to thirty times shorter than the period is a machine that is sampled fast.
+    The limit is the geometric mean of two units: a machine may be sampled up to 30 times faster than expected.
     """
     return next((unit for unit in reversed(LONGER) if step * unit.ns < period * 1000**0.5), None)
 
 
 def of_long_step(step: float, longest: float) -> str:
-    """The shorter units of times, taken as s, that go on by `longest` or more, s; "" if they are in s."""
+    """The units shorter than s of times that increase by `longest` or more per sample, s; "" if they are in s."""
     if step < longest:
         return ""
     return "milliseconds" if step < 1000 * longest else "microseconds or nanoseconds"
@@ -42,5 +42,5 @@ def asks_by_time(what: str, time: float, unit: Unit) -> str:
 
 
 def asks_by_step(step: float, expected: str, unit: str) -> str:
-    """Question about times by their step, s."""
+    """Question about times with an implausible step, s."""
     return f"time goes on by {step:g} s a sample; {expected} is expected: are these {unit}?"

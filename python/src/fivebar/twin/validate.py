@@ -1,4 +1,4 @@
-"""`fivebar validate RECORD --scene SCENE`: how well the twin predicts a recording of a machine, without a broker and as fast as it can."""
+"""`fivebar validate RECORD --scene SCENE`: judges the twin's predictions of a recording, without a broker and faster than real time."""
 
 import json
 import math
@@ -26,15 +26,15 @@ from fivebar.twin.soak import BEGIN, Wire
 from fivebar.twin.watch import Watch
 
 TICK_EVERY: Final = 100
-"""Samples between two looks of the workers at the clock."""
+"""Number of samples between two ticks of the workers."""
 
 LEVELS: Final = np.linspace(0.5, 0.99, 50)
-"""Probabilities of the bands whose coverage is drawn."""
+"""Probabilities of the bands in the picture of the coverage."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is judged, and where the results go."""
+    """Input and output of a validation."""
 
     record: Path
     scene: str | Path
@@ -43,7 +43,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """0 if all promises are kept, 1 if not or if the machine was not followed; the figures are in OUT/validation.json."""
+    """Returns 0 if all promises are kept, 1 if not or if the machine was not followed; the figures are in OUT/validation.json."""
     with tempfile.TemporaryDirectory() as folder:
         config = starter.configure(_of_recording(options), Path(folder))
         starter.check_followed(config, True)
@@ -56,7 +56,7 @@ def run(options: Options) -> int:
 
 
 def _of_recording(options: Options) -> starter.Options:
-    """The run of the twin that plays this recording."""
+    """Options of a twin that plays this recording."""
     return starter.Options(
         seconds=math.inf,
         scene=options.scene,
@@ -77,7 +77,7 @@ def _of_recording(options: Options) -> starter.Options:
 
 
 def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
-    """Plays the recording to twin, forecasts and watch; the figures, and what they are made of."""
+    """Plays the recording to twin, forecasts and watch; returns the figures, and the errors from which they are computed."""
     library = Library(Path(config.fmu))
     try:
         twin, ahead, watch, recorder = (
@@ -124,7 +124,7 @@ def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
 
 
 def _write(out: Path, content: dict[str, Any], judged: HeldOut) -> list[Path]:
-    """Writes figures, page and pictures into a folder; the files."""
+    """Writes figures, page and pictures into a folder; returns the files."""
     figures_file, page = out / "validation.json", out / "index.html"
     figures_file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     with plt.rc_context(STYLE):
@@ -192,7 +192,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def _errors(judged: HeldOut) -> Figure:
-    """Innovations and forecast errors of each encoder over time, forecasts with their bands."""
+    """Innovations and forecast errors of each encoder over time, with the bands of the forecasts."""
     shown: list[tuple[str, Errors, np.ndarray | None]] = [("innovations", judged.innovations, None)]
     shown += [(f"{each.ahead:.3g} s ahead", each.errors, each.half_width) for each in judged.forecasts]
     figure, rows = panels(2, len(shown), figsize=(11, 5), sharex=True, squeeze=False)
@@ -215,14 +215,14 @@ def _errors(judged: HeldOut) -> Figure:
 
 
 def _unbroken(time: np.ndarray) -> np.ndarray:
-    """Where a band goes on to its next point: not across the pause between two series."""
+    """Mask of the points after which a band continues; it is interrupted between two series."""
     steps = np.diff(time, append=np.inf)
     usual = float(np.median(steps[:-1])) if len(steps) > 1 else math.inf
     return np.asarray(steps <= 10 * usual)
 
 
 def _coverage(judged: HeldOut) -> Figure:
-    """Counted shares inside the bands by their probability, and rms errors of all predictors."""
+    """Counted coverage of the bands by their probability, and rms errors of all predictors."""
     figure, (share, size) = panels(1, 2, figsize=(11, 4), width_ratios=(1, 1.3))
     share.plot([50, 100], [50, 100], color=FAINT, linewidth=1)
     shown = [("innovations", judged.innovations)]

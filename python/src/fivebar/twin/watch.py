@@ -1,9 +1,9 @@
-"""The watch's process: looks at the estimates and says when something is wrong, once, with cause and figures.
+"""The watch process: monitors the estimates and reports each anomaly once, with cause and figures.
 
-It goes through the states of the Incubator's supervisor: listening → anomaly → calibrating → cooling down → listening. A cause has to
-last before it counts, and to be gone before it counts as gone; nothing counts while the twin is still finding its state. Something is
-wrong where the unit's alarm is on or where it names an encoder or the clocks. An encoder that fails during another anomaly is one of its
-own, at once; one that stays dead is told once.
+It has the states of the Incubator's supervisor: listening → anomaly → calibrating → cooling down → listening. A cause counts only after
+it has lasted for a while, and ends only after it has been absent for a while. Nothing counts while the twin converges. A cause is present
+if the unit's alarm is on, or if the unit names an encoder or the clocks. An encoder fault during another anomaly is reported immediately as
+its own anomaly; a permanent fault is reported once.
 """
 
 import logging
@@ -28,10 +28,10 @@ CAUSES: Final = (
     "parameters",
     "timing",
 )
-"""Names of the values of `estimated.cause`."""
+"""Names of the values of `estimated.cause`, in order."""
 
 FAULTS: Final = ("encoder 1", "encoder 2", "timing")
-"""Those of `CAUSES` that are wrong whether or not the alarm is on: an alarm is for forces only."""
+"""`CAUSES` that count even without the unit's alarm, which is for forces only."""
 
 FORCE_FIGURES: Final = (
     "estimated.nis",
@@ -40,19 +40,19 @@ FORCE_FIGURES: Final = (
     "estimated.tau.sigma[1]",
     "estimated.tau.sigma[2]",
 )
-"""Told with a force; with a fault, the status."""
+"""Fields reported with a force; for a fault it is the status."""
 
 STARTING: Final = 2.0
-"""Seconds after the first estimate, or after a gap, in which nothing is an alarm."""
+"""Time without alarms after the first estimate or after a gap, s."""
 
 NO_SAMPLE: Final = 30_000_000_000
-"""Nanoseconds without any sample after which that is an alarm."""
+"""Time without any sample that leads to an alarm, ns."""
 
 JUMPED: Final = 10_000_000_000
-"""Nanoseconds by which a time is earlier that is of another clock."""
+"""If a time is earlier by more than this, it is from another clock, ns."""
 
 BEHIND: Final = 1.0
-"""Seconds by which an estimate may come later after its sample than the soonest one did: beyond that something does not keep up."""
+"""Allowed increase of the delay from sample to estimate over its minimum, s; beyond it, something does not keep up."""
 
 log = logging.getLogger("fivebar")
 
@@ -62,36 +62,36 @@ class Settings:
     """Times in s."""
 
     on: float = 0.04
-    """Time that a cause lasts before it is an anomaly, s."""
+    """Time for which a cause must last to be an anomaly."""
 
     off: float = 0.5
-    """Time for which the cause is gone before the anomaly is over, s."""
+    """Time for which the cause must be absent to end the anomaly."""
 
     calibrating: float = 2.0
-    """Time of samples gathered afterwards for a calibration, s."""
+    """Duration of the samples gathered for a calibration afterwards."""
 
     cooling: float = 5.0
-    """No further alarm of a force for so long, and none of a fault, or of silence, that has been away for less."""
+    """Time without further force alarms. A fault, or silence, that returns within this time is not reported again."""
 
     silence: float = 0.5
-    """Without estimates."""
+    """Time without estimates that leads to an alarm."""
 
 
 @dataclass
 class Cause:
-    """Something that is wrong, or not: with hysteresis in time."""
+    """A possible cause of an anomaly, with hysteresis in time."""
 
     name: str
     since: float = math.nan
-    """When it began, NaN while it is not there."""
+    """Time of its begin; NaN while absent."""
 
     last: float = -math.inf
     most: float = 0.0
     told: bool = False
-    """Whether it has been an anomaly and not been away for long since."""
+    """Whether it was reported as an anomaly and has not been absent for long since."""
 
     def see(self, there: bool, value: float, now: float, on: float, off: float) -> None:
-        """Updates the cause: one that has not lasted is gone at once, one that has lasted when it has been away for a while."""
+        """Updates the cause. A short cause ends immediately, a lasting one only after it has been absent for `off`."""
         if there:
             if math.isnan(self.since):
                 self.since, self.most = now, 0.0
@@ -109,7 +109,7 @@ class Cause:
 
 
 class Anomalies:
-    """The states, in the time of the estimates, s."""
+    """State machine of the watch, in the time of the estimates, s."""
 
     def __init__(self, settings: Settings = Settings()):
         self.settings = settings
@@ -118,17 +118,17 @@ class Anomalies:
         self.causes = {name: Cause(name) for name in ("force", "silence", *FAULTS)}
         self.cause = ""
         self.named: dict[str, Any] = {}
-        """The twin's newest name for the cause of this anomaly, and its probability."""
+        """Newest cause of this anomaly according to the twin, and its probability."""
         self.last: float = math.nan
         self.begun: float = math.nan
-        """Time of the first estimate, or of the first one after a gap."""
+        """Time of the first estimate, or of the first one after a gap, s."""
         self.gathered = [0.0, 0.0, 0.0]
-        """Number of samples and sums of the unknown torques, while calibrating."""
+        """Number of samples and sums of the unknown torques during calibration."""
 
     def see(self, fields: dict[str, float], now: float) -> list[dict[str, Any]]:
-        """An estimate; the alarms that it leads to."""
+        """Takes an estimate; returns the resulting alarms."""
         if math.isnan(self.last):
-            # Earlier samples had another clock, perhaps.
+            # Earlier samples may have had another clock.
             self.causes["silence"] = Cause("silence")
         if math.isnan(self.last) or now < self.last or now - self.last > self.settings.silence:
             self.begun = now
@@ -152,14 +152,14 @@ class Anomalies:
         return self._advance(now, fields)
 
     def never(self, now: float, since: float, samples: int) -> list[dict[str, Any]]:
-        """No estimate has ever come, though it should have; times of the samples' clock, s."""
+        """Alarms if no estimate has ever arrived; times on the clock of the samples, s."""
         if self.state != "starting" or now - since <= STARTING + self.settings.silence:
             return []
         self.causes["silence"].see(True, now - since, now, 0.0, 0.0)
         return self._raise("silence", now, {"seconds": now - since, "samples": float(samples)}, {})
 
     def quiet(self, now: float) -> list[dict[str, Any]]:
-        """No estimate so far, at a time of the same clock."""
+        """Alarms if estimates have stopped; `now` is on the same clock, s."""
         if not math.isnan(self.last) and now - self.last > self.settings.silence:
             self.causes["silence"].see(True, now - self.last, now, 0.0, 0.0)
             if not self.causes["silence"].told:
@@ -167,7 +167,7 @@ class Anomalies:
         return []
 
     def acknowledge(self, now: float) -> list[dict[str, Any]]:
-        """An operator has taken note."""
+        """Handles an operator's acknowledgement."""
         if self.state not in ("anomaly", "calibrating"):
             return []
         return [self._go("cooling down", now, reason="acknowledged")]
@@ -176,7 +176,7 @@ class Anomalies:
         settings, wrong = self.settings, self._wrong(fields)
         gone = all(cause.gone for cause in self.causes.values())
         if self.state == "starting":
-            # A fault need not go before: it may have been there before the first sample.
+            # A fault may be present before the first sample, so that it need not be absent first.
             if now - self.begun >= STARTING and self.causes["force"].gone:
                 self._go("listening", now)
         elif wrong and self._is_news(wrong, now):
@@ -196,18 +196,18 @@ class Anomalies:
         return []
 
     def _wrong(self, fields: dict[str, float]) -> str:
-        """The fault or the force that an estimate tells, or nothing."""
+        """The fault or force reported by an estimate, or ""."""
         name = CAUSES[int(fields.get("estimated.cause", 0))]
         return name if name in FAULTS else "force" if fields.get("estimated.alarm", 0.0) != 0.0 else ""
 
     def _is_news(self, wrong: str, now: float) -> bool:
-        """Whether a cause has lasted and is to be told: a force while the watch listens, a fault unless it has been told."""
+        """Whether to report a lasting cause: a force while the watch listens, a fault unless it was reported before."""
         cause = self.causes[wrong]
         may = self.state == "listening" if wrong == "force" else now - self.begun >= STARTING and not cause.told
         return may and cause.holds(self.settings.on)
 
     def _name(self, fields: dict[str, float]) -> None:
-        """Takes over the cause that the twin names; the longer it has gone on, the surer it is."""
+        """Stores the cause that the twin names; it becomes more certain over time."""
         if number := int(fields.get("estimated.cause", 0)):
             self.named = {"named": CAUSES[number], "probability": fields["estimated.cause.probability"]}
 
@@ -229,7 +229,7 @@ class Anomalies:
 
 
 class Histogram:
-    """Times from 10 µs to 10 s in bins of 2 %, in fixed memory."""
+    """Histogram of times from 10 µs to 10 s in bins of 2 %, with fixed memory."""
 
     LOWEST, RATIO = 1e-5, 1.02
 
@@ -243,7 +243,7 @@ class Histogram:
         self.count += 1
 
     def quantile(self, share: float) -> float:
-        """The upper edge of the bin in which that share is reached, s; 0 without times."""
+        """Upper edge of the bin at a quantile, s; 0 without times."""
         left = share * self.count
         for place, count in enumerate(self.bins):
             left -= count
@@ -253,7 +253,7 @@ class Histogram:
 
 
 class Watch(Worker):
-    """The worker; also the subscriber at which the way from sample to estimate is timed."""
+    """The worker; it also measures the latency from sample to estimate at a subscriber."""
 
     name = "watch"
     kinds = ("meas", "est", "cmd")
@@ -265,11 +265,11 @@ class Watch(Worker):
         self.order, self.orders = Newest(), Orders()
         self.samples = 0
         self.waiting: tuple[int, int] | None = None
-        """Since when an estimate is waited for: on the samples' clock and on this process' own, ns."""
+        """Begin of the wait for an estimate: on the clock of the samples and on this process' clock, ns."""
         self.soonest, self.sample = math.inf, -1
-        """Seconds from a sample to its estimate, the fewest so far, by two clocks that may differ; time of the newest sample, ns."""
+        """Minimum delay from sample to estimate, s, between two clocks that may differ; time of the newest sample, ns."""
         self.told_behind = -math.inf
-        """When it was said last that estimates are behind, ns."""
+        """Time of the last report that estimates are behind, ns."""
         self.last_alarm = -1
         self.alarms = 0
         self.estimates = 0
@@ -299,9 +299,9 @@ class Watch(Worker):
         self._tell(self.anomalies.see(message.fields, 1e-9 * message.time), now)
 
     def _look_behind(self, sample: int, now: int, seq: int) -> None:
-        """Tells of estimates that come later and later: messages wait for whoever does not keep up, be it machine, broker or twin."""
+        """Reports growing delays of the estimates: machine, broker or twin does not keep up."""
         took = 1e-9 * (now - sample)
-        # A machine whose clock was set back has another soonest one.
+        # After the machine's clock was set back, the minimum starts again.
         self.soonest = took if sample < self.sample else min(took, self.soonest)
         self.sample = sample
         behind = took - self.soonest
@@ -319,7 +319,7 @@ class Watch(Worker):
         if self.newest is not None:
             self._tell(self.anomalies.quiet(1e-9 * (self.newest.time + now - self.arrived)), now)
             return
-        # A machine may take its time to begin; one whose samples come is waited for no longer.
+        # A machine may start late, but once its samples arrive, so must estimates.
         self.waiting = self.waiting or (now + NO_SAMPLE, now)
         since, at = self.waiting
         self._tell(
