@@ -1,1 +1,1 @@
-"""Ensembles of runs: `fivebar ensemble`, and `what-if` from the running twin. docs/ensembles.md introduces them."""
+"""Ensembles of runs: `fivebar ensemble`, and `what-if` from the running twin. See docs/ensembles.md."""

@@ -1,6 +1,6 @@
-"""Members on a cluster of one's own, by Dask: the unit goes to the workers as bytes, tasks are numbers of members.
+"""Members on the user's Dask cluster: the FMU goes to the workers as bytes, tasks are ranges of member numbers.
 
-Tasks depend on nothing but their numbers, so what a worker has lost when it dies is done again by another one.
+Tasks depend only on these numbers, so that another worker can repeat the tasks of a dead one.
 """
 
 import threading
@@ -21,13 +21,13 @@ from fivebar.twin.errors import TwinError
 
 
 class UnitOnWorker(WorkerPlugin):
-    """The unit and a plan on a worker: extracted once, one instance for each of its threads."""
+    """The FMU and a plan on a worker: the FMU is extracted once, and each thread has its own instance."""
 
     def __init__(self, fmu: bytes, plan: Plan, name: str):
         self.fmu, self.plan, self.name = fmu, plan, name
 
     def setup(self, worker: Any) -> None:
-        """Nothing yet: the first task makes library and runner, in its own thread."""
+        """Does nothing: the first task creates library and runner in its own thread."""
         self.lock, self.own = threading.Lock(), threading.local()
         self.library: Library | None = None
 
@@ -48,7 +48,7 @@ class UnitOnWorker(WorkerPlugin):
 
 
 def chunk(name: str, first: int, count: int) -> bytes:
-    """Some members on a worker."""
+    """Runs some members on a worker."""
     return rows.chunk(cast(UnitOnWorker, get_worker().plugins[name]).runner(), first, count)
 
 
@@ -74,7 +74,7 @@ class Cluster:
         self.before: dict[str, float] = self.client.run(time.process_time)
 
     def tables(self, fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-        """The members in their order, a table for each chunk."""
+        """The members in order, one table per chunk."""
         name = f"ensemble-{uuid.uuid4().hex[:12]}"
         self.client.register_plugin(UnitOnWorker(fmu, plan, name), name=name)
 
@@ -87,19 +87,19 @@ class Cluster:
         try:
             yield from rows.in_order(submit, self.count, members)
         finally:
-            # The scheduler forgets the plugin before it asks the workers to; a worker that dies meanwhile has nothing left to remove.
+            # The scheduler removes the plugin before the workers do; if a worker dies in between, there is nothing left to remove.
             with suppress(OSError):
                 self.client.unregister_worker_plugin(name)
 
     def count(self) -> int:
-        """Number of workers, now."""
+        """Present number of workers."""
         return len(self.client.scheduler_info(n_workers=-1)["workers"])
 
     def spent(self) -> float:
-        """Processor time of the workers since the begin, s. A worker that came later began with 0."""
+        """CPU time of the workers since the begin, s. A worker that joined later starts with 0."""
         after: dict[str, float] = self.client.run(time.process_time)
         return sum(seconds - self.before.get(address, 0.0) for address, seconds in after.items())
 
     def close(self) -> None:
-        """Leaves the scheduler."""
+        """Disconnects from the scheduler."""
         self.client.close()

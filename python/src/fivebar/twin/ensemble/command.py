@@ -1,4 +1,4 @@
-"""`fivebar ensemble`: many runs that differ as much as one does not know, on processes of this machine or on a cluster."""
+"""`fivebar ensemble`: many runs with random start values and parameters, on processes of this machine or on a cluster."""
 
 import base64
 import json
@@ -24,47 +24,47 @@ if TYPE_CHECKING:
     from fivebar.twin.ensemble.processes import Processes
 
 USUAL: Final = {"theta[1]": 2e-3, "theta[2]": 2e-3, "link[1,4].mass": 0.01, "link[2,3].mass": 0.01}
-"""Spreads if nothing is said: 2 mrad where a run begins, 1 % of the masses."""
+"""Default spreads: 2 mrad of the start angles, 1 % of the masses."""
 
 LARGEST_STATE: Final = 4_000_000
 
 
 @dataclass(frozen=True)
 class Options:
-    """How many members there are, from where, and how they differ."""
+    """Number, start and variation of the members."""
 
     members: int
     scene: str | Path
-    """Scene of the members' start: the name of a shipped one, or a file."""
+    """Scene from which members start: name of a shipped scene, or a file."""
 
     state: Path | None
-    """In the place of a scene: bytes of the unit, or a state of the twin."""
+    """Stored state to start from instead of a scene: bytes of the unit, or a state of the twin."""
 
     vary: tuple[str, ...]
-    """Standard deviations as NAME=SD; nothing is `USUAL`."""
+    """Standard deviations as NAME=SD; the default is `USUAL`."""
 
     seconds: float
-    """Of each member."""
+    """Duration of each member."""
 
     points: int
-    """Of time that are kept."""
+    """Number of stored points in time."""
 
     seed: int
     workers: int
-    """Processes on this machine; 0 is none but this one."""
+    """Number of processes on this machine; 0: only this process."""
 
     scheduler: str | None
-    """Address of a scheduler of Dask, in the place of processes on this machine."""
+    """Address of a Dask scheduler, instead of processes on this machine."""
 
     measure: bool
-    """Whether to run all in one process as well."""
+    """Whether to repeat the run in a single process, for comparison."""
 
     fmu: Path
     out: Path
 
 
 def run(options: Options) -> int:
-    """0 if every member came to its end, 1 if some failed."""
+    """Runs an ensemble; returns 0 if every member reached its end, 1 if some failed."""
     from fivebar.twin.ensemble import results
 
     fmu, plan, lowest = plan_of(options)
@@ -105,7 +105,7 @@ def run(options: Options) -> int:
 
 
 def plan_of(options: Options) -> tuple[bytes, Plan, dict[str, float]]:
-    """The unit as bytes, values that all members have in common, and the least draws; refused if the unit would refuse them on each worker."""
+    """The FMU as bytes, the plan, and the lowest allowed draws. Raises errors that would otherwise occur on every worker."""
     for name, least in (("members", 1), ("points", 1), ("workers", 0), ("seed", 0)):
         if getattr(options, name) < least:
             raise TwinError(f"{name} is {getattr(options, name)}; {least} or more is allowed")
@@ -128,7 +128,7 @@ def plan_of(options: Options) -> tuple[bytes, Plan, dict[str, float]]:
 
 
 def from_scene(given: str | Path, library: Library, spread: dict[str, float], common: dict[str, Any]) -> Plan:
-    """Members that begin as a scene does and have its commands."""
+    """A plan with the start and the commands of a scene."""
     content = scene.parse(scenes.read(given, library.known).resolved())
     period = 0.005
     names = tuple(content.signals)
@@ -139,7 +139,7 @@ def from_scene(given: str | Path, library: Library, spread: dict[str, float], co
 
 
 def from_state(file: Path, library: Library, spread: dict[str, float] | None, common: dict[str, Any]) -> Plan:
-    """Members that begin from a stored state; without a spread, as uncertain as the state says that it is."""
+    """A plan that starts from a stored state; the default spread is the uncertainty in the state."""
     state, clock = stored(file)
     return of_state(state, clock, library, spread, common)
 
@@ -147,7 +147,7 @@ def from_state(file: Path, library: Library, spread: dict[str, float] | None, co
 def of_state(
     state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
 ) -> Plan:
-    """Members that begin at a stored state."""
+    """A plan that starts from a stored state."""
     unit = Unit.of(library)
     try:
         unit.restore(state, clock)
@@ -158,13 +158,13 @@ def of_state(
             }
     finally:
         unit.close()
-    # Members look ahead: they correct nothing, and the method is the ensemble's.
+    # Members run ahead without the estimator, and with the method of the ensemble.
     values = {name: value for name, value in values.items() if not name.startswith(KEPT_OUT)}
     return Plan(values=values, spreads=spread, state=state, clock=clock, **common)
 
 
 def stored(file: Path) -> tuple[bytes, float]:
-    """A stored state and its time: bytes of the unit, or JSON of the twin."""
+    """Reads a stored state and its time: bytes of the unit, or JSON of the twin."""
     if not file.is_file():
         raise TwinError(f"there is no stored state at {file}")
     if file.stat().st_size > LARGEST_STATE:
@@ -179,14 +179,14 @@ def stored(file: Path) -> tuple[bytes, float]:
 
 
 def everything(unit: Unit) -> Values:
-    """All parameters and inputs as they are in an instance."""
+    """All parameters and inputs of an instance."""
     known = [v for v in unit.variables.values() if v.can_be_set and not v.name.startswith(("init.", "measured."))]
     numbers = unit.numbers(tuple(v.name for v in known))
     return {v.name: bool(x) if v.type == "Boolean" else x for v, x in zip(known, numbers, strict=True)}
 
 
 def uncertainty(unit: Unit) -> dict[str, float]:
-    """Standard deviations of the state that a corrector says; nothing without one."""
+    """Standard deviations of the state according to the unit's estimator; empty without one."""
     names = {f"{kind}[{i}]": f"estimated.{kind}.sigma[{i}]" for kind in ("theta", "omega") for i in (1, 2)}
     known = {name: other for name, other in names.items() if other in unit.variables}
     values = unit.floats(tuple(known.values()))
@@ -210,7 +210,7 @@ def _on_workers(options: Options, fmu: bytes, plan: Plan, file: Path) -> dict[st
 
 
 def _workers(options: Options) -> "Cluster | Processes":
-    """Those of a scheduler, if there is one, or else of this machine."""
+    """Workers of the scheduler if one is given, else processes of this machine."""
     if options.scheduler:
         from fivebar.twin.ensemble.cluster import Cluster
 
@@ -221,7 +221,7 @@ def _workers(options: Options) -> "Cluster | Processes":
 
 
 class Progress:
-    """A line with members done, their rate and the time to go: on a terminal five times a second, else every tenth."""
+    """Prints members done, rate and remaining time: five times per second on a terminal, otherwise after each 10 %."""
 
     def __init__(self, label: str, members: int):
         self.label, self.members = label, members
@@ -242,7 +242,7 @@ class Progress:
 
 
 def _interval(levels: dict[str, float], digits: int) -> str:
-    """The 95 % interval, if it is told."""
+    """Text of the 95 % interval, if known."""
     return f" (95 %: {levels['0.025']:.{digits}f} to {levels['0.975']:.{digits}f})" if "0.025" in levels else ""
 
 

@@ -1,8 +1,8 @@
 """Members of an ensemble, one after the other on an instance of the unit: the work of a worker.
 
-A member is its number: what is drawn for it comes from a generator of its own (Philox, keyed with seed and number), so that it is the
-same wherever and whenever it runs. It begins from a stored state of the unit; where it differs in what is fixed after the start, or in
-where it begins, the unit starts anew at that state's angles and rates.
+A member is defined by its number: its random values come from its own generator (Philox, keyed with seed and number), so that it is the
+same wherever and whenever it runs. It begins from a stored state of the unit. If its start state or parameters that are fixed after the
+start differ, the unit restarts at the angles and rates of that state.
 """
 
 import math
@@ -21,57 +21,57 @@ from fivebar.twin.errors import TwinError
 from fivebar.variables import Value
 
 STATE: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
-"""Names of a run's start; a spread of them is in rad and rad/s."""
+"""Start angles and rates; their spreads are in rad and rad/s."""
 
 VARIED: Final = Asked("varied", (*(name for name in USUAL if name not in OFFSETS), *STATE))
 
 SHOWN: Final = ("tip.x", "tip.y", "theta[1]", "theta[2]")
-"""Values of each member that are kept at every point of time."""
+"""Outputs of each member stored at every point in time."""
 
 KINDS: Final = ("none", "direct", "inverse, left", "inverse, right")
-"""Of the first singularity, by number."""
+"""Kinds of the first singularity, by number."""
 
 PASSES: Final = ("singular.passes.direct", "singular.passes.inverse[1]", "singular.passes.inverse[2]")
 HALVINGS: Final = 10
-"""Of the step in which a singularity was passed: its time is known to a thousandth of the step."""
+"""Number of bisections of the step with a singularity; they give its time to a thousandth of the step."""
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 20000}
-"""automatic, unless the scene has another one; a member that whirls beyond that many evaluations in a ms is given up."""
+"""Defaults: the method automatic, and a limit of evaluations per ms; a member that spins so fast that it exceeds the limit fails."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that members have in common; plain values, to be sent to workers."""
+    """Data common to all members, as plain values that can be sent to workers."""
 
     values: Values
     """Start values."""
 
     seconds: float
     points: int
-    """Of time, at which a member is looked at, evenly from 0 to `seconds`, 0 left out."""
+    """Number of evenly spaced points in time from 0 to `seconds`, without 0, at which outputs are stored."""
 
     seed: int
     spreads: dict[str, float] = field(default_factory=dict)
-    """Standard deviations by name: of `STATE`, or of an unknown as calibrations have them, in its sizes (a factor: 0.01 is 1 %)."""
+    """Standard deviations by name: of `STATE`, or of an unknown of a calibration, in its sizes (a factor: 0.01 is 1 %)."""
 
     names: tuple[str, ...] = ()
-    """Inputs that change."""
+    """Inputs with commands."""
 
     period: float = 0.005
-    """Between two of the rows that follow, s."""
+    """Time between two rows of `commands`, s."""
 
     commands: tuple[tuple[float, ...], ...] = ()
-    """Of the inputs; each goes on to the next in a straight line."""
+    """Rows of input values, with linear interpolation between them."""
 
     state: bytes = b""
-    """A stored state to begin from; none: the start values say where."""
+    """A stored state to start from; empty: start values."""
 
     clock: float = 0.0
-    """That state's time, s."""
+    """Time of that state, s."""
 
 
 class Runner:
-    """An instance that runs members of a plan; `shown` are the values that are kept."""
+    """An instance that runs members of a plan; `shown` are the stored outputs."""
 
     def __init__(self, library: Library, plan: Plan, shown: tuple[str, ...] = SHOWN):
         self.library, self.plan = library, plan
@@ -102,7 +102,7 @@ class Runner:
         )
 
     def _times(self) -> list[tuple[float, float, bool]]:
-        """Steps: from, to, whether a point ends there; s after the begin."""
+        """Steps: begin and end in s after the start, and whether outputs are stored at the end."""
         plan = self.plan
         points = [plan.seconds * k / plan.points for k in range(1, plan.points + 1)]
         if not plan.names:
@@ -113,12 +113,12 @@ class Runner:
         return [(a, b, b in ends) for a, b in zip([0.0, *every], every, strict=False)]
 
     def drawn(self, member: int) -> list[float]:
-        """Standard normal numbers of a member, one for each spread."""
+        """Standard normal random numbers of a member, one per spread."""
         chance = np.random.Generator(np.random.Philox(key=(self.plan.seed << 64) | member))
         return [float(x) for x in chance.standard_normal(len(self.plan.spreads))]
 
     def start(self, member: int) -> dict[str, float]:
-        """Brings a member to its begin; returns the values in which it differs."""
+        """Sets up the start of a member; returns its random values."""
         plan, unit = self.plan, self.unit
         offs = {name: sigma * x for (name, sigma), x in zip(plan.spreads.items(), self.drawn(member), strict=True)}
         x = [max(p.origin + offs[name], p.lowest) for p, name in zip(self.sought, self.of_machine, strict=True)]
@@ -140,7 +140,7 @@ class Runner:
         return dict(zip(self.plan.names, self.plan.commands[row], strict=True)) if self.plan.names else {}
 
     def run(self, member: int) -> dict[str, Any]:
-        """A member from its begin to its end."""
+        """Runs a member; returns its results."""
         plan, unit = self.plan, self.unit
         shown = np.full((plan.points, len(self.shown)), np.nan, dtype=np.float32)
         result: dict[str, Any] = {
@@ -174,7 +174,7 @@ class Runner:
         return result
 
     def _first(self, stored: State, before: list[Value], now: float, then: float) -> dict[str, Any]:
-        """When and of which kind the first singularity of a step is, by halving it."""
+        """Time and kind of the first singularity in a step, by bisection."""
         unit, low, high = self.unit, now, then
         for _ in range(HALVINGS):
             middle = (low + high) / 2
@@ -190,7 +190,7 @@ class Runner:
         return {"singular.time": (low + high) / 2, "singular.kind": kind}
 
     def _tell(self, now: float, then: float) -> None:
-        """Inputs over a step that stays between two rows."""
+        """Sets the inputs over a step within one interval between rows."""
         if not self.inputs:
             return
         plan = self.plan
@@ -209,7 +209,7 @@ class Runner:
 
 
 def spreads(given: Mapping[str, str]) -> dict[str, float]:
-    """`5%` and `0.05` as numbers."""
+    """Parses standard deviations such as `5%` and `0.05`."""
     found = {}
     for name, text in given.items():
         try:

@@ -1,6 +1,6 @@
 """Members on processes of this machine.
 
-Tasks depend on nothing but their numbers, so what a process has lost when it dies is done again by its successor.
+Tasks depend only on member numbers, so that the successor of a dead process can repeat its tasks.
 """
 
 import multiprocessing
@@ -25,38 +25,38 @@ from fivebar.twin.ensemble.member import Plan, Runner
 from fivebar.twin.errors import TwinError
 
 RETRIES: Final = 3
-"""Times that a chunk is begun again after the process that had it has died."""
+"""Maximum number of retries of a chunk after the death of its process."""
 
 UNIT, PLAN = "unit.fmu", "plan"
-"""Files that all processes read."""
+"""Names of the files that all processes read."""
 
 
 class Done(NamedTuple):
-    """A chunk that a process has done."""
+    """A finished chunk."""
 
     content: bytes
     seconds: float
-    """Processor time that it took."""
+    """CPU time of the chunk, s."""
 
 
 class Processes:
-    """So many processes of this machine; all are replaced when one dies."""
+    """A pool of processes on this machine; if one dies, all are replaced."""
 
     def __init__(self, count: int):
         self.processes = count
         self.seconds = 0.0
-        # What processes extract lies there as well: one that is killed leaves nothing.
+        # Processes extract the FMU into this folder, so that killed processes leave no files behind.
         self.folder = tempfile.TemporaryDirectory(prefix="fivebar-")
         self.pool = self._pool()
-        # They begin with the first task; the first that has done one is ready.
+        # The processes start with the first task; its result shows that the pool is ready.
         self.pool.submit(os.getpid).result()
 
     def _pool(self) -> ProcessPoolExecutor:
-        # Not forked: threads of Arrow would not go on in the copy.
+        # No fork: the threads of Arrow would not exist in the copy.
         return ProcessPoolExecutor(self.processes, multiprocessing.get_context("spawn"), initializer=_begin)
 
     def submit(self, folder: str, first: int, count: int) -> "Future[Done]":
-        """A chunk to whichever process is free."""
+        """Submits a chunk to any free process."""
         try:
             return self.pool.submit(_chunk, folder, first, count)
         except BrokenProcessPool:
@@ -65,7 +65,7 @@ class Processes:
             return self.pool.submit(_chunk, folder, first, count)
 
     def tables(self, fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-        """The members in their order, a table for each chunk."""
+        """The members in order, one table per chunk."""
         folder = tempfile.mkdtemp(dir=self.folder.name)
         Path(folder, UNIT).write_bytes(fmu)
         Path(folder, PLAN).write_bytes(pickle.dumps(plan))
@@ -76,7 +76,7 @@ class Processes:
         return self.processes
 
     def spent(self) -> float:
-        """Processor time of the chunks, s."""
+        """CPU time of all chunks, s."""
         return self.seconds
 
     def close(self) -> None:
@@ -86,14 +86,14 @@ class Processes:
 
 
 class Chunk:
-    """A chunk under way, begun again if its process dies."""
+    """A submitted chunk, which is repeated if its process dies."""
 
     def __init__(self, processes: Processes, folder: str, first: int, count: int):
         self.processes, self.work = processes, (folder, first, count)
         self.future = processes.submit(*self.work)
 
     def result(self) -> bytes:
-        """Its table as bytes of Arrow."""
+        """Waits for the chunk; returns its table as Arrow bytes."""
         for _ in range(RETRIES + 1):
             try:
                 done = self.future.result()
@@ -111,7 +111,7 @@ class Chunk:
 
 
 def _begin() -> None:
-    """Ctrl-C is for the parent; a process whose parent was killed ends."""
+    """Starts a process of the pool: it ignores Ctrl-C, which is for the parent, and ends if the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""Results of an ensemble: Parquet as it comes, then bands and distributions from it, some points of time in memory at a time."""
+"""Results of an ensemble: a Parquet file in order of arrival, then bands and distributions from it, with few points in time in memory at once."""
 
 import json
 import math
@@ -21,10 +21,10 @@ LEVELS: Final = (0.025, 0.25, 0.5, 0.75, 0.975)
 """Quantiles of the bands."""
 
 FEWEST: Final = 40
-"""Members that tell a 95 % interval: with less not even one is expected beyond either of its ends."""
+"""Minimum number of members for a 95 % interval; with fewer, less than one member is expected beyond either end."""
 
 IN_MEMORY: Final = 8_000_000
-"""Numbers that are in memory at a time."""
+"""Maximum number of values in memory at once."""
 
 Array = np.ndarray
 
@@ -35,16 +35,16 @@ class Story:
 
     time: Array
     bands: dict[str, Array]
-    """(points, levels) of each of `SHOWN`."""
+    """Quantiles (points, levels) of each output in `SHOWN`."""
 
     singular_times: dict[str, Array]
-    """s, by kind, of the members that meet one."""
+    """Times of the first singularity, s, by kind, of the members with one."""
 
     members: int
     failed: int
 
     def summary(self) -> dict[str, Any]:
-        """As a file has it."""
+        """Content of the summary file."""
         met = sum(map(len, self.singular_times.values()))
         every = np.concatenate(list(self.singular_times.values())) if met else np.empty(0)
         return {
@@ -69,12 +69,12 @@ class Story:
 
 
 def told(members: int) -> tuple[float, ...]:
-    """Quantiles that so many members tell: of few the median alone, for they have no interval of 95 %."""
+    """Quantile levels for a number of members: only the median for few members, which give no 95 % interval."""
     return LEVELS if members >= FEWEST else (0.5,)
 
 
 def write(file: Path, plan: Plan, tables: Iterator[pa.Table], show: Any) -> int:
-    """Writes members as they come, a row group for each chunk; how many. The same members give the same bytes."""
+    """Writes members as they arrive, one row group per chunk; returns their number. Equal members give equal bytes."""
     content = {k: v for k, v in asdict(plan).items() if k not in ("state", "commands")}
     count = 0
     writer: pq.ParquetWriter | None = None
@@ -96,7 +96,7 @@ def write(file: Path, plan: Plan, tables: Iterator[pa.Table], show: Any) -> int:
 
 
 def read(file: Path, plan: Plan) -> Story:
-    """Goes through a file of results."""
+    """Reads the results from a file."""
     parquet = pq.ParquetFile(file)
     members = parquet.metadata.num_rows
     narrow = parquet.read(columns=["singular.time", "singular.kind", "failed"])
@@ -115,7 +115,7 @@ def read(file: Path, plan: Plan) -> Story:
 
 
 def raised(file: Path, lowest: dict[str, float]) -> dict[str, tuple[int, float]]:
-    """Draws that were below the least one, and are at it: how many, and that share of the value, by name."""
+    """Number of draws that were clipped to the lowest allowed value, and this value as a share, by name."""
     table = pq.ParquetFile(file).read(columns=[f"drawn.{name}" for name in lowest])
     counts = {name: int(np.sum(table[f"drawn.{name}"].to_numpy() == least)) for name, least in lowest.items()}
     return {name: (count, lowest[name]) for name, count in counts.items() if count}
@@ -133,7 +133,7 @@ def _quantiles(parquet: pq.ParquetFile, name: str, first: int, last: int) -> Arr
 
 
 def draw(out: Path, story: Story) -> list[Path]:
-    """Draws bands and distribution; the files written."""
+    """Draws bands and distribution; returns the files."""
     with plt.rc_context(STYLE):
         return [save(_bands(story), out / "bands.png"), save(_singular(story), out / "singularities.png")]
 

@@ -1,4 +1,4 @@
-"""Members as rows of tables: chunks in this process, or on workers and back in their order."""
+"""Members as rows of tables: computed in chunks in this process, or on workers and collected in order."""
 
 import shutil
 import tempfile
@@ -13,14 +13,14 @@ from fivebar.library import Library
 from fivebar.twin.ensemble.member import KINDS, SHOWN, Plan, Runner
 
 CHUNK: Final = 200
-"""Members in one task: a row group of the results, whatever the number of workers."""
+"""Number of members in one task, which is a row group of the results; independent of the number of workers."""
 
 WINDOW: Final = 8
-"""Chunks a worker may have under way or waiting to be written."""
+"""Maximum number of chunks per worker that are running or waiting to be written."""
 
 
 def table(plan: Plan, results: list[dict[str, Any]]) -> pa.Table:
-    """Members as rows."""
+    """Members as rows of a table."""
     shown = {
         name: pa.FixedSizeListArray.from_arrays(
             pa.array([x for r in results for x in r["shown"][:, k].tolist()], pa.float32()), plan.points
@@ -39,7 +39,7 @@ def table(plan: Plan, results: list[dict[str, Any]]) -> pa.Table:
 
 
 def library_of(fmu: bytes) -> Library:
-    """The unit of those bytes, extracted."""
+    """Extracts and loads the FMU from its bytes."""
     folder = Path(tempfile.mkdtemp(prefix="fivebar-"))
     try:
         (folder / "unit.fmu").write_bytes(fmu)
@@ -49,7 +49,7 @@ def library_of(fmu: bytes) -> Library:
 
 
 def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """Tables of the members, computed in this process."""
+    """Tables of the members, computed in this process from the FMU's bytes."""
     library = library_of(fmu)
     try:
         yield from here(library, plan, members)
@@ -58,7 +58,7 @@ def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
 
 
 def here(library: Library, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """Tables of the members by a unit that is extracted."""
+    """Tables of the members, computed in this process with a loaded library."""
     runner = Runner(library, plan)
     try:
         for first in range(0, members, CHUNK):
@@ -68,16 +68,16 @@ def here(library: Library, plan: Plan, members: int) -> Iterator[pa.Table]:
 
 
 class Submitted(Protocol):
-    """A chunk under way."""
+    """A submitted chunk."""
 
     def result(self) -> bytes:
-        """Its table as bytes of Arrow, as soon as it is done."""
+        """Waits for the chunk; returns its table as Arrow bytes."""
 
 
 def in_order(submit: Callable[[int, int], Submitted], workers: Callable[[], int], members: int) -> Iterator[pa.Table]:
-    """Tables of the members in their order; `submit` takes the first member of a chunk and how many it has.
+    """Tables of the members in order; `submit` takes the first member of a chunk and the number of members.
 
-    No more than `WINDOW` chunks for each worker are under way or waiting for their turn: memory is bounded however many members there are.
+    At most `WINDOW` chunks per worker are running or waiting, so that memory is bounded for any number of members.
     """
     under_way: deque[Submitted] = deque()
     first = written = most = 0
@@ -92,7 +92,7 @@ def in_order(submit: Callable[[int, int], Submitted], workers: Callable[[], int]
 
 
 def chunk(runner: Runner, first: int, count: int) -> bytes:
-    """Some members as bytes of Arrow."""
+    """Runs some members; returns their table as Arrow bytes."""
     content = table(runner.plan, [runner.run(member) for member in range(first, first + count)])
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, content.schema) as writer:

@@ -1,9 +1,10 @@
-"""`fivebar what-if`: outcomes of some commands, each from the running twin's snapshot; ranked, and published as `whatif`.
+"""`fivebar what-if`: outcomes of candidate commands from a snapshot of the running twin; ranked and published as `whatif`.
 
-A command is a way of the drives' inputs from the snapshot on. Where it leads, and the radius that holds the tip with 95 %, is the twin's
-own forecast along it: all that the twin does not know is in it, forces, lengths and encoders included. How probably it meets a singularity
-is told by some members that begin as uncertain as the twin is, the same for all commands, so that outcomes differ by the commands alone.
-The better command meets one less probably; among equals the one whose 95 % of tips end nearer to the goal, or, without a goal, closer together.
+A command is a trajectory of the drive inputs after the snapshot. The path of the tip and its 95 % radius are the twin's own forecast with
+this command; it includes all uncertainties of the twin, also of forces, lengths and encoders. The probability of a singularity comes from
+an ensemble with the uncertainty of the twin. Its draws are the same for all commands, so that outcomes differ only by the commands. The
+best command has the lowest probability of a singularity. Among equals, it is the one with 95 % of tips nearest to the goal or, without a
+goal, closest together.
 """
 
 import base64
@@ -37,7 +38,7 @@ POINTS: Final = 10
 MOST_CANDIDATES: Final = 50
 FORECAST: Final = ("tip.x", "tip.y", RADIUS)
 TURN: Final = 0.15
-"""rad: how far the commands go that are compared if none are given."""
+"""Amplitude of the default commands, rad."""
 
 
 @dataclass(frozen=True)
@@ -48,31 +49,31 @@ class Options:
     """The configuration of the running twin."""
 
     candidates: Path | None
-    """Commands to compare, and a goal; without a file staying, and each motor a little to either side."""
+    """File with commands and a goal; without a file: staying, and each motor a little to either side."""
 
     members: int
-    """Of each command."""
+    """Number of members per command."""
 
     seconds: float
-    """Ahead."""
+    """Horizon."""
 
     seed: int
     times: int
-    """How many snapshots are answered; 0 is until Ctrl-C."""
+    """Number of snapshots to answer; 0: until Ctrl-C."""
 
     scheduler: str | None
-    """Address of a scheduler of Dask; without one all in this process."""
+    """Address of a Dask scheduler; without one, all members run in this process."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A command: knots (s after the snapshot, value) of inputs; minimum-jerk ways between them, as scenes have them."""
+    """A command: knots (s after the snapshot, value) of inputs, connected by minimum-jerk trajectories as in scenes."""
 
     name: str
     knots: dict[str, list[tuple[float, float]]]
 
     def rows(self, told: dict[str, float], names: tuple[str, ...], seconds: float) -> tuple[tuple[float, ...], ...]:
-        """Of those inputs, every `PERIOD`. An input without knots keeps its value; a servo's rate is that of its angle."""
+        """Rows of input values every `PERIOD`. An input without knots keeps its value; servo rates are the rates of the servo angles."""
         times = PERIOD * np.arange(math.ceil(seconds / PERIOD - 1e-9) + 1)
         columns = []
         for name in names:
@@ -91,7 +92,7 @@ class Candidate:
 
 
 def way(times: np.ndarray, knots: list[tuple[float, float]], begin: float) -> np.ndarray:
-    """From `begin` at 0 through knots, at rest in each: 10u³ − 15u⁴ + 6u⁵ (Flash and Hogan 1985)."""
+    """Minimum-jerk trajectory from `begin` at time 0 through knots, at rest in each: 10u³ − 15u⁴ + 6u⁵ (Flash and Hogan 1985)."""
     found = np.full(len(times), begin)
     last, value = 0.0, begin
     for at, to in knots:
@@ -102,7 +103,7 @@ def way(times: np.ndarray, knots: list[tuple[float, float]], begin: float) -> np
 
 
 def usual(told: dict[str, float], seconds: float) -> list[Candidate]:
-    """Staying, and each motor a little to either side."""
+    """Default candidates: staying, and each motor a little to either side."""
     kind = "servo.theta" if any(name.startswith("servo.theta") for name in told) else "tau"
     step = TURN if kind == "servo.theta" else 0.01
     found = [Candidate("stay", {})]
@@ -116,7 +117,7 @@ def usual(told: dict[str, float], seconds: float) -> list[Candidate]:
 
 
 def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
-    """Candidates and goal of a file: {"goal": [x, y], "candidates": [{"name": …, "knots": {"servo.theta[1]": [[t, v], …]}}]}."""
+    """Reads candidates and goal from a file: {"goal": [x, y], "candidates": [{"name": …, "knots": {"servo.theta[1]": [[t, v], …]}}]}."""
     content = configuration.read_json(file)
     try:
         goal = [float(x) for x in content["goal"]] if content.get("goal") is not None else None
@@ -148,7 +149,7 @@ def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
 
 
 def outcome(name: str, members: pa.Table, ahead: np.ndarray, goal: list[float] | None) -> dict[str, Any]:
-    """Outcome of a command: probability of a singularity, the tip's way with its bands, score. `ahead` are rows of x, y and radius, m."""
+    """Outcome of a command: probability of a singularity, path of the tip with its bands, score. `ahead` has rows of x, y and radius, m."""
     failed = sum(sentence != "" for sentence in members["failed"].to_pylist())
     times = members["singular.time"].to_numpy()
     met = times[np.isfinite(times)]
@@ -171,7 +172,7 @@ def outcome(name: str, members: pa.Table, ahead: np.ndarray, goal: list[float] |
 
 
 def forecast(library: Library, plan: Plan) -> np.ndarray:
-    """The twin's own forecast along a command, (points, 3): tip and the radius that holds it with 95 %, m; NaN from where it fails on."""
+    """The twin's forecast with a command, (points, 3): tip and its 95 % radius, m; NaN after a failure."""
     runner = Runner(library, replace(plan, spreads={}), FORECAST)
     try:
         return np.asarray(runner.run(0)["shown"], dtype=float)
@@ -180,7 +181,7 @@ def forecast(library: Library, plan: Plan) -> np.ndarray:
 
 
 def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The best first: probabilities in steps of 5 %, the resolution of some members, then the score."""
+    """Sorts outcomes, the best first: by probability in steps of 5 %, the resolution of a small ensemble, then by score."""
     order = sorted(outcomes, key=lambda o: (round(20 * o["singular"]["probability"]), o["failed"] > 0, o["score"]))
     return [{"rank": rank} | {k: v for k, v in one.items() if k != "score"} for rank, one in enumerate(order, 1)]
 
@@ -188,7 +189,7 @@ def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def compare(
     fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, options: Options
 ) -> dict[str, Any]:
-    """The ranked outcomes from a stored state of the twin."""
+    """Ranked outcomes from a stored state of the twin."""
     begun, spent = time.perf_counter(), time.process_time()
     library = Library(fmu)
     try:
@@ -227,7 +228,7 @@ def compare(
 
 
 def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> Iterator[pa.Table]:
-    """The members of each plan; here, or on workers."""
+    """Tables of the members of each plan, computed in this process or on workers."""
     if not options.scheduler:
         for plan in plans:
             yield pa.concat_tables(here(library, plan, options.members))
@@ -240,7 +241,7 @@ def _all(fmu: Path, library: Library, plans: list[Plan], options: Options) -> It
 
 
 def run(options: Options) -> int:
-    """0 if at least one snapshot was answered."""
+    """Answers snapshots; returns 0 if at least one was answered."""
     if not (math.isfinite(options.seconds) and 0 < options.seconds <= 10) or not 1 <= options.members <= 10000:
         raise TwinError(
             f"{options.seconds:g} s and {options.members} members; up to 10 s and 1 to 10000 members are allowed"
@@ -255,7 +256,7 @@ def run(options: Options) -> int:
             newest[:] = [decode(topic, payload)]
             arrived.set()
         except Refused:
-            # The twin's own log says what is wrong with it.
+            # An invalid state is ignored; the twin's own log gives the reason.
             pass
 
     bus = Bus(config.broker, config.unit, "what-if", ("state",), handle)

@@ -1,1 +1,1 @@
-"""`fivebar import`: recordings of real machines as tables that calibration, validation and twin read."""
+"""`fivebar import`: converts recordings of real machines to tables for calibration, validation and twin."""

@@ -1,4 +1,4 @@
-"""From columns of files and a map to a recording: units, signs and offsets, and rows for clocks that differ."""
+"""Makes a recording from file columns and a map: units, signs and offsets, and common rows for columns with different clocks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,11 +16,11 @@ from fivebar.twin.messages import INPUTS, MEASURED
 from fivebar.twin.recording import TIME, Array, Recording
 
 TOGETHER: Final = 0.25
-"""Share of the usual step within which samples of two encoders become one row: rows that lie closer would make the usual step of the recording."""
+"""Samples of two encoders become one row if they are closer than this share of the median step; closer rows would change the median step of the recording."""
 
 
 def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
-    """The recording in files, each a series or more of its own, and the map that was used. Raises FiveBarError."""
+    """Reads a recording from files, each with one or more series; returns it and the map that was used. Raises FiveBarError."""
     clocks, tables, notes, used, last = [], [], [], given, 0.0
     for file in files:
         used = given if given.entries else _named(file, given)
@@ -28,7 +28,7 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
         known = clock[np.isfinite(clock)]
         if not len(known):
             raise FiveBarError(f"{file} has no row with a time")
-        # A clock that falls back has restarted, and begins a series.
+        # A clock that goes back marks the begin of a series.
         clocks.append(clock - known[0] + last - 1.0)
         last = clocks[-1][np.isfinite(clock)][-1]
         tables.append(columns)
@@ -47,14 +47,14 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
 
 
 def write(given: Recording, file: Path) -> None:
-    """Writes the table that calibration, validation and twin read; the clock of each series begins at 0."""
+    """Writes the table for calibration, validation and twin; the clock of each series starts at 0."""
     begins = np.array([0, *given.begins])
     first = begins[np.searchsorted(begins, np.arange(len(given.time)), side="right") - 1]
     table.write_columns(file, {TIME: given.time - given.time[first], **given.columns})
 
 
 def _named(file: Path, given: Map) -> Map:
-    """The map of a table whose columns have the names of the variables."""
+    """The map of a table in which columns are named as the variables."""
     columns = sources.names(file, given.time.column)
     others = {name.removeprefix("measured."): name for name in MEASURED}
     found = {others.get(name, name): Entry(name) for name in columns if name in VARIABLES or name in others}
@@ -67,7 +67,7 @@ def _named(file: Path, given: Map) -> Map:
 
 
 def _rows(file: Path, given: Map) -> tuple[Array, dict[str, Array], list[str]]:
-    """Clock in s, variables and notes of a file."""
+    """Reads clock in s, variables and notes from a file."""
     streams = sources.read(file, {entry.column: None for entry in given.entries.values()}, given.time.column)
     head = next((stream.units[given.time.column] for stream in streams if given.time.column in stream.units), "")
     factor = given.time.factor(TIME, head)
@@ -90,7 +90,7 @@ def _rows(file: Path, given: Map) -> tuple[Array, dict[str, Array], list[str]]:
 
 
 def _together(file: Path, streams: list[Stream], given: Map) -> tuple[Array, dict[str, Array], list[str]]:
-    """Rows of streams with clocks of their own: samples of the encoders stay where they are, commands hold until the next one."""
+    """Merges streams with different clocks: encoder samples keep their times, and commands hold until the next one."""
     for stream in streams:
         if np.any(back := np.diff(stream.clock) < 0):
             raise FiveBarError(
@@ -113,7 +113,7 @@ def _together(file: Path, streams: list[Stream], given: Map) -> tuple[Array, dic
 
 
 def _holding(rows: Array, times: Array, values: Array, most: float) -> tuple[Array, str]:
-    """Values in rows, each until the next one, and what was done."""
+    """Fills rows with values that hold until the next one; returns them and a note."""
     before = np.searchsorted(times, rows, side="right") - 1
     after = np.searchsorted(rows, times)
     late = rows[after[after < len(rows)]] - times[after < len(rows)]
@@ -124,7 +124,7 @@ def _holding(rows: Array, times: Array, values: Array, most: float) -> tuple[Arr
 
 
 def _placed(rows: Array, times: Array, values: Array, most: float) -> tuple[Array, str]:
-    """Values in the rows nearest to them, at most `most` s away, and what was done."""
+    """Puts each value into the nearest row, at most `most` s away; returns them and a note."""
     nearest = _nearest(rows, times)
     apart = np.abs(rows[nearest] - times)
     near = apart <= most

@@ -1,4 +1,4 @@
-"""`fivebar import FILE...`: reads, measures, and writes a record."""
+"""`fivebar import FILE...`: reads recordings, measures the encoders' quality and writes a record."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,11 +10,11 @@ from fivebar.twin.importing import assemble, guess, maps, quality
 from fivebar.twin.recording import Recording
 
 SHOWN: Final = 5
-"""Gaps that are listed, at most."""
+"""Maximum number of listed gaps."""
 
 
 def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record: Path) -> int:
-    """Writes the record, prints what it has, and what it tells of the map by a scene; 0."""
+    """Writes the record, prints its content and, with a scene, a proposed map; returns 0."""
     if record.suffix.lower() != ".csv":
         raise FiveBarError(
             f"the record is {record}; a name that ends in .csv is needed, a table that all commands read"
@@ -30,7 +30,7 @@ def run(files: Sequence[Path], map_file: Path | None, scene: str | None, record:
 
 
 def _summary(found: Recording, used: maps.Map, figures: list[quality.Quality]) -> list[str]:
-    """What the record has."""
+    """Lines about the content of the record."""
     lines = [f"{len(found.time)} rows, {found.time[-1]:.4g} s, {len(found.begins) + 1} series of {found.source}"]
     lines += [f"  {name} from {entry.column}" for name, entry in used.entries.items()]
     lines += [f"  {note}" for note in found.notes]

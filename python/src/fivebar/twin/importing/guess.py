@@ -1,4 +1,4 @@
-"""`--guess SCENE`: the map that a recording itself proposes, and what it cannot tell."""
+"""`--guess SCENE`: proposes a map from the data of a recording, and reports ambiguities."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from fivebar.twin.redundancy import ASSIGNMENTS, FLOOR, TURN, Verdict
 
 
 def lines(found: Recording, used: Map, given: str) -> list[str]:
-    """What the recording of a scene's machine tells of its map, with the map that it proposes."""
+    """Lines about the map of a recording of the scene's machine, with a proposed map."""
     if missing := [name for name in MEASURED if name not in used.entries]:
         raise FiveBarError(f"the map has no {missing[0]}; a guess needs both encoders")
     scene = scenes.read(given)
@@ -39,13 +39,13 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
 
 
 def propose(found: Recording, used: Map, scene: Scene, verdict: Verdict) -> Map:
-    """The map with the columns, signs, zeros and turns that the recording tells."""
+    """The map with the columns, signs, zeros and turns identified from the recording."""
     chosen = verdict.chosen
     sources = MEASURED[::-1] if chosen.exchanged else MEASURED
     entries: dict[str, Entry] = {}
     for i, (name, source, sign) in enumerate(zip(MEASURED, sources, chosen.signs, strict=True)):
         column = found.columns[source]
-        # A zero that is within its error as in the map stays.
+        # The zero of the map stays unless the change is significant.
         zero = float(verdict.zeros[i]) if abs(verdict.zeros[i]) > 3 * verdict.sigma[i] else 0.0
         first = sign * float(column[np.isfinite(column)][0]) + zero
         turns = round((float(scene[f"init.theta[{i + 1}]"]) - first) / TURN)
@@ -58,12 +58,12 @@ def propose(found: Recording, used: Map, scene: Scene, verdict: Verdict) -> Map:
 
 
 def _changed(entry: Entry, sign: int, zero: float) -> Entry:
-    """The entry of sign x value + zero."""
+    """The entry for sign x value + zero."""
     return replace(entry, sign=sign * entry.sign, offset=sign * entry.offset + zero)
 
 
 def _zeros(verdict: Verdict) -> list[str]:
-    """What is told of the zeros."""
+    """Lines about the zeros."""
     found = []
     for name, zero, sigma in zip(MEASURED, verdict.zeros, verdict.sigma, strict=True):
         if np.isfinite(sigma):

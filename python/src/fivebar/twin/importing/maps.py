@@ -1,4 +1,4 @@
-"""The map of a recording: which column is which variable, and how its numbers become rad, rad/s, N.m and m.
+"""The map of a recording: the column of each variable, and the conversion of its numbers to rad, rad/s, N.m and m.
 
     {
       "time": {"column": "t", "unit": "ms"},
@@ -6,7 +6,7 @@
       "measured.theta[2]": {"column": "enc_right", "unit": "deg"}
     }
 
-A value is sign x scale x number in its unit + offset. Without a map, columns have the names of the variables.
+The value of a variable is sign x scale x number in its unit + offset. Without a map, columns are named as the variables.
 """
 
 import json
@@ -23,7 +23,7 @@ from fivebar.twin.recording import TIME
 from fivebar.variables import shown, similar
 
 PASSIVE: Final = ("passive.theta[1]", "passive.theta[2]")
-"""Angles of the distal links: no field of `meas`, kept because they tell how the machine is assembled and which encoder is which."""
+"""Angles of the distal links. They are not fields of `meas`, but show how the machine is assembled and which encoder is which."""
 
 VARIABLES: Final = (*MEAS_FIELDS, *PASSIVE)
 
@@ -38,32 +38,32 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "tip.x": LENGTHS,
     "tip.y": LENGTHS,
 }
-"""Units and their factors by the last words of a variable's name; the first one is that of the variable."""
+"""Units and their factors by the end of a variable's name; the first unit is the variable's own."""
 
 KEYS: Final = ("column", "unit", "steps", "sign", "scale", "offset", "relative")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """How a variable comes from a column."""
+    """Conversion of a column to a variable."""
 
     column: str
     unit: str = ""
-    """"" takes the one in the table's head, or else that of the variable."""
+    """"" is the unit in the table's head, or else the variable's unit."""
 
     steps: float = 0.0
-    """Steps of an encoder in a turn, for the unit `counts`."""
+    """Encoder counts per turn, for the unit `counts`."""
 
     sign: int = 1
     scale: float = 1.0
     offset: float = 0.0
-    """In the unit of the variable."""
+    """Offset in the unit of the variable."""
 
     relative: bool = False
-    """Whether a distal link's angle counts from its proximal link."""
+    """Whether a distal link's angle is relative to its proximal link."""
 
     def content(self) -> dict[str, Any]:
-        """As a map has it: what differs from what is taken without it."""
+        """JSON content of the entry: the values that differ from the defaults."""
         found: dict[str, Any] = {"column": self.column}
         for key in KEYS[1:]:
             if (value := getattr(self, key)) != Entry.__dataclass_fields__[key].default:
@@ -71,7 +71,7 @@ class Entry:
         return found
 
     def factor(self, name: str, head: str) -> float:
-        """What a number of the column is multiplied by; `head` is the unit in the table's head. Raises FiveBarError."""
+        """Factor for the numbers of the column; `head` is the unit in the table's head. Raises FiveBarError."""
         known = units_of(name)
         unit, in_head = self.unit, _plain(head)
         if self.scale != 1 and in_head not in known:
@@ -91,29 +91,29 @@ class Entry:
 
 @dataclass(frozen=True)
 class Map:
-    """A map: the entry of the clock, and those of variables by name."""
+    """A map: the entry of the clock, and the entries of variables by name."""
 
     time: Entry = Entry(TIME)
     entries: Mapping[str, Entry] = field(default_factory=dict)
-    """None: columns have the names of the variables."""
+    """Empty: columns are named as the variables."""
 
     def content(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """JSON content of the map."""
         time = {} if self.time == Entry(TIME) else {TIME: self.time}
         return {name: entry.content() for name, entry in (time | dict(self.entries)).items()}
 
     def text(self) -> str:
-        """The JSON, with a line for each variable."""
+        """The JSON text, with one line per variable."""
         lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(entry)}" for name, entry in self.content().items())
         return "{\n" + lines + "\n}"
 
     def exchanged(self, entries: Mapping[str, Entry]) -> "Map":
-        """The map with other entries for some variables."""
+        """A copy with other entries for some variables."""
         return replace(self, entries={**self.entries, **entries})
 
 
 def read(file: Path) -> Map:
-    """The map in a file. Raises FiveBarError with one sentence that names the file."""
+    """Reads a map from a file. Raises FiveBarError with one sentence that names the file."""
     try:
         return parse(scene_file.parse(scene_file.text(file)))
     except FiveBarError as error:
@@ -121,7 +121,7 @@ def read(file: Path) -> Map:
 
 
 def parse(content: Any) -> Map:
-    """The map of a file's content. Raises FiveBarError with one sentence that names key and value."""
+    """The map from JSON content. Raises FiveBarError with one sentence that names key and value."""
     if not isinstance(content, dict):
         raise FiveBarError("a map must be an object of variables and their columns")
     known = (scene_file.DESCRIPTION, TIME, *VARIABLES)
@@ -139,7 +139,7 @@ def parse(content: Any) -> Map:
 
 
 def units_of(name: str) -> dict[str, float]:
-    """Units that a variable's column may have, with their factors."""
+    """Allowed units for the column of a variable, with their factors."""
     return next(units for last, units in UNITS.items() if name.partition("[")[0].endswith(last))
 
 
@@ -151,7 +151,7 @@ def _entry(name: str, given: Any) -> Entry:
         if key not in keys:
             raise FiveBarError(f"'{name}' has no key '{key}'{similar(key, keys)}")
     column = given.get("column")
-    # Tables without a head have numbers for names.
+    # In tables without a head, columns are named by number.
     if isinstance(column, int) and not isinstance(column, bool) and column > 0:
         column = str(column)
     if not isinstance(column, str) or not column.strip():
@@ -181,7 +181,7 @@ def _entry(name: str, given: Any) -> Entry:
 
 
 def _offset(name: str, given: Any) -> float:
-    """A number in the variable's unit, or a text with number and unit such as "147 deg"."""
+    """Parses a number in the variable's unit, or a text with number and unit such as "147 deg"."""
     if not isinstance(given, str):
         return _number(f"{name}.offset", given)
     units = units_of(name)
@@ -204,7 +204,7 @@ def _number(key: str, given: Any) -> float:
 
 
 def _plain(unit: str) -> str:
-    """A unit of a head in the spelling of a map."""
+    """Converts a unit from a table's head to the spelling of a map."""
     plain = "".join(c for c in unit if c not in " ·*.")
     spelled = {"Nm": "N.m", "mNm": "mN.m", "°": "deg", "degree": "deg", "degrees": "deg", "µs": "us", "μs": "us"}
     return spelled.get(plain, plain)

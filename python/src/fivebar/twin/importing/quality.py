@@ -1,4 +1,4 @@
-"""How good an encoder's samples are: rate, jitter, lost samples, step and noise, and the lines of a scene that say so to the estimator."""
+"""Quality of an encoder's samples: rate, jitter, lost samples, resolution and noise, and the lines for a scene that configure the estimator."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,42 +10,42 @@ from fivebar.twin.messages import MEASURED
 from fivebar.twin.recording import Array, Recording
 
 WINDOW: Final = 50
-"""Samples whose third differences make one figure of the noise."""
+"""Number of samples in a window; each window gives one estimate of the noise from third differences."""
 
 THIRD: Final = 20.0
-"""Variance of third differences of white noise of variance 1: 1 + 9 + 9 + 1."""
+"""Variance of the third differences of white noise with variance 1: 1 + 9 + 9 + 1."""
 
 FEWEST: Final = 8
-"""Differences of values that tell a step: fewer may be multiples of one by chance."""
+"""Minimum number of differences to identify the resolution; fewer may be multiples of a step by chance."""
 
 LOST: Final = 1.5
-"""Usual steps after which a sample is missing."""
+"""A longer distance than this number of median steps means a missing sample."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Figures of an encoder."""
+    """Quality figures of an encoder."""
 
     name: str
     samples: int
     period: float
-    """The usual distance of two samples, s."""
+    """Median distance between samples, s."""
 
     jitter: float
-    """Standard deviation of that distance where none is lost, s."""
+    """Standard deviation of the distance without lost samples, s."""
 
     lost: int
     gaps: tuple[tuple[float, float], ...]
-    """Begin and length, s, of each time in which samples are lost, the longest first."""
+    """Begin and length, s, of each gap with lost samples, the longest first."""
 
     step: float
-    """Of the encoder, rad; 0 if none is seen."""
+    """Resolution of the encoder, rad; 0 if not visible."""
 
     noise: float
-    """Standard deviation of white noise beside that of the steps, rad."""
+    """Standard deviation of white noise without quantisation noise, rad."""
 
     def sentence(self) -> str:
-        """The figures in a line."""
+        """The figures in one line."""
         step = f"steps of {1e3 * self.step:.4g} mrad" if self.step else "no steps seen"
         noise = f"noise {1e3 * self.noise:.3g} mrad" if self.noise or not self.step else "noise below the steps"
         lost = f"{self.lost} lost" + (
@@ -55,13 +55,13 @@ class Quality:
         return f"{self.name}: {self.samples} samples, {rate}, {lost}; {step}, {noise}"
 
     def lines(self) -> str:
-        """What a scene says of the encoder."""
+        """Lines for a scene about the encoder."""
         i = self.name[-3:]
         return f'"estimator.quantum{i}": {self.step:.6g}, "estimator.sigma{i}": {self.noise:.3g}'
 
 
 def measure(given: Recording) -> list[Quality]:
-    """The figures of each encoder that has samples."""
+    """Measures the figures of each encoder with samples."""
     return [_of(given, name) for name in MEASURED if name in given.columns and np.isfinite(given.columns[name]).any()]
 
 
@@ -95,8 +95,8 @@ def _of(given: Recording, name: str) -> Quality:
 
 
 def find_step(values: Array) -> float:
-    """The step of which all differences of the values are multiples, 0 if there is none."""
-    # Less than float32 tells apart is one value, if the numbers were written by a program that computes in it.
+    """The largest step such that all differences of the values are multiples of it; 0 if there is none."""
+    # If the numbers were written by a program with float32, differences below its resolution count as equal.
     is_short = bool(np.all(values == values.astype(np.float32)))
     size = float(np.max(np.abs(values))) or 1.0
     apart = np.diff(np.unique(values))
@@ -106,13 +106,13 @@ def find_step(values: Array) -> float:
     step = float(np.min(apart))
     counts = np.round(apart / step)
     step = float(np.sum(apart) / np.sum(counts))
-    # Noise without steps leaves remainders as large as 0.29 of the smallest difference.
+    # Continuous noise leaves remainders with an rms of 0.29 of a step.
     remainder = apart / step - np.round(apart / step)
     return step if float(np.sqrt(np.mean(remainder**2))) < 0.05 else 0.0
 
 
 def find_noise(series: list[tuple[Array, Array]], period: float, step: float) -> float:
-    """Standard deviation of white noise, rad, by third differences: the motion itself has hardly any within three samples."""
+    """Standard deviation of white noise, rad, from third differences, because the motion itself contributes almost nothing to them."""
     found = []
     for time, angles in series:
         even = np.abs(np.diff(time) - period) < 0.2 * period
@@ -123,10 +123,10 @@ def find_noise(series: list[tuple[Array, Array]], period: float, step: float) ->
     if not found:
         return 0.0
     speed, variance = np.array(found).T
-    # Rounding is white where each sample has moved by a step or more, and hides noise at rest.
+    # Quantisation errors are white if each sample moves by a step or more; at rest they hide the noise.
     moving = speed > step
     chosen = np.sort(variance[moving] if moving.sum() >= 3 else variance)
-    # The middle half: neither the windows in which the machine is hit nor those in which it rests.
+    # The middle half excludes windows with impacts and windows at rest.
     total = float(np.mean(chosen[len(chosen) // 4 : len(chosen) - len(chosen) // 4]))
     rounding = step**2 / 12
     return float(np.sqrt(total - rounding)) if total > 1.5 * rounding else 0.0

@@ -1,6 +1,6 @@
-"""Columns of a recording's file with their clocks: tables as CSV, with or without a head, tables as Parquet, and bags of ROS.
+"""Reads columns and their clocks from files: CSV tables with or without a head, Parquet tables, and ROS bags.
 
-Columns of a bag are called by topic and field, as `/joint_states/JOINT/position` or `/desired/data[0]`.
+Columns of a bag are named by topic and field, such as `/joint_states/JOINT/position` or `/desired/data[0]`.
 """
 
 from collections.abc import Collection, Iterator
@@ -18,32 +18,32 @@ from fivebar.twin.record import SCHEMA, is_record
 from fivebar.twin.recording import TIME, Array
 
 BAGS: Final = (".db3", ".mcap", ".bag")
-"""Endings of bags in one file; a folder is a bag, too."""
+"""File extensions of bags; a bag may also be a folder."""
 
 STAMP, RECEIVED = "stamp", "received"
-"""Clocks of a bag: the stamp in a message's header, or when the recorder received the message."""
+"""Clocks of a bag: the stamp in a message's header, or the time at which the recorder received the message."""
 
 LISTED: Final = 40
-"""Columns that a sentence names at most."""
+"""Maximum number of columns listed in a sentence."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Columns that are read at the same times: those of a table, or of a topic."""
+    """Columns with a common clock: from a table or from a topic."""
 
     name: str
     clock: Array
-    """(n), in the clock's unit from an origin that all streams of a file share."""
+    """(n), in the unit of the clock; the origin is common to all streams of a file."""
 
     columns: dict[str, Array]
-    """(n) each; NaN if there is no number."""
+    """Columns by name, (n) each; NaN if there is no number."""
 
     units: dict[str, str]
     """Units in a table's head, by column."""
 
 
 def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
-    """The columns `wanted` of a file. Raises FiveBarError with one sentence that names the file, and columns that it lacks."""
+    """Reads the columns `wanted` from a file. Raises FiveBarError with one sentence that names the file and missing columns."""
     if _is_bag(file):
         return _bag(file, wanted, clock)
     found = _table(file, wanted, clock)
@@ -57,7 +57,7 @@ def read(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
 
 
 def names(file: Path, clock: str) -> list[str]:
-    """Names of the columns of a file that may be asked for."""
+    """Names of the available columns of a file."""
     if _is_bag(file):
         return sorted({name for message in _messages(file, None) for name in message.numbers})
     found = _table(file, (), clock)
@@ -88,7 +88,7 @@ def _table(file: Path, wanted: Collection[str], clock: str) -> table.Table:
 
 
 def _numbers(file: Path, name: str, column: "pa.ChunkedArray[Any]", counted: bool) -> Array:
-    """A column as floats; a clock from its first reading, in its own precision."""
+    """A column as floats; a clock is counted from its first reading before the conversion, so that it keeps its precision."""
     kind = column.type
     if pa.types.is_timestamp(kind):
         column, kind = column.cast(pa.timestamp("ns")).cast(pa.int64()), pa.int64()
@@ -108,13 +108,13 @@ class _Message:
 
     topic: str
     stamp: int | None
-    """ns, by its header."""
+    """Time in its header, ns."""
 
     received: int
-    """ns, by the recorder."""
+    """Time of its reception by the recorder, ns."""
 
     numbers: dict[str, float]
-    """By column."""
+    """Numbers by column."""
 
 
 def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
@@ -130,7 +130,7 @@ def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
     unstamped = [topic for topic, messages in by_topic.items() if any(not message.stamp for message in messages)]
     if unstamped and clock == STAMP:
         raise FiveBarError(f"{file} has messages without a stamp in {unstamped[0]}: the clock {RECEIVED} is needed")
-    # Both clocks together would be none.
+    # All columns must use the same clock.
     received = clock == RECEIVED or bool(unstamped)
     times = {
         topic: [message.received if received else message.stamp or 0 for message in messages]
@@ -153,13 +153,13 @@ def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
 
 
 def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
-    """Messages of the topics that may have the columns `wanted`; without `wanted`, the first message of each topic that has numbers."""
+    """Messages of the topics that may contain the columns `wanted`; without `wanted`, the first message of each topic with numbers."""
     extras.need("ros")
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        # Bags of older versions of ROS do not say what their types are.
+        # Bags of older ROS versions contain no type definitions.
         with AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
             for connection in bag.connections:
                 if wanted is not None and not any(name.startswith(f"{connection.topic}/") for name in wanted):
@@ -170,7 +170,7 @@ def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
                             f"{file} does not say what its type {connection.msgtype} of {connection.topic} is"
                         )
                     continue
-                # Logs and settings of nodes are nobody's angles.
+                # Logs and parameters of nodes contain no angles.
                 if wanted is None and connection.msgtype.startswith("rcl_interfaces/"):
                     continue
                 for _, received, content in bag.messages(connections=[connection]):
@@ -185,7 +185,7 @@ def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
 
 
 def _fields(path: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Numbers in a field of a message, by path. Fields of a JointState lie below the names of its joints."""
+    """Numbers in a field of a message, by path. Fields of a JointState are below its joint names."""
     if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
         yield path, float(value)
     elif type(value).__name__ == "sensor_msgs__msg__JointState":
@@ -202,6 +202,6 @@ def _fields(path: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 def listed(found: list[str]) -> str:
-    """Names in a sentence."""
+    """A list of names for a sentence."""
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     return (", ".join(found[:LISTED]) or "none") + more
