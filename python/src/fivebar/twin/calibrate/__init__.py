@@ -1,6 +1,6 @@
-"""Calibration of the machine's parameters from a record: `fivebar calibrate`. docs/calibration.md introduces it."""
+"""Calibration of the machine's parameters from a record: `fivebar calibrate`. See docs/calibration.md."""
 
 import os
 
-# Matrices of 2,000 rows and 20 columns: threads of the linear algebra would only wait for each other. Before numpy is loaded.
+# The matrices are small (2,000 rows, 20 columns), so that threads of the linear algebra only cost time. OpenBLAS reads this when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

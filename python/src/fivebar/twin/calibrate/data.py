@@ -1,4 +1,4 @@
-"""Measured series: angles of the encoders and commands of the drives, from a record (Parquet) or a table (CSV)."""
+"""Measured series: encoder angles and drive commands, from a record (Parquet) or a table (CSV)."""
 
 import math
 from collections.abc import Mapping
@@ -18,21 +18,21 @@ from fivebar.twin.recording import Array
 from fivebar.variables import Value
 
 GAP: Final = 5.5
-"""Usual distances of two samples after which a series ends: commands of the drives in a longer gap are not known."""
+"""Longest gap within a series, in median sampling periods; in a longer gap the drive commands are unknown."""
 
 FIRST: Final = 5
-"""Samples whose median tells the turn in which an encoder begins: one may be an outlier."""
+"""Number of samples for the initial turn of an encoder: the median, because one may be an outlier."""
 
 SHORTEST: Final = 1.0
-"""s of all series together."""
+"""Minimum total duration of the series, s."""
 
 MOVES: Final = 0.05
-"""rad: servos that are led by more are told to move."""
+"""Minimum motion of servo commands that counts as motion, rad."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A series: times in s from its first sample, rising; angles in rad, NaN where an encoder has no sample; commands of the drives."""
+    """A series: times in s from its first sample, rising; angles in rad, NaN if an encoder has no sample; drive commands."""
 
     time: Array
     """(n)."""
@@ -44,7 +44,7 @@ class Samples:
     """(n, m), no NaN: a command stays until the next one."""
 
     names: tuple[str, ...]
-    """The m inputs of the unit."""
+    """Names of the m inputs of the unit."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -58,14 +58,14 @@ class Samples:
 
 @dataclass(frozen=True)
 class Data:
-    """Series without gaps, and notes on how they were made."""
+    """Series without gaps, and notes about their preparation."""
 
     series: list[Samples]
     notes: list[str]
 
     @property
     def period(self) -> float:
-        """The usual distance of two samples, s."""
+        """Median sampling period, s."""
         return float(np.median(np.concatenate([np.diff(s.time) for s in self.series])))
 
 
@@ -87,7 +87,7 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
 
 
 def check(data: Data) -> None:
-    """Refuses data from which no machine can be found: too short, at rest though it is told to move, with its encoders in the places of each other."""
+    """Raises `TwinError` for data that do not allow a calibration: too short, at rest despite commands, or with swapped encoders."""
     span = sum(float(series.time[-1] - series.time[0]) for series in data.series)
     if span < SHORTEST:
         raise TwinError(f"the record has {span:.3g} s; {SHORTEST:g} s or more are needed")
@@ -97,7 +97,7 @@ def check(data: Data) -> None:
         return
     angles = np.concatenate([series.angles for series in data.series])
     told = np.concatenate([series.commands[:, [names.index(name) for name in servos]] for series in data.series])
-    # Less one of a hundred on either side: outliers move, also where the machine does not.
+    # Without 1 % on either side, because outliers look like motion of a resting machine.
     moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, told))
     if float(led.max()) > MOVES and np.all(~(moved > 0.02 * led.max())):
         raise TwinError(
@@ -138,7 +138,7 @@ def split(given: recording.Recording) -> Data:
 
 
 def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:
-    """The data with each series in the turn in which a twin would begin, and without jumps of its encoders by whole turns."""
+    """Unwraps the encoders of each series, and moves it into the turn in which a twin would start."""
     offsets = [float(scene.get(name, 0.0)) for name in OFFSETS]
     series, notes = [], dict.fromkeys(given.notes)
     for samples in given.series:
@@ -158,7 +158,7 @@ def turned(given: Data, library: Library, scene: Mapping[str, Value]) -> Data:
 
 
 def _unwrapped(column: Array) -> Array:
-    """Angles of an encoder without jumps by whole turns, rad: each in the turn nearest to the median of the three before it, for one may be an outlier."""
+    """Angles of an encoder without jumps by whole turns, rad. The reference is the median of the three previous angles, because one may be an outlier."""
     found = column.copy()
     before: list[float] = []
     for k in np.flatnonzero(np.isfinite(column)):
@@ -169,12 +169,12 @@ def _unwrapped(column: Array) -> Array:
 
 
 def _middle(angles: Array | list[float]) -> float:
-    """Median, NaN of nothing."""
+    """Median; NaN without angles."""
     return float(np.median(angles)) if len(angles) else math.nan
 
 
 def _record(file: Path, unit: str) -> recording.Recording:
-    """Samples in the order of their count; a repeated sample counts once, rows that are no messages are counted."""
+    """Reads samples in the order of their numbers. Repeated samples are used once; invalid rows are counted."""
     found: dict[int, tuple[int, dict[str, float]]] = {}
     refused = doubled = restarts = 0
     units: set[str] = set()
@@ -190,7 +190,7 @@ def _record(file: Path, unit: str) -> recording.Recording:
             continue
         units.add(of)
         if message.seq < highest - 1000:
-            # The machine counts anew: later samples are put after all earlier ones.
+            # The machine restarted its count: append later samples after all earlier ones.
             base, highest, restarts = max(found) + 1000, -1, restarts + 1
         highest = max(highest, message.seq)
         if base + message.seq in found:

@@ -1,9 +1,9 @@
-"""Least squares on whole trajectories: unknowns of the machine, and where each series of samples begins.
+"""Least squares on whole trajectories: fits unknowns of the machine and the start state of each series.
 
-A long motion forgives no wrong start, so the fit begins with short pieces, each with a start of its own, and joins them level by
-level. Derivatives are central differences of runs; a step moves the trajectory by `MOVED` at most, so that its error of truncation is
-some 1e-5 of the derivative and that of the runs 1e-7. In the end they are taken with one, two and four times the step as well and
-extrapolated to the step 0, and the same from twice the steps says what they can be trusted with (`Fit.doubt`).
+A fit of a long motion does not converge from a wrong start. It therefore begins with short pieces, each with its own start, and joins them
+level by level. Derivatives are central differences of runs. A step moves the trajectory by at most `MOVED`, so that the relative truncation
+error is about 1e-5 and the relative error due to the runs is 1e-7. Final derivatives use one, two and four times the step and are
+extrapolated to step 0. The same extrapolation from twice the steps gives their error (`Fit.doubt`).
 """
 
 import math
@@ -23,72 +23,72 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.recording import Array
 
 MOVED: Final = 1e-3
-"""rad: by how much the step of a derivative may move a trajectory."""
+"""Maximum change of a trajectory by the step of a derivative, rad."""
 
 TIGHT: Final = 1e-11
-"""rad: error per step of the runs that count, below the effect of unknowns on them by orders of magnitude, so that differences can be taken."""
+"""Error tolerance per step of the final runs, rad: orders of magnitude below the effect of the unknowns, to allow finite differences."""
 
 LOOSE: Final = 1e-8
-"""rad: of the runs on the way there."""
+"""Error tolerance per step of earlier runs, rad."""
 
 STILL: Final = 1e-4
-"""rad: trajectories that moved by less have the derivatives that they had, as far as a fit needs them."""
+"""Maximum change of trajectories, rad, for which a fit reuses earlier derivatives."""
 
 IN_SIGHT: Final = 0.1
-"""rad: residuals of a longer piece with which it takes the place of its shorter ones."""
+"""Maximum residual, rad, at which a longer piece replaces its shorter ones."""
 
 LEVELS: Final = (0.1, 0.5, 2.0)
-"""s: pieces of the first fits; those of the last are whole series, or `longest`. In 0.1 s a motion on springs that throw links about forgives
-the start that is guessed."""
+"""Lengths of the pieces in the first fits, s; the last fit uses whole series, or `longest`. Over 0.1 s, even a fast motion on springs converges
+from the guessed start."""
 
 FEWEST: Final = 20
-"""Samples of the shortest pieces."""
+"""Minimum number of samples in a piece."""
 
 UNSOUND: Final = 30.0
-"""Ratio of a piece's residuals to those of the median piece, above which its start counts as not found."""
+"""Ratio of a piece's residuals to the median over all pieces, above which the start of the piece counts as not found."""
 
 ALL_NOISE: Final = 20.0
-"""Ratio of residuals to `Fitter.noise`, a tenth of the encoder's, below which pieces show nothing else: the machine is as the fit has it."""
+"""Ratio of residuals to `Fitter.noise` (a tenth of the encoder's noise), below which residuals are only noise: the fitted machine is right."""
 
 LOSES: Final = 3.0
-"""Ratio of the residuals of longer pieces to those above which the fit has lost a chaotic motion: on two seconds of `spring_payload` residuals
-are 0.04 mrad, on ten 4 mrad."""
+"""Ratio of the residuals of longer pieces to residuals of shorter ones, above which the fit has lost a chaotic motion. On `spring_payload`, residuals
+are 0.04 mrad over 2 s and 4 mrad over 10 s."""
 
 BELIEVED: Final = 1.0
-"""Standard deviation, in sizes of each unknown, of the prior in the first fit, before it is known which unknowns the record identifies."""
+"""Prior standard deviation in sizes of each unknown for the first fit, which does not know yet what the record identifies."""
 
 WEAK: Final = 10.0
-"""Standard deviation of the prior, in sizes of each unknown, in later fits: too wide to move an estimate."""
+"""Prior standard deviation in sizes of each unknown for later fits: too wide to change an estimate."""
 
 OUTLIER: Final = 5.0
-"""Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
+"""Limit for jumps of residuals, in standard deviations; samples beyond it are outliers. The final fit also excludes residuals beyond twice as many."""
 
 FEW: Final = 0.05
-"""Share of the samples that may count as outliers."""
+"""Maximum share of outliers."""
 
 DEEPEST: Final = 0.1
-"""s: the longest delay that is sought; samples as long after a start are not compared while it is."""
+"""Longest fitted delay, s. If the delay is fitted, samples within this time after a start are not compared."""
 
 Show = Callable[[str], None]
 
 
 class GivenUp(TwinError):
-    """The fit has come to no end."""
+    """The fit has exceeded its time limit."""
 
 
 @dataclass
 class Piece:
-    """A part of a series with a start of its own."""
+    """A part of a series with its own start."""
 
     path: Path
     start: Start
     mask: Array
-    """(n, 2): which angles are compared."""
+    """(n, 2): whether each angle is compared."""
 
 
 @dataclass
 class Fit:
-    """Result of a fit. `jacobian` is of the encoders' angles, rad per unknown, for rows that are compared; columns are unknowns, then starts."""
+    """Result of a fit. `jacobian` contains derivatives of encoder angles, rad per unknown, for compared rows; its columns are unknowns, then starts."""
 
     machine: Machine
     pieces: list[Piece]
@@ -97,23 +97,23 @@ class Fit:
     """(2): standard deviation of each encoder's residuals, rad."""
 
     residuals: list[Array]
-    """(n, 2) of each piece, rad, NaN where nothing was measured."""
+    """(n, 2) for each piece, rad; NaN without a measurement."""
 
     jacobian: Array
     doubt: Array
-    """An estimate of the error of `jacobian`."""
+    """Estimated error of `jacobian`."""
 
     rows: Array
-    """Of each row: number of piece, of sample, of encoder."""
+    """Index of piece, sample and encoder for each row."""
 
     outliers: int
     evaluations: int
     rms_before: float
-    """Of the residuals for the scene as it was, rad, short pieces with fitted starts."""
+    """rms of the residuals with the values of the scene, rad, for short pieces with fitted starts."""
 
 
 class Fitter:
-    """Runs the levels."""
+    """Runs the fits, from short to long pieces."""
 
     def __init__(
         self, machine: Machine, data: Data, between: Between, longest: float, show: Show, patience: float = math.inf
@@ -126,13 +126,13 @@ class Fitter:
         self.patience, self.ends = patience, time.process_time() + patience
         self.noise = least_noise(data)
         self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
-        """Derivatives that have been computed: of which fit, at which point, and their values."""
+        """Last computed derivatives: key of the fit, point and values."""
         self.delayed = any(p.name == DELAY for p in self.sought)
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
 
     def cut(self, length: float) -> list[Samples]:
-        """Pieces of about that length, s; longer ones begin where shorter ones do."""
+        """Cuts the series into pieces of about `length` s; each longer piece starts at the start of a shorter one."""
         found = []
         for series in self.data.series:
             span, count = series.time[-1] - series.time[0], 1
@@ -143,18 +143,18 @@ class Fitter:
                 series.time, series.time[0] + span * np.arange(1, count) / count - 0.5 * self.period
             )
             for a, b in zip([0, *edges], [*edges, len(series)], strict=True):
-                # Pieces share a sample, but compare it once.
+                # Neighbouring pieces share a sample, which is compared once.
                 part = series.part(a, min(b + 1, len(series)))
                 if np.isfinite(part.angles).any(axis=1).sum() >= 6:
                     found.append(part)
         return found
 
     def piece(self, samples: Samples, start: Start) -> Piece:
-        """A part of a series with that start."""
+        """A piece with the given start."""
         return Piece(Path(samples, self.between, self.machine.library, self.period), start, self.compared(samples))
 
     def first(self, x: Array, length: float) -> list[Piece]:
-        """Short pieces, on the side that fits; their starts are guessed from their first samples, then fitted to all."""
+        """Short pieces, with the assembly that fits. Their starts are guessed from their first samples, then fitted to all samples."""
         pieces: list[Piece] = []
         side = int(self.machine.scene.get("init.assembly", 1))
         for samples in self.cut(length):
@@ -166,7 +166,7 @@ class Fitter:
                 gap = samples.angles - self.machine.seen(piece.path, motion, x)
                 costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))) if motion[-1, 0] < LOST else math.inf, end
             assembly = side if costs[side][0] <= 2 * costs[3 - side][0] else 3 - side
-            # Stretched or folded links, where errors of the angles count most, may refuse a start: other pieces are enough.
+            # A start may be refused near stretched or folded links, where angle errors matter most; the other pieces suffice.
             if math.isfinite(costs[assembly][0]):
                 side = costs[assembly][1]
                 pieces.append(self.begun(self.piece(samples, Start(state, assembly)), x))
@@ -175,7 +175,7 @@ class Fitter:
         return pieces
 
     def begun(self, piece: Piece, x: Array) -> Piece:
-        """The piece with the start that fits best, the unknowns being as they are."""
+        """The piece with the best start for fixed unknowns."""
 
         def residuals(state: Array) -> Array:
             return np.asarray(self.gap(piece, x, state)[piece.mask])
@@ -184,18 +184,18 @@ class Fitter:
         return Piece(piece.path, Start(result.x, piece.start.assembly), piece.mask)
 
     def off(self, piece: Piece, x: Array) -> float:
-        """Residual that nine of ten samples of a piece stay below, rad."""
+        """90th percentile of a piece's residuals, rad."""
         return float(np.quantile(np.abs(self.gap(piece, x, piece.start.state)[piece.mask]), 0.9))
 
     def sound(self, pieces: list[Piece], x: Array) -> list[Piece]:
-        """Pieces whose starts were found: others, as at a singularity, would outweigh all."""
+        """Pieces with a good start; the others, for example at a singularity, would dominate the fit."""
         off = np.array([self.off(piece, x) for piece in pieces])
         return [
             piece for piece, residual in zip(pieces, off, strict=True) if residual <= UNSOUND * float(np.median(off))
         ]
 
     def joined(self, pieces: list[Piece], x: Array, length: float) -> list[Piece]:
-        """Longer pieces, which begin where the motion of the shorter ones is then; shorter ones stay where it is lost over the longer one."""
+        """Longer pieces with the starts of the shorter ones; shorter pieces stay if the motion is lost over the longer one."""
         found = []
         for samples in self.cut(length):
             begin, end = samples.time[0], samples.time[-1]
@@ -208,7 +208,7 @@ class Fitter:
         return found
 
     def compared(self, samples: Samples) -> Array:
-        """Mask of the angles that are compared: all finite ones but the last of a piece with which another piece begins."""
+        """Mask of the compared angles: all finite ones, except the last sample of a piece if the next piece starts with it."""
         mask: Array = np.isfinite(samples.angles)
         ends = {series.time[-1] for series in self.data.series}
         if samples.time[-1] not in ends:
@@ -220,7 +220,7 @@ class Fitter:
     # --- residuals and derivatives ----------------------------------------------------------------------------------------------
 
     def motion(self, piece: Piece, x: Array, state: Array) -> Array:
-        """Angles that the encoders would show over a piece, rad, (n, 2)."""
+        """Predicted encoder angles over a piece, rad, (n, 2)."""
         if time.process_time() > self.ends:
             raise GivenUp(
                 f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
@@ -230,17 +230,17 @@ class Fitter:
         return self.machine.seen(piece.path, motion, x)
 
     def gaps(self, pieces: list[Piece], z: Array) -> list[Array]:
-        """Measured minus computed, (n, 2) of each piece."""
+        """Measured minus computed angles, (n, 2) for each piece."""
         p = len(self.sought)
         return [self.gap(piece, z[:p], z[p + 4 * number : p + 4 * number + 4]) for number, piece in enumerate(pieces)]
 
     def gap(self, piece: Piece, x: Array, state: Array) -> Array:
-        """Measured minus computed of one piece, (n, 2); half a turn where the run could not go on, so that no such run is the better one."""
+        """Measured minus computed angles of one piece, (n, 2); half a turn after a failure, so that a failed run is never the better one."""
         gap = piece.path.samples.angles - self.motion(piece, x, state)
         return np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.pi * np.sign(gap))
 
     def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
-        """d(angles of the encoders)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
+        """d(encoder angles)/dz of each piece, (n, 2, p + 4): unknowns, then the start of the piece."""
         p = len(self.sought)
         self.evaluations += (2 if central else 1) * (p + 4)
         found = []
@@ -254,7 +254,7 @@ class Fitter:
                 for sign in (1.0, -1.0) if central else (1.0,):
                     x, s = z[:p].copy(), state.copy()
                     if j < p:
-                        # At the bound of an unknown just inside of it, for the unit refuses values outside.
+                        # At the bound of an unknown, the point moves inside: the unit refuses values beyond it.
                         x[j] = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) + sign * step
                     else:
                         s[j - p] += sign * step
@@ -267,7 +267,7 @@ class Fitter:
         return found
 
     def recent(self, pieces: list[Piece], z: Array, final: bool) -> list[Array]:
-        """Derivatives; those that there are if they were taken so near that trajectories have hardly moved since."""
+        """Derivatives; reuses the last ones if the trajectories have hardly moved since."""
         p = len(self.sought)
         if self.known is not None and self.known[0] == (len(pieces), final):
             moves = z - self.known[1]
@@ -281,11 +281,11 @@ class Fitter:
         return found
 
     def step(self, j: int) -> float:
-        """Of the j-th column: 1e-4 of the unknown's size, rad or rad/s until more is known."""
+        """Step for column j; initially 1e-4 of the unknown's size, rad or rad/s."""
         return self.steps.get(j, 1e-4)
 
     def _learn(self, derivatives: list[Array]) -> None:
-        """Steps that move trajectories by `MOVED`."""
+        """Chooses steps that move trajectories by `MOVED`."""
         largest = np.max([np.max(np.abs(d), axis=(0, 1)) for d in derivatives], axis=0)
         for j, slope in enumerate(largest.tolist()):
             self.steps[j] = min(max(MOVED / max(slope, 1e-12), 1e-8), 1e-2)
@@ -293,7 +293,7 @@ class Fitter:
     # --- least squares ----------------------------------------------------------------------------------------------------------
 
     def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, prior: Array) -> Array:
-        """One fit; before the final one derivatives are taken on one side. `prior`: rows of deviations from the scene, in standard deviations."""
+        """One fit; only the final one uses central differences. `prior`: rows of deviations from the scene, in standard deviations."""
         p = len(self.sought)
         origin = np.array([parameter.origin for parameter in self.sought])
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
@@ -325,14 +325,14 @@ class Fitter:
         return np.asarray(result.x)
 
     def run(self) -> Fit:
-        """The first fit, from the scene on: it is not known yet which unknowns the record identifies."""
+        """The first fit, from the values of the scene; it is not known yet which unknowns the record identifies."""
         return self._run(np.array([p.start for p in self.sought]), np.eye(len(self.sought)) / BELIEVED)
 
     def again(self, pinned: Array, held: Array) -> Fit:
-        """A later fit, from the scene on.
+        """A later fit, from the values of the scene.
 
-        Combinations of unknowns, the rows of `pinned`, stay what they are in the scene; unknowns stay near to it with standard deviations
-        `held`, in sizes.
+        The combinations of unknowns in the rows of `pinned` keep their values in the scene. Each unknown has a prior at its value in the scene
+        with standard deviation `held`, in sizes.
         """
         origin = np.array([parameter.origin for parameter in self.sought])
         x = np.array([parameter.start for parameter in self.sought])
@@ -341,13 +341,13 @@ class Fitter:
         return self._run(x, np.vstack([np.diag(1 / np.minimum(held, WEAK)), 1e4 * pinned]))
 
     def _run(self, x: Array, prior: Array) -> Fit:
-        """All levels."""
+        """Runs all levels and the final fit."""
         pieces, z, rms_before = self.levels(x, prior)
         z, outliers = self.settle(pieces, z, True, prior)
         return self.finish(pieces, z, outliers, rms_before)
 
     def settle(self, pieces: list[Piece], z: Array, final: bool, prior: Array) -> tuple[Array, int]:
-        """Fits until residuals and outliers stay as they are; returns the number of outliers."""
+        """Repeats the fit until residuals and outliers no longer change; returns the solution and the number of outliers."""
         before, left_out = np.full(2, np.inf), -1
         for _ in range(8):
             gaps = self.gaps(pieces, z)
@@ -360,12 +360,12 @@ class Fitter:
         return z, max(left_out, 0)
 
     def levels(self, x: Array, prior: Array) -> tuple[list[Piece], Array, float]:
-        """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
+        """Fits short pieces, then longer ones up to whole series; returns pieces, solution, and residuals with the scene's values, rad."""
         p = len(self.sought)
         self.machine.tolerance(LOOSE)
         lengths = [length for length in LEVELS if length < min(self.span(), self.longest)] + [self.longest]
         if self.delayed:
-            # Of shorter pieces hardly a sample would be compared.
+            # In shorter pieces, hardly any sample would be compared.
             lengths = [length for length in lengths if length > 2 * DEEPEST]
         pieces = self.first(x, lengths[0])
         z, left, before = pack(x, pieces), np.full(2, np.inf), 0.0
@@ -373,7 +373,7 @@ class Fitter:
             longer = self.sound(self.joined(pieces, x, length), x)
             begin = pack(x, longer)
             sigma = np.maximum(spread(self.gaps(longer, begin), longer), self.noise)
-            # The shortest pieces show little, for each has a start of its own.
+            # The shortest pieces show little of the machine, because each has its own start.
             before = before if length > max(lengths[:2]) else float(np.mean(sigma))
             self.show(
                 f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit"
@@ -384,16 +384,16 @@ class Fitter:
                 self.show("the motion is chaotic over pieces as long: shorter ones stay")
                 break
             x, z, pieces = end[:p], end, unpack(end, longer, p)
-            # The shortest pieces, with a start each, show hardly more than noise whatever the machine is.
+            # The shortest pieces are no reference: with their own starts, they show hardly more than noise for any machine.
             left = np.maximum(found, self.noise) if length > lengths[0] else left
         self.machine.tolerance(TIGHT)
         return pieces, z, before
 
     def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float) -> Fit:
-        """Residuals, derivatives and their doubt at the solution."""
+        """Residuals, derivatives and the error of the derivatives at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        # All three here: those with which the fit came here would count as errors of derivatives.
+        # All three are computed at the same point; reused derivatives would look like errors.
         one, two, four = (self.derivatives(pieces, z, times) for times in (1.0, 2.0, 4.0))
         size = sum(int(piece.mask.sum()) for piece in pieces)
         jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
@@ -402,7 +402,7 @@ class Fitter:
         squares, counts = np.zeros(2), np.zeros(2)
         for number, piece in enumerate(pieces):
             inside = slice(row, row + int(piece.mask.sum()))
-            # Extrapolated to the step 0 (Richardson); the same from twice the steps says how far that can be trusted.
+            # Richardson extrapolation to step 0; the same from twice the steps gives the error.
             best, other = (4 * one[number] - two[number]) / 3, (4 * two[number] - four[number]) / 3
             for target, blocks in ((jacobian, best), (doubt, best - other)):
                 target[inside, :p] = blocks[piece.mask][:, :p]
@@ -429,17 +429,17 @@ class Fitter:
         )
 
     def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
-        """Outliers are not compared; how many there are: residuals that leap from those around them, and such as are far off at all.
+        """Excludes outliers and returns their number: residuals that jump relative to their neighbours, and very large ones.
 
-        What a fit has not reached yet changes smoothly, and is no outlier.
+        Errors of an incomplete fit change smoothly and are no outliers.
         """
         leaps = [np.abs(gap - around(gap)) for gap in gaps]
         usual = np.maximum(spread(leaps, pieces), self.noise)
         usable = [self.compared(piece.path.samples) for piece in pieces]
-        # A leap among leaps is the fit's fault, not a sample's.
+        # Several jumps close together are an error of the fit, not of a sample.
         alone = [leap / np.maximum(usual, np.nan_to_num(around(leap, 10))) for leap in leaps]
         leapt = beyond(usable, alone, np.full(2, OUTLIER))
-        # Large residuals mark outliers once the residuals are near the noise that third differences of the samples show.
+        # Large residuals count as outliers once the residuals are near the noise estimated from third differences of the samples.
         reached = bool(np.all(sigma < 50 * self.noise))
         far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma if reached else np.full(2, np.inf))
         for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
@@ -447,12 +447,12 @@ class Fitter:
         return sum(int(mask.sum() - piece.mask.sum()) for mask, piece in zip(usable, pieces, strict=True))
 
     def span(self) -> float:
-        """s of the longest series."""
+        """Duration of the longest series, s."""
         return max(float(series.time[-1] - series.time[0]) for series in self.data.series)
 
 
 def least_noise(data: Data) -> Array:
-    """The least standard deviation to believe in, rad: a tenth of the noise that third differences of each encoder show, and not 0."""
+    """Lower limit for the standard deviation of each encoder, rad: a tenth of its noise in third differences, and more than 0."""
     found = []
     for i in (0, 1):
         thirds = np.concatenate([np.diff(s.angles[:, i], 3) for s in data.series])
@@ -462,9 +462,9 @@ def least_noise(data: Data) -> Array:
 
 
 def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array]:
-    """Masks of the samples beyond their encoder's limit: the furthest ones only, if these are more than `FEW` of all.
+    """Masks of the samples beyond their encoder's limit; at most the share `FEW` with the largest excess.
 
-    Where many are, the fit is not there yet, or the machine is another one.
+    A larger share means that the fit has not converged, or that the machine is another one.
     """
     ratios = [np.where(mask, np.nan_to_num(size) / limits, 0.0) for mask, size in zip(usable, sizes, strict=True)]
     every = np.concatenate([ratio[mask] for ratio, mask in zip(ratios, usable, strict=True)])
@@ -473,17 +473,17 @@ def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array
 
 
 def around(gap: Array, reach: int = 4) -> Array:
-    """Of each residual the median of those around it, (n, 2)."""
+    """Median of the neighbours of each residual, (n, 2)."""
     padded = np.pad(gap, ((reach, reach), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
     with warnings.catch_warnings():
-        # A window without a sample has no median.
+        # numpy warns about windows without a sample.
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmedian(windows, axis=2))
 
 
 def guess(samples: Samples) -> Array:
-    """Angles and rates at the first sample, by parabolas through the first ones, outliers left out."""
+    """Angles and rates at the first sample, from parabolas through the first samples without outliers."""
     state = np.zeros(4)
     for i in (0, 1):
         known = np.flatnonzero(np.isfinite(samples.angles[:, i]))[:9]
@@ -495,7 +495,7 @@ def guess(samples: Samples) -> Array:
         while True:
             fitted = np.polynomial.polynomial.polyfit(time, angle, min(2, len(time) - 1))
             off = np.abs(angle - np.polynomial.polynomial.polyval(time, fitted))
-            # One that is far off at a time, as long as enough are left.
+            # Remove one outlier at a time while enough samples are left.
             if len(time) < 6 or off.max() < 4 * np.median(off) or off.max() < 1e-6:
                 break
             time, angle = np.delete(time, off.argmax()), np.delete(angle, off.argmax())
@@ -509,7 +509,7 @@ def pack(x: Array, pieces: list[Piece]) -> Array:
 
 
 def unpack(z: Array, pieces: list[Piece], p: int) -> list[Piece]:
-    """The pieces with the starts of a vector."""
+    """The pieces with the starts from a vector."""
     return [
         Piece(piece.path, Start(z[p + 4 * k : p + 4 * k + 4], piece.start.assembly), piece.mask)
         for k, piece in enumerate(pieces)
@@ -517,7 +517,7 @@ def unpack(z: Array, pieces: list[Piece], p: int) -> list[Piece]:
 
 
 def spread(gaps: list[Array], pieces: list[Piece]) -> Array:
-    """Standard deviations of both encoders' residuals, rad, as their medians say."""
+    """Standard deviations of both encoders' residuals, rad, estimated from medians."""
     found = []
     for i in (0, 1):
         values = np.concatenate([np.abs(gap[:, i][piece.mask[:, i]]) for gap, piece in zip(gaps, pieces, strict=True)])
@@ -526,5 +526,5 @@ def spread(gaps: list[Array], pieces: list[Piece]) -> Array:
 
 
 def wrapped(angle: Array) -> Array:
-    """Angle less its whole turns, rad, within half a turn of 0."""
+    """Wraps angles to half a turn on either side of 0, rad."""
     return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

@@ -1,8 +1,8 @@
 """Identifiability: error bars of the unknowns, the Cramér-Rao bound, correlations, and combinations that a record does not identify.
 
-The bound is that of white noise with the standard deviation of the residuals: (JᵀJ)⁻¹σ², starts of the series included. Error bars
-are the same where residuals are white, and wider where they hang together (a resting encoder, a machine that is not as the scene has
-it): then JᵀJ is put between sums of products of neighbouring scores (Newey and West 1987, with a Bartlett window).
+The bound assumes white noise with the standard deviation of the residuals: (JᵀJ)⁻¹σ², including the starts of the series. Error bars equal
+the bound for white residuals. They are wider for correlated residuals (a resting encoder, a machine that differs from the scene), by a
+sandwich estimate with sums of products of neighbouring scores (Newey and West 1987, with a Bartlett window).
 """
 
 import math
@@ -17,32 +17,32 @@ from fivebar.twin.calibrate.parameters import Parameter
 from fivebar.twin.recording import Array
 
 LIMIT: Final = 0.5
-"""Standard deviation, in sizes of an unknown, from which on it counts as not identified: half of the scene's value."""
+"""Standard deviation, in sizes of an unknown, from which it counts as not identified: half of the scene's value."""
 
 COMES_AGAIN: Final = 0.3
-"""Correlation from which on residuals count as the same ones again."""
+"""Autocorrelation from which residuals count as periodic."""
 
 DOUBTED: Final = 10.0
-"""Ratio of a combination's effect to the error of the derivatives above which the derivatives are believed."""
+"""Minimum ratio of a combination's effect to the error of the derivatives."""
 
 WEIGHT: Final = 0.1
-"""Of an unknown in a combination, from which on it is named."""
+"""Share of an unknown in a combination from which the unknown is named."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A direction among the unknowns of which the record says nothing: sizes of each, of unit length."""
+    """A direction of the unknowns that the record does not identify: a unit vector, in sizes."""
 
     weights: Array
     sigma: float
-    """Its standard deviation as far as the record says one, in sizes."""
+    """Standard deviation in this direction, in sizes, if the record gives one."""
 
     at: Array
-    """The unknowns where it is so."""
+    """Values of the unknowns at which this holds."""
 
     def sentence(self, sought: list[Parameter]) -> str:
         """The combination in words."""
-        # A factor is judged by its change relative to its value.
+        # For a factor, the relative change counts.
         scale = np.array([max(abs(x), 1e-3) if p.factor else 1.0 for p, x in zip(sought, self.at, strict=True)])
         weights = self.weights / scale
         weights = weights / np.linalg.norm(weights)
@@ -69,7 +69,7 @@ class Combination:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Of all unknowns, in their order; standard deviations in sizes."""
+    """Error bars and identifiability of all unknowns, in order; standard deviations in sizes."""
 
     sigma: Array
     bound: Array
@@ -81,13 +81,13 @@ class Judgement:
     """Relative error of each unknown's derivatives."""
 
     held: Array
-    """Standard deviations with which the scene's values are taken as right; infinite for unknowns that are fitted to the record alone."""
+    """Prior standard deviations of the scene's values; infinite for unknowns fitted to the record alone."""
 
     bounded: dict[int, float]
-    """Unknowns that are at their bound, by index, with the value that they are below with 95 %, SI."""
+    """Unknowns at their bound, by index, with their upper 95 % limit, SI."""
 
     def not_identified(self, sought: list[Parameter]) -> list[str]:
-        """What the record does not identify, in sentences."""
+        """Sentences about unknowns that the record does not identify."""
         found = [combination.sentence(sought) for combination in self.combinations]
         for k, most in self.bounded.items():
             [least, *_] = sought[k].value(sought[k].lowest)
@@ -103,10 +103,10 @@ class Judgement:
 
 
 def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
-    """Error bars of the unknowns, and which of them the record identifies; `held` as a `Judgement` has it."""
+    """Computes error bars of the unknowns and decides which of them the record identifies; `held` as in `Judgement`."""
     p = len(sought)
     weights = 1 / fit.sigma[fit.rows[:, 2]]
-    # Rows of samples, then those of the scene's values that are taken as right.
+    # Rows of samples, then rows of the scene's values with a prior.
     scene = np.diag(1 / held)[np.isfinite(held)]
     jacobian = np.vstack([fit.jacobian * weights[:, None], np.pad(scene, ((0, 0), (0, fit.jacobian.shape[1] - p)))])
     errors = np.vstack([fit.doubt * weights[:, None], np.zeros((len(scene), fit.doubt.shape[1]))])
@@ -119,7 +119,7 @@ def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
     )
     found = together(fit, scores)
     prior = np.vstack([np.eye(p) / WEAK, scene])
-    # By a root of the covariance: rounding makes no variance of a direction that is hardly known negative.
+    # A square root of the covariance, so that rounding cannot make the variance of a poorly known direction negative.
     root = np.linalg.inv(np.linalg.qr(np.vstack([projected[: len(scores)], prior]), mode="r"))
     inverse = covariance = root @ root.T
     if found.lag or found.period:
@@ -132,7 +132,7 @@ def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
         bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations))
         for k in range(p)
     ]
-    # A bar that reaches beyond the bound is none: the estimate is where it could go.
+    # An error bar beyond the bound has no meaning: the fit stopped at the bound.
     bounded = {
         k: max(sought[k].value(float(fit.x[k]) + interval(float(sigma[k]))))
         for k in range(p)
@@ -147,7 +147,7 @@ def judge(fit: Fit, sought: list[Parameter], held: Array) -> Judgement:
 
 
 def without_starts(jacobian: Array, p: int) -> Array:
-    """The unknowns' columns, less their projection on the columns of the series' starts."""
+    """The columns of the unknowns minus their projection on the columns of the starts."""
     starts = jacobian[:, p:]
     scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
     q, r = np.linalg.qr(starts / scale)
@@ -158,20 +158,20 @@ def without_starts(jacobian: Array, p: int) -> Array:
 
 @dataclass(frozen=True)
 class Together:
-    """How residuals hang together."""
+    """Autocorrelation of the residuals."""
 
     lag: int
-    """Samples; 0: not at all."""
+    """Length of the correlation in samples; 0: white residuals."""
 
     period: int
-    """Samples after which they come again, as those of a quantised encoder on a motion that repeats; 0: they do not."""
+    """Period of the residuals in samples, for example of a quantised encoder on a periodic motion; 0: not periodic."""
 
     time_scale: float
-    """How many samples count as one."""
+    """Number of samples that count as one independent sample."""
 
 
 def together(fit: Fit, scores: Array) -> Together:
-    """From the autocorrelation of the residuals: summed up to Sokal's window, and searched for a period."""
+    """Analyses the autocorrelation of the residuals: sums it up to Sokal's window and searches for a period."""
     series = [scores[(fit.rows[:, 0] == n) & (fit.rows[:, 2] == e)] for n in range(len(fit.residuals)) for e in (0, 1)]
     series = [s for s in series if len(s) > 40]
     if not series:
@@ -181,7 +181,7 @@ def together(fit: Fit, scores: Array) -> Together:
     for s in series:
         spectrum = np.abs(np.fft.rfft(s, 2 * len(s))) ** 2
         part = np.fft.irfft(spectrum)[: min(len(s), longest) // 2]
-        # As many products for each lag, so that a periodic part has its true size.
+        # Unbiased, by the number of products at each lag, so that a periodic part keeps its size.
         products[: len(part)] += part * len(s) / (len(s) - np.arange(len(part)))
     count = sum(map(len, series))
     products /= products[0]
@@ -191,27 +191,27 @@ def together(fit: Fit, scores: Array) -> Together:
     total = float(sums[window])
     beyond = products[2 * window :] if len(products) > 2 * window else np.zeros(1)
     again = 2 * window + int(np.argmax(beyond)) if float(beyond.max()) > COMES_AGAIN else 0
-    # A sum that white noise reaches by chance: products have a standard deviation of 1/sqrt(count) each.
+    # White noise can reach this sum by chance: each product has a standard deviation of 1/sqrt(count).
     if total - 1.0 < 6.0 * math.sqrt(window / count):
         window, total = 0, 1.0
     return Together(2 * window, again, total * (longest / again if again else 1.0))
 
 
 def between(fit: Fit, projected: Array, scores: Array, found: Together) -> Array:
-    """Sums of products of neighbouring scores, Bartlett's window; periods that repeat count as one."""
+    """Sums of products of neighbouring scores with a Bartlett window; repeated periods count as one."""
     p = projected.shape[1]
     total = np.zeros((p, p))
     for number in range(len(fit.residuals)):
         inside = fit.rows[:, 0] == number
         length = int(fit.rows[inside, 1].max()) + 1 if inside.any() else 0
-        # Both encoders' scores of a sample together.
+        # Sum of the scores of both encoders for each sample.
         g = np.zeros((found.period or length, p))
         np.add.at(g, fit.rows[inside, 1] % len(g), projected[inside] * scores[inside, None])
         total += g.T @ g
         for shift in range(1, min(found.lag, len(g) - 1) + 1):
             part = g[shift:].T @ g[:-shift]
             total += (1 - shift / (found.lag + 1)) * (part + part.T)
-    # The window may leave a direction with less than nothing.
+    # The window can lead to negative variances.
     values, vectors = np.linalg.eigh(total)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
@@ -219,7 +219,7 @@ def between(fit: Fit, projected: Array, scores: Array, found: Together) -> Array
 def _unknown(
     jacobian: Array, projected: Array, doubt: Array, samples: int, covariance: Array, at: Array
 ) -> list[Combination]:
-    """Directions that are known too little: too wide, or told by errors of the derivatives only. Rows behind the samples' are exact."""
+    """Poorly known directions: too wide, or only determined by errors of the derivatives. Rows after the samples' rows are exact."""
     p = projected.shape[1]
     starts = jacobian[:, p:]
     scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
@@ -228,11 +228,11 @@ def _unknown(
     _, _, directions = np.linalg.svd(projected, full_matrices=False)
     for direction in directions:
         with_it = jacobian[:, :p] @ direction
-        # Change of the starts that hides most of the direction's effect.
+        # Change of the starts that compensates most of the direction's effect.
         answer = -np.linalg.lstsq(starts / scale, with_it, rcond=1e-9)[0] / scale
         effect = with_it + starts @ answer
         seen, held = float(np.linalg.norm(effect[:samples])), float(np.linalg.norm(effect[samples:]))
-        # Errors that a change of the starts hides as well do not count: in a chaotic motion they are nearly all.
+        # Errors that a change of the starts also compensates do not count; in a chaotic motion, they are nearly all of the error.
         off = doubt @ np.concatenate([direction, answer])
         errs = float(np.linalg.norm(off - basis @ (basis.T @ off)))
         if seen > DOUBTED * errs:
@@ -245,5 +245,5 @@ def _unknown(
 
 
 def interval(sigma: float, level: float = 0.95) -> float:
-    """Half of the interval that holds the truth with that probability."""
+    """Half-width of the confidence interval."""
     return float(norm.ppf(0.5 + level / 2)) * sigma

@@ -1,4 +1,4 @@
-"""Runs of the unit along the commands of the drives: the motion that an encoder would have seen, for given unknowns and a given start."""
+"""Runs of the unit with the drive commands of a series: predicted encoder angles for given unknowns and a given start."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from fivebar.twin.calibrate.parameters import DELAY, Parameter, Values, assemble
 from fivebar.twin.recording import Array
 
 METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
-"""automatic: its error is where one wants it, also where drives are stiff."""
+"""Method automatic: it keeps the error near the tolerance, also with stiff drives."""
 
 SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 LOST: Final = 1e3
-"""Angle in the place of those of a run that could not go on, rad."""
+"""Angle after the failure of a run, rad."""
 
 Between = Literal["rate", "linear", "hold"]
-"""Commands between two samples: servo.theta goes on at servo.omega, as in the twin; straight lines; or all are held."""
+"""Commands between two samples: extrapolation of servo.theta with servo.omega, as in the twin; linear interpolation; or constant."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a series: angles, rad; rates, rad/s; the side of the tip."""
+    """Start of a series: angles, rad; rates, rad/s; assembly."""
 
     state: Array
     """(4): theta[1], theta[2], omega[1], omega[2]."""
@@ -37,7 +37,7 @@ class Start:
 
 
 class Path:
-    """Commands of the drives along a series, ready for calls: at each sample, and at the times of lost samples."""
+    """Drive commands of a series, prepared for runs: at the times of samples and of lost samples (knots)."""
 
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
@@ -56,11 +56,11 @@ class Path:
                     slopes[:, j] = commands[:-1, samples.names.index(rate)]
         self.commands = commands
         self.turned = np.array([[float(name == f"servo.theta[{i}]") for name in samples.names] for i in (1, 2)])
-        """(2, m): 1 where a command is an angle of that motor's servo."""
+        """(2, m): 1 if a command is the servo angle of a motor."""
         self.slopes: list[list[float]] = slopes.tolist()
 
     def true(self, offsets: Array) -> Array:
-        """Commands of the drives at the knots, with servos led by true angles: a servo closes on its encoder, which shows the offset too."""
+        """Drive commands at the knots, with servo angles as true angles: a servo closes its loop on the encoder, which includes the offset."""
         return np.asarray(self.commands - offsets @ self.turned)
 
     def first(self, offsets: Array) -> Values:
@@ -69,14 +69,14 @@ class Path:
 
 
 def with_lost(time: Array, period: float) -> tuple[Array, Array]:
-    """Times with those of lost samples between them; which of them are the samples'."""
+    """Adds the times of lost samples; returns all times and the indices of the samples."""
     counts = np.maximum(1, np.round(np.diff(time) / period)).astype(int)
     rows = np.concatenate([[0], np.cumsum(counts)])
     return np.interp(np.arange(rows[-1] + 1), rows, time), rows
 
 
 def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
-    """Commands at other times: angles of servos on cubics through angles and rates, all else on straight lines."""
+    """Commands at other times: cubic interpolation of servo angles with their rates, linear interpolation of all others."""
     if len(knots) == len(time):
         return commands
     found = (
@@ -93,21 +93,21 @@ def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> 
 
 
 class Machine:
-    """An instance of the unit that is started again and again."""
+    """An instance of the unit for repeated runs."""
 
     def __init__(self, library: Library, scene: Values, sought: Sequence[Parameter]):
         self.library, self.scene, self.sought = library, scene | METHOD, sought
         self.unit = Unit.of(library, "calibrate")
         self.runs = 0
         self.failure = ""
-        """Why the last run that failed did."""
+        """Reason of the last failure."""
 
     def tolerance(self, error: float) -> None:
-        """Error per step of the runs that follow, rad."""
+        """Sets the error tolerance per step for the following runs, rad."""
         self.scene = self.scene | {"solver.errorTolerance": error}
 
     def run(self, path: Path, x: Array, start: Start) -> tuple[Array, int]:
-        """Angles and rates, (knots, 4); and on which side the tip is in the end."""
+        """Runs the motion; returns angles and rates, (knots, 4), and the assembly at the end."""
         self.runs += 1
         out = np.full((len(path.knots), 4), LOST)
         values = assemble(self.scene, self.library, self.sought, x.tolist())
@@ -134,16 +134,16 @@ class Machine:
         return out, int(assembly) if assembly in (1, 2) else start.assembly
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
-        """Angles of the encoders at the samples' times, rad, (n, 2): with their delay and offsets."""
+        """Encoder angles at the samples' times, rad, (n, 2), with delay and offsets."""
         angles: Array = late(path.knots, motion, self.added(x).get(DELAY, 0.0))[path.rows] + self.offsets(x)
         return angles
 
     def added(self, x: Array) -> dict[str, float]:
-        """Offsets, rad, and delay, s, of the encoders, those that are sought."""
+        """The fitted offsets, rad, and delay, s, of the encoders."""
         return {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
 
     def offsets(self, x: Array) -> Array:
-        """(2): angles that encoders show beyond the true ones, rad; where they are not sought, those of the scene."""
+        """(2): encoder reading minus true angle, rad; from the scene unless fitted."""
         added = self.scene | self.added(x)
         return np.array([float(added.get(name, 0.0)) for name in OFFSETS])
 
@@ -153,7 +153,7 @@ class Machine:
 
 
 def late(time: Array, motion: Array, delay: float) -> Array:
-    """Angles `delay` s before each time, by cubics through angles and rates; outside of all times at the rate of the nearest."""
+    """Angles `delay` s before each time, by cubic interpolation with rates; linear extrapolation beyond the first and last time."""
     if delay == 0.0:
         return motion[:, :2]
     at = time - delay

@@ -1,8 +1,8 @@
-"""Unknowns of a calibration: parameters of the unit by name, several of them in one proportion, and offsets and delay of encoders.
+"""Unknowns of a calibration: parameters of the unit by name, also several in one proportion, and offsets and delay of encoders.
 
-`link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a number of size 1, `x`, that is 1 (a factor) or 0 (an
-addition) where the machine is as the scene says. With a link's mass its inertia goes in proportion, with its length its centre of
-mass and, by the square, its inertia; with Coulomb friction goes breakaway friction.
+`link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a scaled number `x`; at the scene's value it is 1 (for a
+factor) or 0 (for an addition). A link's inertia changes in proportion to its mass. With its length, the centre of mass changes in
+proportion and the inertia with the square. Breakaway friction changes with Coulomb friction.
 """
 
 import re
@@ -21,10 +21,10 @@ Values = dict[str, float | int | bool]
 
 DELAY: Final = "encoder.delay"
 ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
-"""Unknowns of the measurement, which are no parameters of the unit: SI unit, and a size that would be much."""
+"""Unknowns of the measurement, which are not parameters of the unit: SI unit, and typical upper size."""
 
 MUCH_ANGLE: Final = 0.2
-"""rad; a size that would be much for an angle that is not known."""
+"""Typical upper size of an unknown angle, rad."""
 
 SWITCHES: Final = {
     "payload": "payload.enabled",
@@ -33,7 +33,7 @@ SWITCHES: Final = {
     "spring": "spring.enabled",
     "rotor": "rotor.enabled",
 }
-"""Switch that has to be on, by the first word of a parameter's name."""
+"""Switch that a parameter needs, by the first word of its name."""
 
 USUAL: Final = (
     "payload.mass",
@@ -56,56 +56,56 @@ BRACKETS: Final = re.compile(r"\[([\d,]+)\]")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown."""
+    """An unknown of a calibration."""
 
     name: str
     unit: str
     members: tuple[str, ...]
-    """Variables of the unit; none for offsets and delay of encoders."""
+    """Variables of the unit; empty for offsets and delay of encoders."""
 
     base: tuple[float, ...]
-    """Their values where x is 1 (factor), or 0 (addition)."""
+    """Their values at x = 1 (factor) or x = 0 (addition)."""
 
     factor: bool
     size: float
-    """Amount that x = 1 adds, for an addition; 1 for a factor."""
+    """Change per unit of x for an addition; 1 for a factor."""
 
     lowest: float
-    """The least x."""
+    """Lower bound of x."""
 
     start: float
-    """x where the fit begins."""
+    """Start of the fit, x."""
 
     def value(self, x: float) -> tuple[float, ...]:
-        """Of each member (offsets and delay of encoders have one)."""
+        """Value of each member; offsets and delay of encoders have one value."""
         return tuple(base * x if self.factor else base + self.size * x for base in self.base)
 
     def bar(self, sigma: float) -> tuple[float, ...]:
-        """A standard deviation of x as one of each member."""
+        """Converts a standard deviation of x to standard deviations of the members."""
         return tuple(abs(base) * sigma if self.factor else self.size * sigma for base in self.base)
 
     @property
     def origin(self) -> float:
-        """x of the scene."""
+        """x at the scene's value."""
         return 1.0 if self.factor else 0.0
 
 
 @dataclass(frozen=True)
 class Asked:
-    """Words of sentences about the names of parameters that are asked for."""
+    """Words for error messages about requested parameter names."""
 
     done: str
     """A participle: `sought`."""
 
     examples: tuple[str, ...]
-    """Names that are allowed; offsets and delay of encoders are if they are among them."""
+    """Examples of allowed names; offsets and delay of encoders are only allowed if they are among them."""
 
 
 SOUGHT: Final = Asked("sought", (*USUAL, DELAY))
 
 
 def parameters(names: Sequence[str], library: Library, scene: Values, asked: Asked = SOUGHT) -> list[Parameter]:
-    """The unknowns of those names; the scene says where they begin."""
+    """The unknowns with the given names; they start at the values of the scene."""
     found = [_parameter(name, library, scene, asked) for name in names]
     seen: dict[str, str] = {}
     for parameter in found:
@@ -117,9 +117,9 @@ def parameters(names: Sequence[str], library: Library, scene: Values, asked: Ask
 
 
 def trusted(sought: Sequence[Parameter], library: Library) -> Array:
-    """Standard deviations with which a scene's lengths and mounting angles are taken as right, in sizes; infinite for all else.
+    """Prior standard deviations of the scene's lengths and mounting angles, in sizes; infinite for all other unknowns.
 
-    They are those with which a twin takes them: what a workshop gives.
+    They are the same as in a twin: the tolerances of a workshop.
     """
     widths = np.full(len(sought), np.inf)
     for k, parameter in enumerate(sought):
@@ -143,7 +143,7 @@ def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Para
     switch = SWITCHES.get(name.partition(".")[0])
     off = switch is not None and not scene.get(switch, False)
     if off or not any(base):
-        # A factor of 0 is nothing: the unit's own start value gives the size that would be much.
+        # A factor on 0 has no effect, so that the unit's default gives the typical upper size.
         size = max((abs(float(library.variable(member).start)) for member in members), default=0.0) or 1.0
         return Parameter(name, unit, members, (0.0,) * len(members), False, size, 0.0, 0.1)
     rigid = name.endswith((".mass", ".length", ".distance", ".com", ".inertia")) and not name.startswith("payload")
@@ -151,7 +151,7 @@ def _parameter(name: str, library: Library, scene: Values, asked: Asked) -> Para
 
 
 def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
-    """The variables that a name means: with a list in brackets, or all indices if there are no brackets."""
+    """The variables for a name: with a list of indices in brackets, or all indices without brackets."""
     found = BRACKETS.search(name)
     if found:
         members = tuple(
@@ -176,7 +176,7 @@ def _members(name: str, library: Library, asked: Asked) -> tuple[str, ...]:
 
 
 def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Sequence[float]) -> Values:
-    """Start values of the unit, and mounting angles of its encoders, with those values of the unknowns."""
+    """Start values of the unit and mounting angles of its encoders for given values of the unknowns."""
     values = dict(scene)
 
     def scale(member: str, factor: float) -> None:
@@ -205,7 +205,7 @@ def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Se
             elif member.startswith("friction.coulomb["):
                 breakaway = member.replace("coulomb", "breakaway")
                 if breakaway not in given:
-                    # In the proportion of the scene, or of the unit where the scene has no friction.
+                    # In the proportion of the scene, or of the unit's defaults if the scene has no friction.
                     slip, stick = (float(scene.get(n, library.variable(n).start)) for n in (member, breakaway))
                     values[breakaway] = value * (stick / slip if slip else 1.0)
     _friction_of_others(values, scene, library, sought)
@@ -213,7 +213,7 @@ def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Se
 
 
 def _friction_of_others(values: Values, scene: Values, library: Library, sought: Sequence[Parameter]) -> None:
-    """Joints without a sought friction keep none where the scene's friction is off and only sought friction switched it on."""
+    """Sets friction to 0 in joints without a fitted friction, if friction is off in the scene and only on for the fit."""
     for prefix, switch in (("viscous.b", "viscous.enabled"), ("friction.", "friction.enabled")):
         if not values.get(switch) or scene.get(switch):
             continue
@@ -225,5 +225,5 @@ def _friction_of_others(values: Values, scene: Values, library: Library, sought:
 
 
 def shown(values: Mapping[str, float | int | bool]) -> str:
-    """For sentences."""
+    """Values as text for sentences."""
     return ", ".join(f"{name} = {value:g}" for name, value in values.items())

@@ -15,7 +15,7 @@ from fivebar.twin.calibrate.parameters import Parameter
 
 
 def draw(out: Path, fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> list[Path]:
-    """Draws all into a folder; the files written."""
+    """Draws all pictures into a folder; returns the files."""
     with plt.rc_context(STYLE):
         return [
             save(_residuals(fit), out / "residuals.png"),
@@ -53,7 +53,7 @@ def _residuals(fit: Fit) -> Figure:
 
 
 def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Figure:
-    """Each unknown against the scene's value with its error bar and the bound, and the correlations."""
+    """Change of each unknown from the scene's value, with error bar and bound, and the correlations."""
     count = len(sought)
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 1.6 + 0.34 * count), width_ratios=(3, 2))
     rows = np.arange(count)
@@ -61,7 +61,7 @@ def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Fi
     for k, parameter in enumerate(sought):
         change = 100 * (fit.x[k] - origin[k])
         if not judgement.identified[k]:
-            # On a ground of its own, or lines of the grid would strike it through.
+            # A white background, so that grid lines do not cross the text.
             ground = {"facecolor": "white", "edgecolor": "none", "pad": 1}
             left.text(
                 0.01,

@@ -1,8 +1,8 @@
-"""A motion that identifies unknowns which a record did not: of some motions the one whose own record identifies most, with the least error bars.
+"""Proposes a motion to identify the remaining unknowns: the candidate that identifies most of them, with the smallest error bars.
 
-Each motion is planned for the scene's machine and run with the scene's values. Motors are led on sums of two sines, about the posture nearest to the
-scene's start at which links stay out of line, by the servos that the scene has, or else soft ones of 2 N.m/rad and 0.02 N.m.s/rad. It ends as it
-begins, so that a twin repeats it.
+Each candidate is planned for the scene's machine and run with the scene's values. The motors follow sums of two sines about the posture that is
+nearest to the scene's start and keeps the links out of line. They use the scene's servos, or else soft ones (`SOFT`). The motion ends at its
+start, so that a twin repeats it.
 """
 
 import itertools
@@ -25,26 +25,26 @@ from fivebar.twin.recording import Array
 
 SECONDS: Final = 4.0
 EASED: Final = 1.0
-"""s in which the sines grow, and in which they fade, so that the machine is not jerked."""
+"""Time in which the sines grow at the start and fade at the end, s, to avoid jerks."""
 
 STEP: Final = 0.01
 AMPLITUDES: Final = (0.5, 0.35, 0.25, 0.15)
-"""rad, of the larger sine of a motor; its smaller one has 0.4 of the amplitude and 2.3 times the frequency."""
+"""Amplitudes of the larger sine of a motor, rad; the smaller one has 0.4 times the amplitude and about 2.3 times the frequency."""
 
 FREQUENCIES: Final = (0.5, 1.0, 2.0)
-"""Hz."""
+"""Frequencies of the larger sine, Hz."""
 
 CLEAR: Final = 0.4
-"""`clearance` that is looked for: where distal links are in line motors do not determine the motion, and a fit may lose it."""
+"""Desired `clearance`. With distal links in line, the motors do not determine the motion, and a fit may lose it."""
 
 CLOSEST: Final = 0.15
-"""`clearance` that the machine has to keep on its way; on soft servos it is behind its references."""
+"""Minimum `clearance` of the actual motion, which lags behind its references with soft servos."""
 
 GRID: Final = math.radians(10.0)
-"""Between postures that are tried, each motor."""
+"""Grid distance of the tried postures for each motor, rad."""
 
 FINER: Final = 0.5
-"""Ratio of expected error bars to present ones above which a motion tells an unknown no better than the record does."""
+"""Maximum ratio of expected to present error bars; above it, a motion does not improve an unknown."""
 
 SOFT: Final = {"kp": 5.0, "kd": 0.1}
 NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
@@ -52,12 +52,12 @@ NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.ome
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion, and the error bars expected of a record of it."""
+    """A motion, and the expected error bars from its record."""
 
     amplitude: float
     frequency: float
     values: Values
-    """Start values of its scene."""
+    """Start values of the scene."""
 
     time: Array
     """s, (n)."""
@@ -69,11 +69,11 @@ class Motion:
     """Standard deviations of the unknowns, in sizes."""
 
     def told(self, present: Array) -> list[int]:
-        """Unknowns that a record of the motion would identify, by bars much less than `present` standard deviations."""
+        """Unknowns that a record of the motion would identify, with much smaller standard deviations than `present`."""
         return np.flatnonzero(self.sigma < np.minimum(LIMIT, FINER * present)).tolist()
 
     def signals(self) -> dict[str, Any]:
-        """As scenes have them."""
+        """The motion as signals of a scene."""
         knots = {
             f"servo.theta[{i + 1}]": {
                 "linear": [[round(float(t), 4), float(a)] for t, a in zip(self.time, self.angles[:, i], strict=True)]
@@ -84,10 +84,10 @@ class Motion:
 
 
 def waves(amplitude: float, frequency: float) -> tuple[Array, Array]:
-    """Times, s, and references of both motors about their posture, rad, which begin and end at rest there."""
+    """Times, s, and references of both motors relative to their posture, rad; they start and end at rest in the posture."""
     time = np.arange(0.0, SECONDS + STEP / 2, STEP)
     turn = 2 * math.pi * frequency
-    # The first and the last step are rests: rates begin and end with 0, and a twin repeats the motion.
+    # The motors rest in the first and last step: rates start and end with 0, so that a twin repeats the motion.
     eased = np.clip((np.minimum(time, SECONDS - time) - STEP) / EASED, 0.0, 1.0)
     grown = np.sin(0.5 * math.pi * eased) ** 2
     columns = []
@@ -105,9 +105,9 @@ def propose(
     noise: Array,
     present: Array,
 ) -> Motion | None:
-    """The motion that tells most unknowns, by bars much less than `present` standard deviations; None if none tells any.
+    """The motion that identifies most unknowns, with much smaller standard deviations than `present`; None if no motion identifies any.
 
-    `noise` is the standard deviation of each encoder, rad; `taken` are those of the scene's values of unknowns that are taken as right, in sizes.
+    `noise` is the standard deviation of each encoder, rad; `taken` are the prior standard deviations of the scene's values, in sizes.
     """
     whole = dict(library.known.start) | scene
     best: Motion | None = None
@@ -115,7 +115,7 @@ def propose(
     for amplitude, frequency in itertools.product(AMPLITUDES, FREQUENCIES):
         motion = _tried(library, scene, whole, sought, taken, noise, amplitude, frequency)
         if motion is not None:
-            # More unknowns told first, then smaller bars.
+            # First the number of identified unknowns counts, then the size of the error bars.
             told = motion.told(present)
             merit = len(told), -float(np.sum(np.log(motion.sigma[told])))
             if merit[0] and merit > merits:
@@ -124,7 +124,7 @@ def propose(
 
 
 def centre(whole: Values, waves: Array) -> Array:
-    """Motor angles, rad, about which those waves of the motors, (n, 2), are `CLEAR`: the nearest to the start, or else those that come nearest to it."""
+    """Motor angles, rad, nearest to the start at which the waves, (n, 2), keep the clearance `CLEAR`; otherwise with the largest clearance."""
     begin = np.array([float(whole[f"init.theta[{i}]"]) for i in (1, 2)])
     steps = GRID * np.arange(-round(math.pi / GRID), round(math.pi / GRID) + 1)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -134,9 +134,9 @@ def centre(whole: Values, waves: Array) -> Array:
 
 
 def clearance(whole: Values, theta: Array) -> Array:
-    """How far a machine at motor angles (..., 2) is from distal links in line, from its stops and from its plane, about in rad; less than 0: it does not close.
+    """Distance of the machine at motor angles (..., 2) from distal links in line, from stops and from the contact plane; < 0 if the loop does not close.
 
-    The least of: the sine between the distal links, angles to stops, the tip's distance from the plane over the mean length of links.
+    It is the minimum of: sine of the angle between the distal links, angles to the stops, and the tip's distance from the plane over the mean link length.
     """
     five = kinematics.Machine.from_values({name: float(whole[name]) for name in kinematics.GEOMETRY})
     proximal_left, left, right, proximal_right = five.lengths
@@ -171,7 +171,7 @@ def _tried(
     begin = centre(whole, around)
     if np.min(clearance(whole, begin + around)) < CLOSEST:
         return None
-    # Nothing but the servos leads the motors, and nothing pushes.
+    # Only the servos drive the motors, without external forces.
     values = {
         name: value for name, value in scene.items() if name in OFFSETS or library.known[name].causality != "input"
     }
@@ -201,10 +201,10 @@ def _tried(
         machine.close()
     weighted = (derivative / noise[:, None]).reshape(-1, derivative.shape[2])
     told = without_starts(weighted, len(sought))
-    # A motion that repeats tells more; counted are samples at the distance `STEP` of once.
+    # The information of one pass sampled every `STEP`; repeated motions give more.
     total = told.T @ told + np.diag(1e-12 + taken**-2)
     sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(total, rcond=1e-13)), 0.0))
-    # Directions that a pseudo-inverse drops are not identified, but would have a bar of 0.
+    # The pseudo-inverse drops unidentified directions, so that their error bars would be 0.
     sizes, directions = np.linalg.eigh(total)
     lost = directions[:, sizes < max(sizes.max() * 1e-12, 1 / LIMIT**2)]
     sigma[np.sum(lost**2, axis=1) > 0.01] = np.inf

@@ -1,4 +1,4 @@
-"""Scenes as start values of what is calibrated or varied."""
+"""Scenes as start values for calibrations and ensembles."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.setup import of_message
 
 KEPT_OUT: Final = ("estimator.", "solver.", "measured.")
-"""First words of variables that set the computation, and not the machine."""
+"""First words of variables that configure the computation, not the machine."""
 
 
 Given = str | Path | Mapping[str, Any] | scenes.Scene
@@ -44,7 +44,7 @@ def _of_machine(given: Values) -> Values:
 
 
 def series(description: Sequence[str]) -> str:
-    """Names in a sentence."""
+    """A list of names for a sentence."""
     return (
         ", ".join(description[:-1]) + (" and " if len(description) > 1 else "") + description[-1]
         if description

@@ -1,9 +1,9 @@
-"""How good error bars are: made records of machines that are known, calibrated one after the other; `fivebar calibrate --trials N`.
+"""Validation of error bars by calibrations of synthetic records from known machines; `fivebar calibrate --trials N`.
 
-Each machine is the one of `MACHINE` with the six unknowns of `SOUGHT` up to 20 % off; soft servos lead it on sines for 5 s, away from
-singularities, and encoders of 13,824 counts a turn with white noise of 0.1 mrad see it at 200 Hz. Counted is how often the 95 % bars
-hold the truth, and how large errors are against the Cramér-Rao bound. Rules were chosen with trials below `FRESH` in view, none of
-those from it on. Every trial is kept in `trials.jsonl`: a command that was interrupted goes on where it was.
+Each machine is `MACHINE` with the six unknowns of `SOUGHT` changed by up to 20 %. Soft servos drive it along sines for 5 s, away from
+singularities, and encoders with 13,824 counts per turn and white noise of 0.1 mrad sample it at 200 Hz. The result is how often the 95 %
+error bars contain the truth, and the ratio of errors to the Cramér-Rao bound. The rules of the fit were tuned on trials below `FRESH`, never
+on later ones. All trials are stored in `trials.jsonl`, so that an interrupted command resumes.
 """
 
 import json
@@ -27,7 +27,7 @@ from fivebar.twin.errors import TwinError
 from fivebar.twin.recording import Array
 
 BEGIN: Final = (1.9, 1.24)
-"""rad: where the motors begin, and turn about: the links come within 0.15 m of being stretched, and no nearer."""
+"""Start and centre of the motor angles, rad: the links stay at least 0.15 m from being stretched."""
 
 MACHINE: Final[Values] = {
     "base.distance": 0.1,
@@ -43,14 +43,14 @@ MACHINE: Final[Values] = {
 
 SOUGHT: Final = ("payload.mass", "link[1,4].mass", "link[2,3].mass", "friction.coulomb", "viscous.b", "gravity.g")
 FRESH: Final = 100
-"""The number of the first trial, whose records nobody has looked at."""
+"""Number of the first trial that was not used for tuning."""
 
 COUNT: Final = 2 * math.pi / 13824
 NOISE: Final = 1e-4
 """rad."""
 
 LEAST, MOST = 0.90, 0.98
-"""Share of the bars of 95 % that hold the truth, over machines at random."""
+"""Allowed range for the share of 95 % error bars that contain the truth, over random machines."""
 
 PERIOD: Final = 0.005
 NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
@@ -58,15 +58,15 @@ NAMES: Final = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.ome
 
 @dataclass(frozen=True)
 class Bench:
-    """A machine, the commands of its drives, and its encoders."""
+    """A machine, its drive commands and its encoders."""
 
     values: Values
     begin: tuple[float, float] = BEGIN
     amplitude: float = 1.0
-    """Of the motion, in those of `path`."""
+    """Factor on the amplitudes of the motion in `path`."""
 
     tempo: float = 1.0
-    """Its frequencies, in those of `path`."""
+    """Factor on the frequencies of the motion in `path`."""
 
     count: float = COUNT
     noise: float = NOISE
@@ -76,10 +76,10 @@ ONE: Final = Bench(MACHINE)
 
 
 def any_bench(chance: np.random.Generator, library: Library) -> Bench:
-    """A machine at random: geometry, masses, servos, friction, payload, motion, encoders; along its motion no link comes near to being stretched."""
+    """A random machine: geometry, masses, servos, friction, payload, motion, encoders; its motion stays away from stretched links."""
 
     def around(name: str, factor: float) -> float:
-        """The usual value, or up to so many times more or less."""
+        """A random value around the default, larger or smaller by up to `factor`."""
         usual = MACHINE.get(name, library.variable(name).start)
         scale: float = factor ** float(chance.uniform(-1, 1))
         return float(usual) * scale
@@ -123,7 +123,7 @@ def any_bench(chance: np.random.Generator, library: Library) -> Bench:
 
 
 def away(bench: Bench) -> bool:
-    """Whether links stay away from being stretched or folded, were the drives exactly where they are told to be."""
+    """Whether the links stay away from stretched and folded postures if the drives follow their commands exactly."""
     values = bench.values
     lengths = [float(values[f"link[{i}].length"]) for i in (1, 2, 3, 4)]
     angles = path(5.0, bench)[1][:, :2]
@@ -144,7 +144,7 @@ def away(bench: Bench) -> bool:
 
 
 def path(seconds: float = 5.0, bench: Bench = ONE) -> tuple[Array, Array]:
-    """Times, s, and commands of the drives (`NAMES`)."""
+    """Times, s, and drive commands (`NAMES`)."""
     time = np.arange(0.0, seconds + PERIOD / 2, PERIOD)
     turn = 2 * math.pi * bench.tempo * time
     angles = np.column_stack([
@@ -155,7 +155,7 @@ def path(seconds: float = 5.0, bench: Bench = ONE) -> tuple[Array, Array]:
 
 
 def made(machine: Machine, x: Array, chance: np.random.Generator, seconds: float = 5.0, bench: Bench = ONE) -> Data:
-    """The record of a machine with those unknowns."""
+    """The synthetic record of a machine with given unknowns."""
     time, commands = path(seconds, bench)
     samples = Samples(time, np.zeros((len(time), 2)), commands, NAMES)
     motion, _ = machine.run(
@@ -169,7 +169,7 @@ def made(machine: Machine, x: Array, chance: np.random.Generator, seconds: float
 
 
 def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:
-    """A trial: error, standard deviation that it claims, and the bound, in sizes of the unknowns; seconds of CPU."""
+    """Runs a trial: returns errors, estimated standard deviations and bounds, in sizes of the unknowns, and CPU time, s."""
     chance = np.random.Generator(np.random.Philox(key=key))
     bench = ONE if machines == "one" else any_bench(np.random.Generator(np.random.Philox(key=key).jumped()), library)
     sought = parameters(SOUGHT, library, bench.values)
@@ -190,7 +190,7 @@ def one(library: Library, key: int, machines: str = "one") -> dict[str, Any]:
 
 
 def done(file: FilePath, guid: str, machines: str = "one") -> dict[int, dict[str, Any]]:
-    """Trials of this unit and of such machines that were made before, by their keys."""
+    """Earlier trials of this unit with this kind of machines, by key."""
     if not file.is_file():
         return {}
     try:
@@ -201,7 +201,7 @@ def done(file: FilePath, guid: str, machines: str = "one") -> dict[int, dict[str
 
 
 def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) -> int:
-    """0 if the bars of each unknown hold the truth as often as they should, within the chance of so many trials."""
+    """Runs the trials; returns 0 if error bars contain the truth as often as they should, within the statistical error of the trials."""
     keys = range(first, first + trials)
     if len(keys) < 1 or keys[0] < 0:
         raise TwinError(f"trials are {trials}, from number {first}; at least one is needed, from 0 on")
@@ -230,12 +230,12 @@ def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) ->
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
-    """(trials, unknowns)."""
+    """A column of the trials, (trials, unknowns)."""
     return np.array([row[name] for row in rows])
 
 
 def inside(rows: list[dict[str, Any]]) -> Array:
-    """1 where a 95 % bar holds the truth, else 0, NaN where the unknown was judged not identified; (trials, unknowns)."""
+    """1 if a 95 % error bar contains the truth, else 0; NaN if the unknown was not identified; (trials, unknowns)."""
     held = np.abs(column(rows, "off")) <= interval(1.0) * column(rows, "sigma")
     told = np.array([row.get("identified", [True] * held.shape[1]) for row in rows])
     return np.where(told, held, np.nan)
@@ -267,10 +267,10 @@ def _report(rows: list[dict[str, Any]], keys: range, machines: str, out: FilePat
         + "\n",
         encoding="utf-8",
     )
-    # 200 trials have to be between 90 and 98 %, which is some three standard deviations; fewer may be further off.
+    # Three standard deviations of the share over all error bars; with few trials, this is more than `LEAST` to `MOST` allow.
     allowed = 3 * math.sqrt(0.95 * 0.05 / (len(keys) * len(SOUGHT)))
     if machines == "any":
         print(f"not identified: {int(np.isnan(inside(rows)).sum())} of {len(rows) * len(SOUGHT)}")
-        # A bar may be far wider than the bound of white noise, where coarse encoders leave residuals that hang together.
+        # Coarse encoders leave correlated residuals, so that error bars may be far wider than the white-noise bound.
         return 0 if LEAST <= every <= MOST or abs(every - 0.95) <= allowed else 1
     return 0 if abs(every - 0.95) <= max(allowed, 0.03) and float(ratio.max()) <= 1.5 else 1
