@@ -68,7 +68,7 @@ def test_what_cannot_be_run_is_one_sentence() -> None:
     with pytest.raises(FiveBarError, match=r"^run 1: 'link\[1\]\.mass' must be a number in kg"):
         fivebar.run_many("swing", [{}, {"link[1].mass": -1}])
     with pytest.raises(
-        FiveBarError, match=r"^there are 2 scenes and 3 dicts of values: one scene, or as many, are needed$"
+        FiveBarError, match=r"^there are 2 scenes and 3 dicts of values: one scene, or one for each dict, is needed$"
     ):
         fivebar.run_many(["swing", "bounce"], MASSES)
     with pytest.raises(FiveBarError, match=r"^'processes' is 0; at least 1 is needed$"):

@@ -26,7 +26,7 @@ OFF = ("servo.enabled", "stop.enabled", "estimator.enabled")
 """Switches of effects that do not load the motors."""
 
 SMOOTH = 1
-"""The item of friction.law and contact.law whose torque follows from the state."""
+"""Number of the smooth item of friction.law and contact.law, with a torque that depends on the state alone."""
 
 
 class Demand:

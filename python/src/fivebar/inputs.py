@@ -75,8 +75,8 @@ def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:
         values = _numbers(name, value)
         if values.shape not in ((), points.shape):
             raise FiveBarError(
-                f"the input '{name}' has {values.size} values, and the run {len(points)} communication points: as many, or a pair "
-                "(times, values), are needed"
+                f"the input '{name}' has {values.size} values, but the run has {len(points)} communication points: one value for each, or "
+                "a pair (times, values), is needed"
             )
         courses[name] = np.full(len(points), values) if values.shape == () else values
     return courses
@@ -87,7 +87,7 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
     at, course = _numbers(f"time of {name}", times), _numbers(name, values)
     if at.ndim != 1 or at.shape != course.shape or not len(at):
         raise FiveBarError(
-            f"the input '{name}' has {at.size} times and {course.size} values: as many of both are needed"
+            f"the input '{name}' has {at.size} times and {course.size} values: the numbers must be equal"
         )
     for row in np.flatnonzero(~(np.diff(at) > 0)):
         raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")

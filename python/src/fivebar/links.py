@@ -1,7 +1,7 @@
-"""Finds links whose data cannot be right if all their mass lies between their joints.
+"""Checks whether the mass of each link can lie between its joints.
 
-The centre of mass c of such a link of length l lies between the joints too. The inertia of its mass m about c is at most
-m c (l - c), if all mass is at the two joints.
+If it does, the centre of mass c lies between the joints at 0 and l too. The inertia of the mass m about c is largest if all
+mass is at the joints: m c (l - c).
 """
 
 from collections.abc import Mapping

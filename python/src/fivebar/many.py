@@ -69,7 +69,7 @@ def _scenes(
         bases *= len(told)
     if len(bases) != len(told):
         raise FiveBarError(
-            f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or as many, are needed"
+            f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or one for each dict, is needed"
         )
     ready = []
     for number, (base, own) in enumerate(zip(bases, told)):

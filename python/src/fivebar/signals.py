@@ -123,7 +123,7 @@ def _signal(given: Mapping[str, Any], name: str, variables: Variables) -> Signal
 
 
 def _source(given: Mapping[str, Any], name: Any, variables: Variables) -> Signal | None:
-    """The signal of which a rate is taken, or None if it has no knots. A rate of a rate is refused, so there are no cycles."""
+    """The signal to differentiate, or None if it has no knots. A rate of a rate is refused, so there are no cycles."""
     if not isinstance(name, str) or name not in given:
         return None
     try:

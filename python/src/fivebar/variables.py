@@ -31,7 +31,7 @@ MOST_KNOWN = 6
 """Largest number of known names in a message if none is similar."""
 
 INTEGERS = -(2**31), 2**31 - 1
-"""FMI's integers."""
+"""Range of integers in FMI."""
 
 
 @dataclass(frozen=True)
