@@ -168,7 +168,9 @@ def test_draw(fmu: Path, tmp_path: Path) -> None:
     """The robot draws what the docs say, to the figures that they have; the drawing that comes too close is refused with the place."""
     printed = output(fmu, tmp_path, "draw.py")
     assert "fivebar.svg: 16 strokes, 0.6668 m of lines in 18.67 s" in printed
-    largest, mean = (float(x) for x in re.findall(r"Off the drawing by up to (\S+) mm, (\S+) mm rms", printed)[0])
+    largest, mean = (
+        float(x) for x in re.findall(r"from the drawing with the pen down: up to (\S+) mm, (\S+) mm rms", printed)[0]
+    )
     text = (REPOSITORY / "docs" / "kinematics.md").read_text(encoding="utf-8")
     assert f"off the drawing by {mean:.3f} mm" in text and f"by {largest:.2f} mm where small circles" in text
     assert "Stroke 4, at (-0.0110795, 0.115359) m, meets a direct singularity" in printed

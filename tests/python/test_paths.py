@@ -483,7 +483,7 @@ def test_the_command_draws(tmp_path: Path, fmu: Path) -> None:
         "minimumJerk",
     )
     assert done.returncode == 0, done.stderr
-    off = re.search(r"Off the drawing by up to ([0-9.]+) mm, ([0-9.]+) mm rms", done.stdout)
+    off = re.search(r"from the drawing with the pen down: up to ([0-9.]+) mm, ([0-9.]+) mm rms", done.stdout)
     assert off and 0 < float(off[2]) < float(off[1]) < 2.0
     folder = tmp_path / "pick_and_place"
     made = scene.read(folder / "fivebar.json")

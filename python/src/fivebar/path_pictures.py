@@ -34,11 +34,11 @@ from fivebar.workspace_pictures import (
 Floats = NDArray[np.float64]
 
 WIDTH = 7.2
-"""Inches."""
+"""Width of a picture, inches."""
 
 REACHED = "#e9eef3"
 TOLD = "#9ecae8"
-"""Colour of the commanded line, a band below the line that was drawn."""
+"""Colour of the commanded line, a band below the drawn line."""
 
 BUCKETS = 400
 """Number of time intervals with their extremes in a curve over time."""
@@ -263,8 +263,8 @@ def _errors(axes: Axes, outcome: Outcome) -> None:
     made = outcome.plan
     _shade(axes, made)
     time, late, off = thinned(made.time, outcome.late, np.where(made.pen, outcome.off, 0.0), buckets=BUCKETS)
-    axes.plot(time, late * MM, color=SKY, linewidth=0.9, label="from the place told at the time")
-    axes.plot(time, off * MM, color=BLACK, linewidth=1.0, label="off the drawing, pen down")
+    axes.plot(time, late * MM, color=SKY, linewidth=0.9, label="from the commanded position")
+    axes.plot(time, off * MM, color=BLACK, linewidth=1.0, label="from the drawing, pen down")
     axes.set_ylim(0, None)
     axes.legend(loc="upper left", bbox_to_anchor=(-0.05, -0.32), frameon=False, ncols=1, borderaxespad=0)
 

@@ -55,10 +55,10 @@ class Limits:
     """Limits of the motors; infinite if there is no limit."""
 
     rate: float = math.inf
-    """rad/s."""
+    """Largest rate of the motors, rad/s."""
 
     torques: tuple[float, float] = (math.inf, math.inf)
-    """N·m."""
+    """Largest torques of the left and the right motor, N·m."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,17 @@ class Plan:
     """A timed drawing: one row per communication point of the scene, in s, m, rad and N·m."""
 
     scene: Scene
-    """The scene whose machine draws."""
+    """The scene with the drawing machine."""
 
     machine: Machine
     working: Working
     drawing: Drawing
     timing: Timing
     time: Floats
-    """(n,)."""
+    """Time, (n,)."""
 
     tip: Floats
-    """(n, 2)."""
+    """Position of the tip, (n, 2)."""
 
     pen: Flags
     """Whether the pen is down on the way to this row's position, (n,)."""
@@ -109,7 +109,7 @@ class Plan:
 
 
 def mode_of(scene: Scene) -> Working:
-    """The working mode in which a scene starts."""
+    """The initial working mode of a scene."""
     machine = Machine.from_scene(scene)
     motors = [float(scene[f"init.theta[{i}]"]) for i in (1, 2)]
     left, right = machine.forward(motors, "minus" if scene["init.assembly"] == 2 else "plus").working.tolist()
@@ -408,8 +408,8 @@ class Outcome:
         pen = self.plan.pen
         off, late = (1e3 * error[pen] for error in (self.off, self.late))
         return (
-            f"Off the drawing by up to {off.max():.3g} mm, {np.sqrt(np.mean(off**2)):.3g} mm rms; from where it was told to be at that time by up to "
-            f"{late.max():.3g} mm, {np.sqrt(np.mean(late**2)):.3g} mm rms."
+            f"Distance of the tip from the drawing with the pen down: up to {off.max():.3g} mm, {np.sqrt(np.mean(off**2)):.3g} mm rms; "
+            f"from the commanded position: up to {late.max():.3g} mm, {np.sqrt(np.mean(late**2)):.3g} mm rms."
         )
 
 
