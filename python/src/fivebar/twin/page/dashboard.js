@@ -1,22 +1,22 @@
-// The live page: machine, twin and forecast as they come from the broker. docs/pipeline.md says what the messages are.
+// The live page: shows machine, twin and forecast from the broker's messages, which docs/pipeline.md describes.
 
 import { Validator } from "./json-schema/validator.js";
 
 const byId = (id) => document.getElementById(id);
-const SHOWN = 20;        // s that the charts show
-const STROKE = 10;       // points of the tip's path in a stroke, which has one strength
-const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
+const SHOWN = 20;        // time range of the charts, s
+const STROKE = 10;       // points in each stroke of the tip's path; a stroke has one opacity
+const LEVEL = 5.991;     // squared Mahalanobis radius of the 95 % ellipse
 const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
-const STALE = 1000;      // ms without an estimate, or behind the soonest one, after which nothing of the page is live
-const ANSWERED = 3000;   // ms in which an order is answered, or is not heard
-const EVERY = 4;         // estimates for one point of the charts
-const CHARTS = 100;      // ms between two drawings of the charts
-const SKIPPED = ["meas", "est", "forecast"];  // kinds of which a page that is slow gets the newest only, and says how many it has handled
+const STALE = 1000;      // age of the newest estimate, ms, beyond which the page is not live
+const ANSWERED = 3000;   // time limit for the answer to a command, ms
+const EVERY = 4;         // estimates per point of the charts
+const CHARTS = 100;      // time between two drawings of the charts, ms
+const SKIPPED = ["meas", "est", "forecast"];  // a slow page gets only the newest message of these kinds; the page reports how many it has handled
 const KINDS = [...SKIPPED, "alarm", "learned"];
-const WITHIN = 1.96;     // standard deviations on either side that hold 95 % of a normal distribution
-const PANEL = 500;       // ms between two drawings of what is learned
-const KEPT = 400;        // points of the course of what is learned; older ones are thinned out
-const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
+const WITHIN = 1.96;     // half-width of the 95 % band of a normal distribution, in standard deviations
+const PANEL = 500;       // time between two drawings of the learned parameters, ms
+const KEPT = 400;        // maximum number of points in the history of the learned parameters; then every second one is removed
+const GLOW = 0.1;        // a singularity glows if |sin| of the angle between its links is below this limit
 
 const state = { about: null, est: null, newest: null, sample: null, box: null, forecast: null, learned: [], history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], soonest: Infinity, behind: 0, link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
 let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
@@ -25,7 +25,7 @@ let client = null, socket = null, colours = {}, view = null, validators = {}, ar
 
 const finite = (object, ...names) => names.every((name) => Number.isFinite(object?.[name]));
 
-/** Messages are checked by the schema of the package: another program on the broker must not break the page. */
+/** Checks a message by the schema of the package, because other programs on the broker must not break the page. */
 function receive(topic, payload) {
   const [, unit, kind] = topic.split("/");
   arrived = true;
@@ -45,7 +45,7 @@ function receive(topic, payload) {
   if (kind === "learned") takeLearned(message);
 }
 
-/** A message that is none: said on the page, and nothing else happens. */
+/** Reports an invalid message on the page and ignores it. */
 function refuse(sentence) {
   state.refused += 1;
   problem("refused", `${state.refused} ${state.refused === 1 ? "message" : "messages"} refused, the last: ${sentence.slice(0, 200)}`);
@@ -56,21 +56,21 @@ function problem(id, text) {
   byId(id).hidden = false;
 }
 
-/** A sample, which an estimate comes right behind. */
+/** Stores a sample; its estimate follows directly. */
 function takeSample(message) {
   state.newest = message;
 }
 
-/** Places of the tip, [s, m, m], of estimates that this page was too slow for. */
+/** Adds tip positions, [s, m, m], of estimates that this slow page has skipped. */
 function takeTrail(places) {
   state.trail.push(...places);
 }
 
 function takeEstimate(message) {
   const fields = message.fields, seconds = message.time / 1e9, before = state.est?.seq ?? message.after;
-  // A slow page does not get all: what was left out was made nevertheless.
+  // A slow page does not get all estimates, but the rate includes the skipped ones.
   state.made += 1 + Math.max(message.after - before, 0);
-  // By how much later than the soonest one it comes, for clocks of machine and page may differ. A clock that was set back has another soonest one.
+  // The delay relative to its minimum, because the clocks of machine and page may differ. After the clock was set back, the minimum starts again.
   const delay = Date.now() - message.time / 1e6;
   state.soonest = message.time < state.est?.time ? delay : Math.min(delay, state.soonest);
   state.behind = delay - state.soonest;
@@ -86,8 +86,8 @@ function takeEstimate(message) {
   while (state.trail[0][0] < seconds - state.about.trail || state.trail[0][0] > seconds) state.trail.shift();
 }
 
-/** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much, with its acceleration,
- * since 3.5 m/s² would be seen as 2 µm of error within 1 ms. */
+/** Adds a point to the charts. The estimate is for a moment after its sample and is extrapolated back to the sample. This includes the
+ * acceleration, because 3.5 m/s² would look like an error of 2 µm after 1 ms. */
 function remember(message) {
   const fields = message.fields, { sample } = state, machine = machinePose(sample), seconds = message.time / 1e9;
   const since = sample ? (message.time - sample.time) / 1e9 : 0;
@@ -120,10 +120,10 @@ function takeAlarm(message) {
   }));
 }
 
-/** Points of what is learned, once a second: where there are too many, every second one stays. */
+/** Adds a point to the history of the learned parameters, once per second; if there are too many, every second one is removed. */
 function takeLearned(message) {
   const seconds = message.time / 1e9;
-  // A machine whose clock goes back begins another course.
+  // If the machine's clock goes back, a new history begins.
   if (state.learned.at(-1)?.t > seconds) state.learned = [];
   state.learned.push({ t: seconds, fields: message.fields });
   if (state.learned.length > KEPT) state.learned = state.learned.filter((_, i) => i % 2 === 0 || i === KEPT);
@@ -132,7 +132,7 @@ function takeLearned(message) {
 
 const isRaised = (alarm) => ["anomaly", "trouble"].includes(alarm.state);
 
-/** Outcome of an order. */
+/** Shows the answer to a command. */
 function answer(text, kind) {
   byId("order").textContent = text;
   byId("order").className = kind;
@@ -154,7 +154,7 @@ function twinAngles() {
   return [f["theta[1]"], f["passive.theta[1]"], f["passive.theta[2]"], f["theta[2]"]];
 }
 
-/** Elbows and tip from the four link angles. */
+/** Positions of elbows and tip from the four link angles. */
 function twinPose() {
   const f = state.est.fields, { base, lengths: [l1, , , l4] } = state.about;
   const [p1, d1, d2, p2] = twinAngles();
@@ -162,7 +162,7 @@ function twinPose() {
   return { left, right, tip: [f["tip.x"], f["tip.y"]], direct: Math.abs(Math.sin(d2 - d1)), inverse: [Math.abs(Math.sin(d1 - p1)), Math.abs(Math.sin(d2 - p2))] };
 }
 
-/** The machine as its encoders see it: the loop closed on the side that the twin knows; the tip of a tracker, if there is one. Null without a sample. */
+/** Pose of the machine from its encoder angles and the twin's assembly, with the tip from a tracker if there is one. Null without a sample. */
 function machinePose(sample) {
   if (!sample) return null;
   const f = sample.fields, { base, lengths: [l1, l2, l3, l4] } = state.about;
@@ -177,7 +177,7 @@ function machinePose(sample) {
   return { left, right, tip: [left[0] + (along * dx - height * dy) / d, left[1] + (along * dy + height * dx) / d] };
 }
 
-/** The larger half-axis of the 95 % ellipse, m, of a covariance xx, xy, yy. */
+/** Major half-axis of the 95 % ellipse, m, for a covariance xx, xy, yy. */
 function halfWidth([xx, xy, yy]) {
   return Math.sqrt(LEVEL * Math.max((xx + yy) / 2 + Math.hypot((xx - yy) / 2, xy), 0));
 }
@@ -189,7 +189,7 @@ function readColours() {
   for (const name of ["card", "line", "grid", "reach", "ink", "soft", "left", "right", "tip", "direct", "inverse", "bad", "accent"]) colours[name] = style.getPropertyValue("--" + name).trim();
 }
 
-/** A canvas as sharp as the screen; its pen works in CSS pixels. */
+/** Scales a canvas to the resolution of the screen; its pen works in CSS pixels. */
 function sharp(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas, ratio = window.devicePixelRatio || 1;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -220,7 +220,7 @@ function drawStage() {
 
   drawGround(pen, width, height, at, stroke);
   if (!state.est) return;
-  // By the estimate's own sample: a newer one shows how far the machine has gone since, and not the twin's error.
+  // The machine is drawn at the sample of the estimate; a newer sample would show its motion since then, not the twin's error.
   const live = age() < STALE, twin = twinPose(), machine = machinePose(state.sample);
   const size = Math.min(Math.max(scale * 0.02, 5), 9);
   pen.globalAlpha = 1;
@@ -229,7 +229,7 @@ function drawStage() {
   for (let i = 0; i < state.trail.length - 1; i += STROKE) {
     stroke(state.trail.slice(i, i + STROKE + 1).map(([, x, y]) => [x, y]), colours.tip, 2.2, 0.9 * (Math.min(i + STROKE, state.trail.length) / state.trail.length) ** 1.5);
   }
-  // A direct singularity glows in beads, an inverse one in a band: hues alone do not tell them to everybody.
+  // A direct singularity glows in dots, an inverse one in a band, because not everybody can distinguish the colours.
   const glow = (points, measure, colour, beads = []) => { if (measure < GLOW) stroke(points, colour, size * 3.2, 0.75 * (1 - measure / GLOW), beads); };
   glow([[0, 0], twin.left, twin.tip], twin.inverse[0], colours.inverse);
   glow([[base, 0], twin.right, twin.tip], twin.inverse[1], colours.inverse);
@@ -239,9 +239,9 @@ function drawStage() {
   stroke([[base, 0], twin.right], colours.right, size, strength);
   stroke([twin.left, twin.tip], colours.left, size * 0.62, strength);
   stroke([twin.right, twin.tip], colours.right, size * 0.62, strength);
-  // The right leg has a light core.
+  // A light core distinguishes the right leg.
   stroke([[base, 0], twin.right, twin.tip], colours.card, size * 0.28, strength);
-  // The machine over its twin: where both agree one sees one line inside the other.
+  // The machine is drawn over the twin: if both agree, its line is inside the twin's line.
   if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.card, 2, 0.95, [6, 5]);
   if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.ink, 1.2, 0.8, [6, 5]);
   for (const motor of [[0, 0], [base, 0]]) { dot(motor, size * 1.15, colours.ink); dot(motor, size * 0.45, colours.card); }
@@ -254,7 +254,7 @@ function drawStage() {
   }
 }
 
-/** The part of the plane that is shown: all that was seen so far and some more, so that the picture hardly moves. */
+/** The visible part of the plane: everything so far with a margin, so that the picture hardly moves. */
 function look(width, height) {
   const { base, lengths } = state.about, reach = Math.max(lengths[0] + lengths[1], lengths[2] + lengths[3]);
   state.box ??= { x0: 0, x1: base, y0: 0, y1: 0.5 * reach };
@@ -296,7 +296,7 @@ function drawGround(pen, width, height, at, stroke) {
   stroke([[0, 0], [base, 0]], colours.line, 2);
 }
 
-/** The fan: where the tip will be, and the circles that hold it with 95 %. */
+/** Draws the forecast path of the tip with its 95 % circles. */
 function drawForecast(pen, at, stroke, twin) {
   const forecast = state.forecast;
   if (!forecast || Math.abs(state.est.time - forecast.time) > 0.3e9) return;
@@ -313,7 +313,7 @@ function drawForecast(pen, at, stroke, twin) {
 
 // --- the charts -------------------------------------------------------------------------------------------------------
 
-/** Lines and bands over the last seconds; every nth sample, as many as there are pixels. */
+/** Draws lines and bands over the last seconds; it uses every nth sample, about one per pixel. */
 function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
   const { pen, width, height } = sharp(byId(id)), history = state.history, right = width - 2, left = 48, bottom = height - 16, top = 6;
   if (history.length < 2) return;
@@ -353,7 +353,7 @@ function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
   pen.restore();
 }
 
-/** The course of each learned parameter in its band, over the band that it had before the first sample. */
+/** Draws the history of each learned parameter with its band, over the band before the first sample. */
 function drawLearned() {
   const course = state.learned;
   if (!course.length) return;
@@ -404,13 +404,13 @@ function show(key, text, kind = "") {
 
 const median = (values) => (values.length ? [...values].sort((a, b) => a - b)[values.length >> 1] : NaN);
 
-/** ms since the newest estimate came. */
+/** Time since the arrival of the newest estimate, ms. */
 const silence = () => performance.now() - state.arrived;
 
-/** ms since the newest estimate would have come if it were not behind. */
+/** Age of the newest estimate, ms: time since its arrival plus its additional delay. */
 const age = () => silence() + state.behind;
 
-/** Whether anything here is live: the age of the newest estimate rules all of it. */
+/** Shows whether the page is live, and returns it; this depends only on the connection and the age of the newest estimate. */
 function tellLife() {
   const [text, kind] = state.link, seconds = (age() / 1000).toFixed(1), connected = kind === "good", live = connected && age() < STALE, late = silence() < STALE;
   const none = state.est ? (late ? `${seconds} s behind` : `no estimate for ${(silence() / 1000).toFixed(1)} s`) : "no estimate yet";
@@ -430,7 +430,7 @@ function tellLife() {
 
 const withProbability = (name, probability) => `${name} (${(100 * probability).toFixed(0)} %)`;
 
-/** The cause that an estimate names, in the words of the alarms; nothing while there is none. */
+/** The cause named by an estimate, in the words of the alarms; "" without one. */
 function causeOf(fields, causes) {
   const number = fields["estimated.cause"] ?? 0;
   return number === 0 ? "" : withProbability(causes[number] ?? `cause ${number}`, fields["estimated.cause.probability"]);
@@ -463,7 +463,7 @@ function tell() {
   show("stop", !about.stops ? "no stops" : stop.time ? `${when(stop.time)}, ${share(stop.probability)}` : `none seen, ${share(stop.probability)}`, stop.time ? "warn" : "");
 }
 
-/** Unit and factor for people, of an amount in an SI unit: 0.0177 kg are 17.7 g. */
+/** Readable unit and factor for a value in an SI unit: 0.0177 kg is 17.7 g. */
 function scaled(unit, amount) {
   if (unit === "1") return [1, ""];
   const [base, factor] = unit === "kg" ? ["g", 1e3] : [unit, 1];
@@ -471,13 +471,13 @@ function scaled(unit, amount) {
   return [factor / size, ` ${prefix}${base.replaceAll(".", "·")}`];
 }
 
-/** A value and the half-width of its band, with two digits of the latter. */
+/** Text of a value and the half-width of its band, with two digits of the half-width. */
 function banded(value, half, { unit, start, width }) {
   const [factor, shown] = scaled(unit, Math.max(Math.abs(start), width)), digits = Math.min(Math.max(1 - Math.floor(Math.log10(factor * half)), 0), 6);
   return `${(factor * value).toFixed(digits)} ± ${(factor * half).toFixed(digits)}${shown}`;
 }
 
-/** A place for each parameter that the twin learns. */
+/** Creates an element for each learned parameter. */
 function placeLearned() {
   byId("learned").hidden = !state.about.learned.length;
   for (const parameter of state.about.learned) {
@@ -519,11 +519,11 @@ function connect(user, password) {
   client.on("message", receive);
 }
 
-/** The way to the broker; the page says on it how many it has drawn, and gets the newest then: one that is slow skips, and is not late. */
+/** Opens the WebSocket to the broker. The page reports on it how many messages it has drawn, and gets only the newest then: a slow page skips messages instead of falling behind. */
 function opened(address, protocols) {
   handled = 0;
   socket = new WebSocket(address, protocols);
-  // What is text is for this page, and no packet.
+  // Text frames are for this page and not MQTT packets.
   socket.addEventListener("message", (event) => {
     if (typeof event.data !== "string") return;
     event.stopImmediatePropagation();
@@ -532,7 +532,7 @@ function opened(address, protocols) {
   return socket;
 }
 
-/** A part of a frame: one that fails is told, ends no other one, and may be good again in the next frame. */
+/** Runs a part of a frame. A failure is shown on the page and does not stop the other parts; the next frame tries again. */
 function attempt(part) {
   try {
     part();
