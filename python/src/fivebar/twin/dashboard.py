@@ -78,27 +78,22 @@ def about(config: Config) -> dict[str, Any]:
     content = scene.read(Path(config.scene))
     library = Library(Path(config.fmu))
 
-    def value(name: str) -> Any:
-        return content.values.get(name, library.variable(name).start)
-
-    def switched(name: str) -> bool:
-        return str(value(name)).lower() == "true"
-
     try:
-        stops = [[float(value(f"stop.{limit}[{i}]")) for limit in ("lower", "upper")] for i in (1, 2)]
+        known = {**library.known.start, **content.values}
+        stops = [[float(known[f"stop.{limit}[{i}]"]) for limit in ("lower", "upper")] for i in (1, 2)]
         plane = {
-            "normal": [float(value("contact.nx")), float(value("contact.ny"))],
-            "offset": float(value("contact.offset")),
+            "normal": [float(known["contact.nx"]), float(known["contact.ny"])],
+            "offset": float(known["contact.offset"]),
         }
         return {
             "unit": config.unit,
             "scene": content.name,
             "description": content.description,
-            "base": float(value("base.distance")),
-            "lengths": [float(value(f"link[{i}].length")) for i in (1, 2, 3, 4)],
-            "outline": outline(Machine.from_values({name: float(value(name)) for name in GEOMETRY})),
-            "stops": stops if switched("stop.enabled") else None,
-            "plane": plane if switched("contact.enabled") else None,
+            "base": float(known["base.distance"]),
+            "lengths": [float(known[f"link[{i}].length"]) for i in (1, 2, 3, 4)],
+            "outline": outline(Machine.from_values({name: float(known[name]) for name in GEOMETRY})),
+            "stops": stops if known["stop.enabled"] else None,
+            "plane": plane if known["contact.enabled"] else None,
             "period": config.period,
             "trail": TRAIL,
             "horizon": config.horizon,

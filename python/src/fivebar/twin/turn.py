@@ -44,22 +44,19 @@ def _reference(
 ) -> tuple[str, float]:
     """Name and value, rad, of the angle that determines the turn of axis `i`."""
 
-    def value(name: str) -> float:
-        return float(values.get(name, library.variable(name).start))
+    known = {**library.known.start, **values}
 
-    def enabled(effect: str) -> bool:
-        name = f"{effect}.enabled"
-        # FMPy returns the start value of a Boolean as text.
-        return bool(values.get(name, library.variable(name).start == "true"))
+    def value(name: str) -> float:
+        return float(known[name])
 
     servo, spring, lower, upper = (
         f"{name}[{i}]" for name in ("servo.theta", "spring.theta0", "stop.lower", "stop.upper")
     )
-    if enabled("servo") and value(f"servo.kp[{i}]") > 0 and (servo in commands or servo in values):
+    if known["servo.enabled"] and value(f"servo.kp[{i}]") > 0 and (servo in commands or servo in values):
         return servo, float(commands.get(servo, value(servo)))
-    if enabled("spring") and value(f"spring.k[{i}]") > 0:
+    if known["spring.enabled"] and value(f"spring.k[{i}]") > 0:
         return spring, value(spring)
     # Stops more than a turn apart allow several turns.
-    if enabled("stop") and value(upper) - value(lower) <= TURN:
+    if known["stop.enabled"] and value(upper) - value(lower) <= TURN:
         return f"the middle of {lower} and {upper}", 0.5 * (value(lower) + value(upper))
     return f"init.theta[{i}]", value(f"init.theta[{i}]")
