@@ -1,5 +1,6 @@
 """The scripts of examples/, as a user runs them: they end well and say what they promise."""
 
+import json
 import os
 import re
 import subprocess
@@ -87,6 +88,31 @@ def test_follow_push(fmu: Path, tmp_path: Path) -> None:
     assert float(re.findall(r"tip error (\S+) mm", printed)[0]) < 0.03
     assert 0 <= float(re.findall(r"alarm (\S+) ms after the push", printed)[0]) <= 20
     assert (tmp_path / "target" / "follow_push.svg").is_file()
+
+
+CELLS = """
+import json, sys, matplotlib
+if __name__ == "__main__":
+    matplotlib.use("Agg")
+    names = {}
+    for cell in json.load(open(sys.argv[1], encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+"""
+"""Runs the code of a notebook; processes that it starts import this script."""
+
+
+def test_the_notebook(fmu: Path, tmp_path: Path) -> None:
+    """Its cells run one after the other, by public names only, and find the payload of the record."""
+    notebook = REPOSITORY / "examples" / "my_machine.ipynb"
+    code = ["".join(cell["source"]) for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]]
+    assert not any("._" in each for each in code)
+    (tmp_path / "cells.py").write_text(CELLS, encoding="utf-8")
+    command = [sys.executable, "cells.py", str(notebook)]
+    environment = os.environ | {"FIVEBAR_FMU": str(fmu)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "payload 0.06000 ± " in done.stdout, done.stdout
 
 
 def test_encoder_resolution(fmu: Path, tmp_path: Path) -> None:

@@ -72,6 +72,20 @@ class Scene:
         """The unit's own start values."""
         return self.variables.start
 
+    @classmethod
+    def read(cls, given: "str | Path | Mapping[str, Any] | Scene") -> "Scene":
+        """Reads a shipped scene by name, the file of a scene, or the content of such a file.
+
+        Raises FiveBarError if there is no such scene, or it is refused.
+
+        Examples
+        --------
+        >>> from fivebar import Scene
+        >>> Scene.read("swing").replace({"link[1].mass": 0.02})["link[1].mass"]
+        0.02
+        """
+        return read(given)
+
     @property
     def values(self) -> Values:
         """Start values of the scene itself that differ from the unit's."""
