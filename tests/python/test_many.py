@@ -82,7 +82,7 @@ def test_a_script_without_its_guard_says_what_is_missing(tmp_path: Path) -> None
     call = "print(len(fivebar.run_many('swing', [{}, {}], stop_time=0.01, processes=2)))"
     script.write_text(f"import fivebar\n{call}\n")
     wrong = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert wrong.returncode == 1 and 'a script calls run_many below `if __name__ == "__main__":`' in wrong.stderr
+    assert wrong.returncode == 1 and 'a script must call run_many below `if __name__ == "__main__":`' in wrong.stderr
     script.write_text(f"import fivebar\nif __name__ == '__main__':\n    {call}\n")
     right = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert right.stdout == "2\n"
