@@ -53,7 +53,7 @@ impl Belief {
         // Persistent errors of encoders stay where they are.
         error.fixed_rows_mut::<2>(READINGS).fill(0.0);
         let [a, b, c, d, ..]: [f64; ERRORS] = error.into();
-        let (corrected, to) = linkage.closed(from.displaced(motion, [a, b, c, d]))?;
+        let (corrected, to) = linkage.displaced(from, motion, [a, b, c, d])?;
         if corrected.fastest() >= LARGEST_RATE {
             return None;
         }

@@ -456,7 +456,8 @@ impl Encoder {
             _ if away => Fault::Rejected,
             // NaN exceeds the gate.
             _ if expected.nis_with_less(sample.unrevealed) <= GATE => Fault::None,
-            _ if rejected < 1 || (unexplained && rejected < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
+            // The first sample departs from no track: the start may be off.
+            _ if (rejected < 1 && self.interval > 0.0) || (unexplained && rejected < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
         let event = match self.fault {

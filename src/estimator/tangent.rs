@@ -16,7 +16,9 @@ use nalgebra::{Matrix2, Matrix2x4, Matrix4, Matrix4x2, Vector2, Vector4};
 
 use super::error_state::{ERRORS, Error};
 use super::stored;
-use super::tuning::{CLOSURE_TOLERANCES, NEAR_VERTEX, NEWTON_STEPS, NEWTON_TOLERANCE, RANK_LOSS};
+use super::tuning::{
+    CLOSURE_TOLERANCES, LARGEST_CHARTED_ERROR, LEAST_MISS, NEAR_SINGULARITY, NEAR_VERTEX, NEWTON_STEPS, NEWTON_TOLERANCE, RANK_LOSS,
+};
 use crate::mechanism::Geometry;
 use crate::mechanism::legs::{Legs, sin_cos};
 
@@ -122,6 +124,27 @@ impl Linkage {
             theta -= posture.jacobian().tr_mul(&(posture.gram(self.length).0 * gap));
         }
         None
+    }
+
+    /// State at an error from another, as by [`Frame::displaced`], closed, whose motors the error has turned, where they determine the posture: closing
+    /// alone moves them by the square of the error as well, which samples contradict.
+    pub(super) fn displaced(&self, at: &Frame, from: &LinkState, error: [f64; 4]) -> Option<(LinkState, Frame)> {
+        let (mut state, mut frame) = self.closed(at.displaced(from, error))?;
+        if libm::hypot(error[0], error[1]) > LARGEST_CHARTED_ERROR {
+            return Some((state, frame));
+        }
+        // Lengths that have changed move the motors as well, along J⁺.
+        let aim = at.displaced(&self.closed(*from)?.0, error);
+        for _ in 0..NEWTON_STEPS {
+            let miss = Pair::from(MEASURED.map(|link| aim.theta[link] - state.theta[link]));
+            if miss.amax() < LEAST_MISS || state.side()[0].abs() < NEAR_SINGULARITY {
+                break;
+            }
+            let [a, b] = (frame.holding() * miss).into();
+            let Some(closer) = self.closed(frame.displaced(&state, [a, b, 0.0, 0.0])) else { break };
+            (state, frame) = closer;
+        }
+        Some((state, frame))
     }
 
     /// Position of the tip, m.

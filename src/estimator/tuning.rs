@@ -43,8 +43,8 @@ pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
 /// Prior probabilities under quantisation intervals, out of which only a force moves an angle, and nothing announces it: the NEES of pushes
 /// was 10.2, 7.0, 6.0 and 5.4 with a loudest model of 0.005, 0.1, 0.2 and 0.3.
 pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
-/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which [`LIKELY_MODELS`] are the priors with quantised encoders, and no start is doubted:
-/// slow crossings. With starts doubted from 0.1 on 2 of 800 of them were lost, none with 0.3.
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which [`LIKELY_MODELS`] are the priors with quantised encoders, no start is doubted and
+/// corrections do not hold the motors, which hardly determine the posture there: slow crossings. With starts doubted from 0.1 on 2 of 800 of them were lost, none with 0.3.
 pub(super) const NEAR_SINGULARITY: f64 = 0.3;
 /// Smallest likelihood ratio of a model in one sample: keeps a model recoverable after an outlier.
 pub(super) const LEAST_LIKELIHOOD: f64 = 1e-12;
@@ -113,6 +113,11 @@ pub(super) const LARGEST_GROWTH: f64 = 1e100;
 
 /// Smallest singular value of J over the mean length below which branches of a vertex cannot be told apart.
 pub(super) const NEAR_VERTEX: f64 = 0.03;
+/// Largest error, rad, by which motors are turned exactly: the estimate that is off by more is lost. Where it clings to the readings it is found after
+/// 0.22 s in place of 0.2 s (`a_lost_machine_is_found_again`); with 0.5 rad starts seem to turn at 25 rad/s that are off (`a_start_that_is_off_is_no_motion`).
+pub(super) const LARGEST_CHARTED_ERROR: f64 = 1.0;
+/// Largest miss of a motor's angle that is not worth a Newton step, rad: the step of an encoder of 22 bits.
+pub(super) const LEAST_MISS: f64 = 1e-6;
 /// Newton steps onto the closure: largest number.
 pub(super) const NEWTON_STEPS: usize = 8;
 /// Tolerance of Newton's iteration relative to the mean length: round-off of four arms.

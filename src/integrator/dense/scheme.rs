@@ -157,7 +157,7 @@ impl Scheme {
 /// Schemes that a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Schemes {
-    /// One scheme, or [`Scheme::GENERAL`] for steps that it cannot make.
+    /// One scheme, or `Scheme::GENERAL` for steps that it cannot make.
     Only(Scheme),
     /// Automatic choice of the cheapest scheme.
     Automatic,
