@@ -24,9 +24,11 @@ pub struct Settings {
 const STOP: f64 = 1e-8;
 
 /// Makes one step of `h` seconds. Fails if Newton's method does not converge, the tangent is not positive definite or a value is not
-/// finite; `state` is then undefined, so the caller keeps a copy.
+/// finite; `state` is then undefined, so the caller keeps a copy. `weigh` multiplies by the weight of the projections, M + h/2 C + h²/4 K with
+/// K = −∂Q/∂q and C = −∂Q/∂q̇.
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
+    weigh: impl Fn(&TangentPoint<'_, S::Pose, N, M>, &Vector<N>) -> Vector<N>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -72,9 +74,9 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Projection (4): A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(q);
     let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-    let (projected, _) = system.solve_tangent(&at, regularization, (&system.effective_mass_times(&at, &v), &Vector::ZERO))?;
+    let (projected, _) = system.solve_tangent(&at, regularization, (&weigh(&at, &v), &Vector::ZERO))?;
     let centripetal = -system.phi_q_dot_times(&pose, &projected);
-    let (a, _) = system.solve_tangent(&at, regularization, (&system.effective_mass_times(&at, &acceleration(q)), &centripetal))?;
+    let (a, _) = system.solve_tangent(&at, regularization, (&weigh(&at, &acceleration(q)), &centripetal))?;
 
     let end = StepEnd::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));

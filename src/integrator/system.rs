@@ -134,8 +134,6 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     fn general(&self) -> Self::General;
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &Vector<M>) -> Vector<N>;
-    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the paper's projections.
-    fn effective_mass_times(&self, at: &TangentPoint<'_, Self::Pose, N, M>, x: &Vector<N>) -> Vector<N>;
     /// Solves A₀ x + Φ_qᵀ y = b, Φ_q x − e y = c with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q). Returns
     /// [`StepError::IndefiniteTangent`] if h is so long that A₀ is not positive definite.
     fn solve_tangent(

@@ -133,6 +133,13 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         (slopes, TipArm::of_pose(pose, v))
     }
 
+    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the paper's projections.
+    pub fn effective_mass_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
+        let &TangentPoint { q, pose, v, h, .. } = at;
+        let (slopes, arm) = self.slopes_at(q, pose, v);
+        self.model.solver.effective_mass_times(&slopes, &arm, h, x)
+    }
+
     #[inline(always)]
     fn solve_tangent_as(
         &self,
@@ -246,12 +253,6 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
         pose.phi_q_transposed_times(lambda)
-    }
-
-    fn effective_mass_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
-        let &TangentPoint { q, pose, v, h, .. } = at;
-        let (slopes, arm) = self.slopes_at(q, pose, v);
-        self.model.solver.effective_mass_times(&slopes, &arm, h, x)
     }
 
     #[inline(always)]

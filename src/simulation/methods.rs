@@ -158,7 +158,9 @@ impl MacroStepMethod {
                 (core, h),
                 |core| match self {
                     Self::I3alp(settings) => i3alp::MacroStep::of(h).advance(system, settings, core, mode).map(drop),
-                    Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, core, h),
+                    Self::I3alpPrinted(settings) => {
+                        i3alp_printed::advance(system, |at, x| system.effective_mass_times(at, x), settings, core, h)
+                    }
                     Self::Rk4(settings) => rk4::advance(system, settings, core, h),
                 },
             ),

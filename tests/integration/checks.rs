@@ -104,9 +104,6 @@ impl Implicit<2, 0> for Oscillator {
     fn phi_q_transposed_times(&self, _: &Vector<2>, _: &Vector<0>) -> Vector<2> {
         Vector::ZERO
     }
-    fn effective_mass_times(&self, at: &TangentPoint<'_, Vector<2>, 2, 0>, x: &Vector<2>) -> Vector<2> {
-        (1.0 + at.h * at.h / 4.0) * *x
-    }
     fn solve_tangent(
         &self,
         at: &TangentPoint<'_, Vector<2>, 2, 0>,

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use fivebar::dynamics::Conditions;
 use fivebar::effects::{Mode, NAMES};
-use fivebar::integrator::{Implicit, System, TangentPoint};
+use fivebar::integrator::{System, TangentPoint};
 use fivebar::linear::{LinearSolve, LinearSolver};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Multipliers};

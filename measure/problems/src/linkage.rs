@@ -215,16 +215,6 @@ impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<
     fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &Vector<M>) -> Vector<N> {
         pose.transposed_times(lambda)
     }
-    fn effective_mass_times(&self, at: &TangentPoint<'_, Pose<M>, N, M>, x: &Vector<N>) -> Vector<N> {
-        let mut product = Vector::ZERO;
-        for body in 0..N / 3 {
-            let block = self.block(body, at.q, at.h * at.h / 4.0);
-            for (row, entries) in block.iter().enumerate() {
-                product[3 * body + row] = (0..3).map(|i| entries[i] * x[3 * body + i]).sum();
-            }
-        }
-        product
-    }
     fn solve_tangent(
         &self,
         at: &TangentPoint<'_, Pose<M>, N, M>,

@@ -92,9 +92,6 @@ impl Implicit<2, 1> for Pendulum {
     fn phi_q_transposed_times(&self, q: &Vector<2>, lambda: &Vector<1>) -> Vector<2> {
         lambda[0] * *q
     }
-    fn effective_mass_times(&self, _: &TangentPoint<'_, Vector<2>, 2, 1>, x: &Vector<2>) -> Vector<2> {
-        *x
-    }
     fn solve_tangent(
         &self,
         at: &TangentPoint<'_, Vector<2>, 2, 1>,
