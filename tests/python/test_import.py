@@ -187,11 +187,12 @@ def test_topics_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureF
     # The right encoder is a tenth of a step late: one row has both.
     assert found.time == pytest.approx(GRID, abs=1e-9) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
     assert (
-        "measured.theta[2] is from /right by the clock stamp, 400 values: each stands in the nearest row, up to 0.5 ms away"
+        "measured.theta[2] is from /right by the clock stamp, 400 values: each is in the nearest row, up to 0.5 ms away"
         in text
     )
     assert (
-        "servo.theta[1] is from /drive by the clock stamp, 67 values: each holds until the next one, and stands" in text
+        "servo.theta[1] is from /drive by the clock stamp, 67 values: each holds until the next one, starting at the next encoder sample"
+        in text
     )
     for k in (1, 2, 7, 100, 399):
         assert found.columns["servo.theta[1]"][k] == np.sin(slow[np.searchsorted(slow, GRID[k], side="right") - 1])
@@ -360,7 +361,11 @@ def test_an_exchange_signs_and_zeros_are_found(
     pair = [names.format(1), names.format(2)] if names else ["tip.x", "tip.y"]
     more = {name: {"column": column} for name, column in zip(pair, "xy", strict=True)}
     out, found = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **more)
-    assert "encoders exchanged and left angle reversed (" in out and "not told" not in out
+    assert (
+        "encoders exchanged and left angle reversed (" in out
+        and "not distinguishable" not in out
+        and "not identified" not in out
+    )
     # Half a step of rounding, and 1 mrad for zeros: steps of 0.8 mrad and commands that are followed to 7 mrad have means over 400 samples that are ten times
     # better.
     for name, column in zip(("measured.theta[1]", "measured.theta[2]"), MOTION.T, strict=True):
@@ -377,10 +382,10 @@ def test_what_the_record_cannot_tell_is_said(tmp_path: Path, capsys: pytest.Capt
     out, found = guessed(tmp_path, file, ALIKE, capsys, **encoders, **passive)
     assert "the map may stay as it is" in out and found.columns["measured.theta[1]"].tolist() == MOTION[:, 0].tolist()
     mirrored = "encoders exchanged and left angle reversed and right angle reversed"
-    assert f"not told apart from encoders as in the map: {mirrored}" in out
+    assert f"not distinguishable from encoders as in the map: {mirrored}" in out
     out, _ = guessed(tmp_path, file, ALIKE, capsys, **encoders)
     assert (
-        out.count("its zero is not told") == 2
+        out.count("its zero is not identified") == 2
         and "the reach of the machine: encoders as in the map (0 of the samples)" in out
     )
 
@@ -407,7 +412,7 @@ def test_evidence_of_another_machine_is_left_out(tmp_path: Path, capsys: pytest.
     names = [f"{name}.theta[{i}]" for name in ("passive", "servo") for i in (1, 2)]
     more = {name: {"column": column} for name, column in zip(names, "xycd", strict=True)}
     out, _ = guessed(tmp_path, file, LENGTHS, capsys, t1={"column": "a"}, t2={"column": "b"}, **more)
-    assert out.count("this is left out") == 2 and out.count("its zero is not told") == 2
+    assert out.count("this is left out") == 2 and out.count("its zero is not identified") == 2
     assert "the map may stay as it is" in out
 
 

@@ -334,7 +334,9 @@ def test_a_value_at_its_bound_is_not_identified(
     assert f"warning: {impossible}" in told.out.splitlines()
     unknowns = figures["unknowns"]
     assert code == 0 and unknowns["viscous.b"]["identified"] and not unknowns["payload.mass"]["identified"]
-    assert re.fullmatch(r"payload\.mass: at its bound of 0 kg, below \S+ kg with 95 %", figures["not_identified"][0])
+    assert re.fullmatch(
+        r"payload\.mass: at its bound of 0 kg, below \S+ kg with 95 % probability", figures["not_identified"][0]
+    )
     assert scenes_of.read(tmp_path / "out" / "calibrated.json", library.known)["payload.mass"] == BASE["payload.mass"]
 
 
@@ -356,7 +358,7 @@ def test_lengths_that_a_record_does_not_tell_are_the_scenes(library: Library) ->
     off, bars = np.abs(result.fit.x - truth)[:2], result.judgement.sigma[:2]
     # 0.1 % of the lengths are 0.2 % of the masses, of which bars of 0.001 % would not know.
     assert np.all(off < 4 * bars) and np.all((bars > 1e-3) & (bars < 5e-3))
-    assert "link.length: the record tells less than the scene, " in result.judgement.not_identified(unknowns)[0]
+    assert "link.length: the record is less accurate than the scene, " in result.judgement.not_identified(unknowns)[0]
 
 
 def test_derivatives_are_those_at_the_solution(library: Library) -> None:
@@ -691,7 +693,7 @@ def test_a_fit_that_comes_to_no_end_is_given_up(
     common = ["--fmu", str(fmu), "--scene", str(tmp_path / "scene.json"), "--out", str(tmp_path / "out")]
     assert main(["calibrate", str(file), *common, *sought(names), "--patience", "0.05"]) == 2
     told = capsys.readouterr()
-    assert "the fit has come to no end within 0.05 s of CPU" in told.err
+    assert "the fit did not converge within 0.05 s of CPU" in told.err
     # A motion is planned for the scene's machine, whatever the record is.
     assert "a motion that would tell payload.mass to ±" in told.out and (tmp_path / "out" / "proposal.json").is_file()
     assert "--fmu" not in told.out

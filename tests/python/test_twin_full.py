@@ -314,7 +314,7 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
         ear.close()
     assert summary["samples"]["lost"] == 0 and summary["samples"]["estimated"] > 1000 and summary["refused"] == 0
     log = (run.folder / "log" / "follow.log").read_text()
-    assert log.count("starting anew with the next sample: asked to") >= 1
+    assert log.count("restarting with the next sample: requested") >= 1
     run.replayed(fmu)
     # Without TLS nobody gets in, and nothing is said in the clear.
     plain = Ear(port)
@@ -480,7 +480,7 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         for chart in ("error", "torque", "nis"):
             assert drawn(browser, browser.find_element("id", chart)), chart
         log = live.folder / "log" / "follow.log"
-        order(browser, RESTART, lambda: "asked to" in log.read_text())
+        order(browser, RESTART, lambda: "requested" in log.read_text())
 
 
 @pytest.mark.parametrize(("headers", "code"), [({"Host": "evil.example"}, 403), ({}, 200)])
@@ -527,7 +527,7 @@ def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) 
         # An order from a clock that is ahead is answered in words.
         ahead = f"const now = Date.now; Date.now = () => now() + 90000; {RESTART}; Date.now = now;"
         order(browser, ahead, lambda: "ahead of the pipeline's own" in browser.find_element("id", "order").text)
-        order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("starting anew"))
+        order(browser, RESTART, lambda: browser.find_element("id", "order").text.startswith("restarting"))
         corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
         told = browser.execute_async_script(
             """const [corpus, done] = arguments;

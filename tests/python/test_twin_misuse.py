@@ -140,7 +140,7 @@ def test_one_encoder_alone_starts_nothing_and_says_so(config: Config, library: L
         fields = {name: value for name, value in message.fields.items() if name != "measured.theta[2]"}
         twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
     assert [alarm["sentence"] for alarm in ear.alarms()] == [
-        "starting anew with the next sample: a start needs both angles, and measured.theta[2] is missing"
+        "restarting with the next sample: a start needs both angles, and measured.theta[2] is missing"
     ]
     twin.follower.close()
 
@@ -618,7 +618,9 @@ def test_forecasts_have_ten_points(tmp_path: Path) -> None:
 
 def test_one_member_claims_no_interval(tmp_path: Path, fmu: Path) -> None:
     run = command("ensemble", "--members", 1, "--workers", 0, "--seconds", 0.2, "--fmu", fmu, "--out", tmp_path)
-    assert run.returncode == 0 and "95 %:" not in run.stdout and "40 members are the fewest" in run.stdout
+    assert (
+        run.returncode == 0 and "95 %:" not in run.stdout and "a 95 % interval needs at least 40 members" in run.stdout
+    )
     end = json.loads((tmp_path / "summary.json").read_text())["end"]
     assert all(set(levels) == {"0.5"} for levels in end.values())
 

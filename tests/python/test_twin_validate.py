@@ -63,7 +63,7 @@ def test_a_machine_that_is_the_scenes_is_predicted(
     # Without servos nothing leads the machine.
     assert part["command_delay_s"] is None and part["not_judged"] == [
         "the last command as a predictor: the record has no servo.theta[1] and servo.theta[2]",
-        "the drives: the record has no commands, and the twin takes all they do for unknown forces",
+        "the drives: the record has no commands, so that all drive torques are unknown forces for the twin",
     ]
     assert list(part["forecasts"]) == ["0.1", "0.5"] and part["innovations"]["coverage95"] > 0.9
     for given in part["forecasts"].values():

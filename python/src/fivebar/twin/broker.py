@@ -19,7 +19,7 @@ def run(file: Path) -> int:
     config = process.read_config(file)
     if not is_loopback(config.broker.host):
         raise TwinError(
-            f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS"
+            f"the embedded broker serves only this machine, not {config.broker.host}: for others use a broker with TLS"
         )
     process.set_up_log()
     priority.take("broker")

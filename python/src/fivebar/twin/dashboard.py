@@ -118,7 +118,7 @@ def learned(config: Config, content: Scene, library: Library) -> list[dict[str, 
         unit.reset(**values)
         seen = unit.floats((*LEARNED, *LEARNED.values()))
     except UnitError as error:
-        log.warning("no panel for what is learned: the scene's own start is refused: %s", error)
+        log.warning("no panel for learned parameters: the scene's start is refused: %s", error)
         return []
     finally:
         unit.close()
@@ -194,7 +194,7 @@ class Server:
         try:
             reader, writer = await asyncio.open_connection(broker.host, broker.port, ssl=context)
         except OSError as error:
-            log.warning("no way to the broker: %s", error)
+            log.warning("no connection to the broker: %s", error)
             return
         self.pages += 1
         pace = Pace(math.ceil(TRAIL / self.config.period))

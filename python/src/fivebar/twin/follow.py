@@ -63,11 +63,11 @@ class Twin(Worker):
             state = Message("state", "", int(content.pop("time")), int(content.pop("seq")), {}, content)
             self.follower.go_on_from(state)
         except (KeyError, TypeError, ValueError) as error:
-            log.warning("the stored state cannot be used, starting anew: %s", error)
+            log.warning("the stored state cannot be used, starting without it: %s", error)
             return
         self.intake.go_on_from(state.seq, state.time)
         self.stored_at = state.time
-        log.info("going on from the state after sample %d", state.seq)
+        log.info("resuming from the state after sample %d", state.seq)
 
     def received(self, topic: str, payload: bytes, now: int) -> None:
         if not self.heard and topic == self.own:
@@ -107,7 +107,7 @@ class Twin(Worker):
         if kind == "late" and follower.book is not None and not follower.finds_place(message.seq):
             raise Refused(f"meas {message.seq} came too late")
         if kind == "series" and follower.book is not None:
-            log.warning("the machine counts anew from sample %d", message.seq)
+            log.warning("the machine restarted its count at sample %d", message.seq)
             follower.restart(Message("cmd", "", message.time, message.seq, {}))
         if kind == "series":
             for name, angle in message.fields.items():
@@ -130,7 +130,7 @@ class Twin(Worker):
             log.warning("the machine's clock jumped at sample %d", message.seq)
         if follower.failure:
             self.counts["failures"] += 1
-            self.trouble("unit", f"starting anew with the next sample: {follower.failure}", message.time, message.seq)
+            self.trouble("unit", f"restarting with the next sample: {follower.failure}", message.time, message.seq)
             follower.failure = ""
         for said in follower.unit.log:
             if AT_BOUND in said.text:
@@ -153,7 +153,7 @@ class Twin(Worker):
             if message.extra["command"] == "restart":
                 self.follower.restart(message)
                 self.intake.forget()
-                self._answer(message, "starting anew with the next sample: asked to", now)
+                self._answer(message, "restarting with the next sample: requested", now)
         else:
             if sentence := self.follower.allowed(message):
                 raise Refused(sentence)

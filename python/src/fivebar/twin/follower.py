@@ -110,7 +110,7 @@ def stored(message: Message) -> Stored:
             base64.b64decode(extra["state"], validate=True), float(extra["clock"]), Book(**extra["book"]), parameters
         )
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise TwinError("a stored state is not as this version writes it") from None
+        raise TwinError("a stored state does not have the format of this version") from None
 
 
 class Rider:

@@ -75,7 +75,7 @@ class Intake:
         if not self._plausible(self.series, message):
             return self._else(
                 message,
-                f"meas {message.seq} leaps by {ahead} samples and {1e-9 * (message.time - self.series.time):.3f} s",
+                f"meas {message.seq} jumps by {ahead} samples and {1e-9 * (message.time - self.series.time):.3f} s",
                 now,
             )
         self.missing += ahead - 1
@@ -194,12 +194,12 @@ class Orders:
         """Raises `Refused` if a command is not accepted at `now` on the pipeline's clock, ns."""
         if abs(message.time - now) > NEAR:
             raise Refused(
-                f"{_elsewhen(message, now)}; up to {1e-9 * NEAR:g} s are allowed: set the clock from which the order comes"
+                f"{_elsewhen(message, now)}; up to {1e-9 * NEAR:g} s are allowed: set the clock of the sender"
             )
         if message.time <= self.newest:
             by = 1e-9 * (self.newest - message.time)
             raise Refused(
-                f"{message.kind} is not newer than the last order that was taken, but {by:.3f} s older: its clock, or the other's, is wrong"
+                f"{message.kind} is not newer than the last accepted command, but {by:.3f} s older: the clock of one of the senders is wrong"
             )
 
     def taken(self, message: Message) -> None:

@@ -237,7 +237,7 @@ def run(file: Path) -> int:
         # The samples between the stored state and now are skipped, as nobody could receive them.
         while source.start_ns + source.seq * period + delay < time.time_ns() and source.next() is not None:
             pass
-        log.info("going on with sample %d", source.seq)
+        log.info("resuming with sample %d", source.seq)
     else:
         source.start_ns = time.time_ns() + LEAD_NS
         process.replace_file(file, source.store(), safe=True)

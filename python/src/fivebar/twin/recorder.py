@@ -91,7 +91,7 @@ class Recorder(Worker):
         if self.about is not None:
             self._row(self.about)
         if self.number:
-            log.info("going on with part %d", self.number)
+            log.info("resuming with part %d", self.number)
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
         if len(self.rows) + len(self.taken) >= MOST_WAITING:

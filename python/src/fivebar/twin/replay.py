@@ -211,7 +211,7 @@ def run(file: Path, fmu: Path, since: float, until: float) -> int:
     speed = result.spanned / result.seconds if result.seconds else 0.0
     print(
         f"{result.compared} estimates and {result.states} stored states compared to the bit in {result.seconds:.2f} s "
-        f"({speed:.0f} x real time): {len(result.differing)} differ; {result.left_out} left out, whose inputs the record does not have"
+        f"({speed:.0f} x real time): {len(result.differing)} differ; {result.left_out} left out, because the record lacks their inputs"
     )
     if result.differing or not result.compared:
         return 1

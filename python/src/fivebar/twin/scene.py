@@ -93,7 +93,7 @@ def read(file: Path) -> Scene:
     try:
         return parse(config.read_json(file))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
-        raise TwinError(f"{file} is not a scene as a run of this version resolves it") from None
+        raise TwinError(f"{file} is not a resolved scene in the format of this version") from None
 
 
 def parse(content: dict[str, Any]) -> Scene:

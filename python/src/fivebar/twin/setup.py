@@ -98,7 +98,7 @@ def of_message(message: Message) -> Setup:
         scene = parse(content.pop("scene"))
         setup = Setup(scene=scene, **content)
     except (KeyError, TypeError, ValueError):
-        raise TwinError("the setup of the record is not as this version writes it") from None
+        raise TwinError("the setup of the record does not have the format of this version") from None
     if not (
         isinstance(setup.guid, str)
         and all(math.isfinite(x) and x > 0 for x in (setup.period, setup.step, setup.horizon))

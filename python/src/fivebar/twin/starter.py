@@ -148,7 +148,7 @@ class Child:
         self.recent = (*(t for t in self.recent if now - t < 60), now)
         if len(self.recent) > MOST_RESTARTS:
             raise TwinError(
-                f"`{self.name}` dies again and again, last with {code}; the end of {self.log}:\n{self.tail()}"
+                f"`{self.name}` keeps dying, last with exit code {code}; the end of {self.log}:\n{self.tail()}"
             )
         self.restarts += 1
         self.start()

@@ -62,16 +62,16 @@ def write(
     try:
         story = figures.read(config.record)
     except TwinError as error:
-        print(f"nothing to sum up: {error}")
+        print(f"no summary: {error}")
         return 1
     judged = figures.judge(story)
     content = figures.summarise(config, story, judged, status, restarts, troubles)
     content["held_out"] = held_out.judge(config, story).content()
     pictures = {
         "tip": (_tip(story), "The tip, seen by a tracker and estimated"),
-        "error": (_error(story, judged), "Error of the estimated tip, and the radius that holds it with 95 %"),
-        "forecast": (_forecast(story, judged), "Forecasts: how far off they were, and how sure of themselves"),
-        "latency": (_latency(status), "From the sample to its estimate at a subscriber"),
+        "error": (_error(story, judged), "Error of the estimated tip, and its 95 % radius"),
+        "forecast": (_forecast(story, judged), "Forecasts: errors and 95 % radii"),
+        "latency": (_latency(status), "Latency from the sample to its estimate at a subscriber"),
     }
     _tell(content, out)
     try:

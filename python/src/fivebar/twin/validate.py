@@ -105,7 +105,7 @@ def follow(config: Config) -> tuple[dict[str, Any], HeldOut]:
     part = judged.content()
     if not any(name in source.recording.columns for name in INPUTS):
         part["not_judged"].append(
-            "the drives: the record has no commands, and the twin takes all they do for unknown forces"
+            "the drives: the record has no commands, so that all drive torques are unknown forces for the twin"
         )
     content = {
         "scene": whole["scene"],

@@ -309,7 +309,7 @@ class Watch(Worker):
             self.told_behind = now
             self.trouble(
                 "behind",
-                f"estimates are {behind:.1f} s behind: the samples are not kept up with, or a clock was set",
+                f"estimates are {behind:.1f} s behind: a process does not keep up with the samples, or a clock was set",
                 now,
                 seq,
                 every=0.0,

@@ -101,7 +101,7 @@ def check(data: Data) -> None:
     moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, told))
     if float(led.max()) > MOVES and np.all(~(moved > 0.02 * led.max())):
         raise TwinError(
-            f"the measured angles stand still (they move by {1e3 * float(np.nan_to_num(moved).max()):.3g} mrad) while servos are told to move "
+            f"the measured angles stand still (they move by {1e3 * float(np.nan_to_num(moved).max()):.3g} mrad) while servo commands move "
             f"by {1e3 * float(led.max()):.3g} mrad: are the drives off, or is this another machine's record?"
         )
 

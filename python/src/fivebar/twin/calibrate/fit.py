@@ -223,8 +223,8 @@ class Fitter:
         """Predicted encoder angles over a piece, rad, (n, 2)."""
         if time.process_time() > self.ends:
             raise GivenUp(
-                f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
-                "are its geometry, the encoders' places, signs and zeros, and what the drives are told right?"
+                f"the fit did not converge within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
+                "are its geometry, the order, signs and zeros of the encoders, and the drive commands right?"
             )
         motion, _ = self.machine.run(piece.path, x, Start(state, piece.start.assembly))
         return self.machine.seen(piece.path, motion, x)
@@ -381,7 +381,7 @@ class Fitter:
             end, _ = self.settle(longer, begin, False, prior)
             found = spread(self.gaps(longer, end), longer)
             if np.all(left < ALL_NOISE * self.noise) and np.any(found > LOSES * left):
-                self.show("the motion is chaotic over pieces as long: shorter ones stay")
+                self.show("the motion is chaotic over pieces of this length: shorter ones stay")
                 break
             x, z, pieces = end[:p], end, unpack(end, longer, p)
             # The shortest pieces are no reference: with their own starts, they show hardly more than noise for any machine.

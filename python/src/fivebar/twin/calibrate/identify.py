@@ -61,7 +61,7 @@ class Combination:
             what = f"a common factor of {', '.join(sought[k].name for k in order)}" if same else " ".join(terms)
             what += "" if same else " (in relative changes)" if all(sought[k].factor for k in order) else " (in sizes)"
         return (
-            f"{what}: the record says nothing of it"
+            f"{what}: not identified by the record"
             if self.sigma > 1e3
             else f"{what}: known to ±{1.96 * self.sigma:.2g} only"
         )
@@ -92,12 +92,12 @@ class Judgement:
         for k, most in self.bounded.items():
             [least, *_] = sought[k].value(sought[k].lowest)
             found.append(
-                f"{sought[k].name}: at its bound of {least:.3g} {sought[k].unit}, below {most:.2g} {sought[k].unit} with 95 %"
+                f"{sought[k].name}: at its bound of {least:.3g} {sought[k].unit}, below {most:.2g} {sought[k].unit} with 95 % probability"
             )
         for k in np.flatnonzero(np.isfinite(self.held)).tolist():
             bar = max(sought[k].bar(interval(float(self.held[k]))))
             found.append(
-                f"{sought[k].name}: the record tells less than the scene, whose value is taken as right to ±{bar:.2g} {sought[k].unit}"
+                f"{sought[k].name}: the record is less accurate than the scene, so that the scene's value counts as right to ±{bar:.2g} {sought[k].unit}"
             )
         return list(dict.fromkeys(found))
 

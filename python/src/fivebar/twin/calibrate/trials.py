@@ -197,7 +197,7 @@ def done(file: FilePath, guid: str, machines: str = "one") -> dict[int, dict[str
         rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
         return {int(row["key"]): row for row in rows if row["unit"] == guid and row.get("machines", "one") == machines}
     except (ValueError, KeyError, TypeError):
-        raise TwinError(f"{file} is not as this command writes it; delete it to begin anew") from None
+        raise TwinError(f"{file} does not have the format of this command; delete it to start again") from None
 
 
 def run(trials: int, first: int, machines: str, fmu: FilePath, out: FilePath) -> int:

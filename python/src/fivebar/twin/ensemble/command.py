@@ -259,13 +259,11 @@ def _print(summary: dict[str, Any], files: list[Path]) -> None:
     for name, band in summary["end"].items():
         print(f"  {name:9} in the end {band['0.5']:10.5f} {_interval(band, 5)}")
     for name, (count, least) in summary["raised"].items():
-        print(
-            f"  {name}: {count} of {summary['members']} draws were below {least:g} of the value, and are {least:g} of it"
-        )
+        print(f"  {name}: {count} of {summary['members']} draws were below {least:g} of the value and were set to it")
     from fivebar.twin.ensemble.results import FEWEST
 
     if summary["members"] - summary["failed"] < FEWEST:
-        print(f"  no intervals: {FEWEST} members are the fewest that tell one of 95 %")
+        print(f"  no intervals: a 95 % interval needs at least {FEWEST} members")
     for name, label in (("one_process", "one process"), ("workers", "workers")):
         if name in measured:
             part = measured[name]

@@ -214,7 +214,7 @@ def compare(
     except FiveBarError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise TwinError("the twin's state is not as this version writes it") from None
+        raise TwinError("the twin's state does not have the format of this version") from None
     finally:
         library.close()
     return {
@@ -291,7 +291,7 @@ def _print(answer: dict[str, Any]) -> None:
         where = (
             f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.3g} mm"
             if end
-            else "nobody knows where it ends"
+            else "end unknown"
         )
         print(
             f"  {one['rank']:2}. {one['name']:24} singularity {one['singular']['probability']:4.0%}  {where}",

@@ -119,7 +119,7 @@ def _holding(rows: Array, times: Array, values: Array, most: float) -> tuple[Arr
     late = rows[after[after < len(rows)]] - times[after < len(rows)]
     return (
         np.where(before >= 0, values[before], np.nan),
-        f"each holds until the next one, and stands from the encoders' next sample on, up to {1e3 * late.max(initial=0.0):.3g} ms later",
+        f"each holds until the next one, starting at the next encoder sample, up to {1e3 * late.max(initial=0.0):.3g} ms later",
     )
 
 
@@ -132,7 +132,7 @@ def _placed(rows: Array, times: Array, values: Array, most: float) -> tuple[Arra
     column[nearest[near]] = values[near]
     lost = len(values) - len(np.unique(nearest[near]))
     left = f"; {lost} have no row of their own and are left out" if lost else ""
-    return column, f"each stands in the nearest row, up to {1e3 * apart[near].max(initial=0.0):.3g} ms away{left}"
+    return column, f"each is in the nearest row, up to {1e3 * apart[near].max(initial=0.0):.3g} ms away{left}"
 
 
 def _nearest(rows: Array, times: Array) -> Array:

@@ -21,7 +21,7 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
     scene = scenes.read(given)
     relative = [name in used.entries and used.entries[name].relative for name in PASSIVE]
     verdict = redundancy.weigh(found, scene, (relative[0], relative[1]))
-    told = [f"by the scene {scene.name}, whose assembly is taken as right:"]
+    told = [f"by the scene {scene.name}, assuming its assembly is right:"]
     for each in verdict.evidence:
         order = sorted(range(len(each.fits)), key=lambda k: float(f"{each.fits[k].misfit:.3g}"))
         best, next_ = (f"{ASSIGNMENTS[k].words()} ({each.fits[k].misfit:.3g} {each.unit})" for k in order[:2])
@@ -30,7 +30,7 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
         )
         told.append(f"  {each.name}: {best} fits best, then {next_}{left_out}")
     if others := [ASSIGNMENTS[k].words() for k in verdict.possible[1:]]:
-        told.append(f"  not told apart from {verdict.chosen.words()}: {'; '.join(others)}")
+        told.append(f"  not distinguishable from {verdict.chosen.words()}: {'; '.join(others)}")
     told += [f"  {sentence}" for sentence in _zeros(verdict)]
     proposed = propose(found, used, scene, verdict)
     if proposed == used:
@@ -68,8 +68,8 @@ def _zeros(verdict: Verdict) -> list[str]:
     for name, zero, sigma in zip(MEASURED, verdict.zeros, verdict.sigma, strict=True):
         if np.isfinite(sigma):
             found.append(
-                f"{name}: zero {zero:.4f} ± {sigma:.1g} rad beyond the map's, with lengths right to estimator.sigma0.length"
+                f"{name}: zero {zero:.4f} ± {sigma:.1g} rad relative to the map, for length errors of estimator.sigma0.length"
             )
         else:
-            found.append(f"{name}: its zero is not told")
+            found.append(f"{name}: its zero is not identified")
     return found

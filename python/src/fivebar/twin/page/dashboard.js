@@ -250,7 +250,7 @@ function drawStage() {
   dot(twin.tip, size * 0.85, colours.tip, colours.card);
   if (!live) {
     pen.fillStyle = colours.bad; pen.font = "600 15px system-ui, sans-serif"; pen.textAlign = "center";
-    pen.fillText("what you see is the past", width / 2, 26); pen.textAlign = "left";
+    pen.fillText("no live data", width / 2, 26); pen.textAlign = "left";
   }
 }
 
@@ -419,10 +419,10 @@ function tellLife() {
   document.body.classList.toggle("past", state.est !== null && !live);
   byId("restart").disabled = !connected;
   show("age", state.est ? (age() < STALE ? "below 1 s" : `${seconds} s`) : "–", live || !state.est ? "" : "bad");
-  if (state.order && performance.now() - state.order.sent > ANSWERED) answer("no answer: does the twin run, and may you give orders?", "bad");
+  if (state.order && performance.now() - state.order.sent > ANSWERED) answer("no answer: is the twin running, and may you send commands?", "bad");
   if (!live && state.est) {
     const why = late ? `What you see is ${seconds} s old` : `The twin has said nothing for ${(silence() / 1000).toFixed(1)} s`;
-    byId("status").textContent = connected ? why : "Nothing arrives: what you see is the past";
+    byId("status").textContent = connected ? why : "No messages arrive: the picture is not live";
     byId("status").className = "bad";
   }
   return live;
