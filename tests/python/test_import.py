@@ -224,7 +224,7 @@ def test_the_clock_of_a_bag_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixt
         found.time == pytest.approx(GRID, abs=ROUND) and found.columns["measured.theta[2]"].tolist() == RIGHT.tolist()
     )
     assert main(["import", str(bag), "--map", str(write_map(tmp_path, time={"column": "t"}, t1=a)), *record]) == 2
-    assert "whose clocks are stamp and received, not t" in capsys.readouterr().err
+    assert "with the clocks stamp and received, not t" in capsys.readouterr().err
 
 
 # --- what is measured -----------------------------------------------------------------------------------------------------------------

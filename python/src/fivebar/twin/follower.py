@@ -236,7 +236,7 @@ class Follower(Rider):
 
     def estimate(self) -> Message:
         """The estimate for one macro step after the newest sample, with the inputs since the last estimate."""
-        assert self.book is not None, "there is an estimate after a sample only"
+        assert self.book is not None, "an estimate needs a sample"
         fields = {name: value for name, value in self.unit.floats(ESTIMATED).items() if math.isfinite(value)}
         if fields["estimated.status"] not in NOT_FITTING:
             self.assembly = int(fields["mode.assembly"])
@@ -247,14 +247,14 @@ class Follower(Rider):
 
     def state(self) -> Message:
         """The complete state, from which a twin can resume in any process."""
-        assert self.book is not None, "there is a state after a sample only"
+        assert self.book is not None, "a state needs a sample"
         content = base64.b64encode(self.unit.state().to_bytes()).decode("ascii")
         extra = {"state": content, "clock": self.unit.time, "book": asdict(self.book), "parameters": self.parameters}
         return Message("state", "", self.book.time, self.book.seq, {}, extra)
 
     def learned(self) -> Message | None:
         """Learned values with standard deviations, and the corresponding start values of a unit; None if nothing is learned."""
-        assert self.book is not None, "something is learned after a sample only"
+        assert self.book is not None, "learning needs a sample"
         if not self.learns:
             return None
         seen = self.unit.floats((*LEARNED, *LEARNED.values(), *MASSES, *DRY))
@@ -305,7 +305,7 @@ class Follower(Rider):
         self.done.clear()
 
     def _remember(self, message: Message) -> None:
-        assert self.book is not None, "what is before the start is not kept"
+        assert self.book is not None, "inputs before the start are not kept"
         if len(self.done) == DEPTH:
             self.done.popleft()
         self.done.append(_Done(message, self.book, self.unit.state()))
@@ -339,7 +339,7 @@ class Follower(Rider):
 
     def _take(self, message: Message) -> None:
         """Processes a sample that is not late."""
-        assert self.book is not None, "a sample is taken after the start only"
+        assert self.book is not None, "a sample is only taken after the start"
         book = self.book
         if message.seq > book.seq:
             self._remember(message)

@@ -104,7 +104,7 @@ def setup(record: Path) -> Message:
     """The message `setup` about the recorded run, which the recorder writes first."""
     for message in messages(record, "setup", refused=lambda _: None):
         return message
-    raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
+    raise TwinError(f"{record} does not describe its run: it has no message `setup`")
 
 
 def rows(record: Path) -> Iterator[Row]:

@@ -129,10 +129,10 @@ def _write(out: Path, content: dict[str, Any], judged: HeldOut) -> list[Path]:
     figures_file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     with plt.rc_context(STYLE):
         pictures = {
-            "errors": (_errors(judged), "Readings less their predictions in the held-out part; areas: 95 % bands"),
+            "errors": (_errors(judged), "Readings minus their predictions in the held-out part; areas: 95 % bands"),
             "coverage": (
                 _coverage(judged),
-                "Share of the errors that bands of each probability hold, counted, and errors beside those of other predictors",
+                "Counted coverage of the bands of each probability, and errors of all predictors",
             ),
         }
         page.write_text(

@@ -117,7 +117,7 @@ def check(data: Data) -> None:
 
 
 def split(given: recording.Recording) -> Data:
-    """Series between gaps and restarts of the clock; those of less than 20 samples are left out."""
+    """Splits a recording at gaps and restarts of the clock; series of less than 20 samples are left out."""
     time, table = given.time, given.columns
     names = tuple(name for name in INPUTS if name in table)
     angles = np.column_stack([table.get(name, np.full(len(time), np.nan)) for name in MEASURED])

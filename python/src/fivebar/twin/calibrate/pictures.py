@@ -84,7 +84,7 @@ def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Fi
     left.set_xlabel("change against the scene, % of its size")
     left.set_title("95 % error bars (blue) and Cramér-Rao bound (orange)")
     known = [k for k in range(count) if judgement.identified[k]]
-    right.set_title("correlations of what is identified" if known else "nothing is identified")
+    right.set_title("correlations of the identified unknowns" if known else "nothing is identified")
     if not known:
         right.set_axis_off()
         return figure

@@ -47,7 +47,7 @@ FRESH: Final = 100
 
 COUNT: Final = 2 * math.pi / 13824
 NOISE: Final = 1e-4
-"""rad."""
+"""Standard deviation of the encoders' white noise, rad."""
 
 LEAST, MOST = 0.90, 0.98
 """Allowed range for the share of 95 % error bars that contain the truth, over random machines."""

@@ -119,7 +119,7 @@ class _Message:
 
 def _bag(file: Path, wanted: Collection[str], clock: str) -> list[Stream]:
     if clock not in (TIME, STAMP, RECEIVED):
-        raise FiveBarError(f"{file} is a bag of ROS, whose clocks are {STAMP} and {RECEIVED}, not {clock}")
+        raise FiveBarError(f"{file} is a bag of ROS with the clocks {STAMP} and {RECEIVED}, not {clock}")
     by_topic: dict[str, list[_Message]] = {}
     for message in _messages(file, wanted):
         if any(name in message.numbers for name in wanted):
@@ -167,7 +167,7 @@ def _messages(file: Path, wanted: Collection[str] | None) -> Iterator[_Message]:
                 if connection.msgtype not in bag.typestore.fielddefs:
                     if wanted is not None:
                         raise FiveBarError(
-                            f"{file} does not say what its type {connection.msgtype} of {connection.topic} is"
+                            f"{file} has no definition of the type {connection.msgtype} of {connection.topic}"
                         )
                     continue
                 # Logs and parameters of nodes contain no angles.
