@@ -130,7 +130,8 @@ impl Linkage {
     /// alone moves them by the square of the error as well, which samples contradict.
     pub(super) fn displaced(&self, at: &Frame, from: &LinkState, error: [f64; 4]) -> Option<(LinkState, Frame)> {
         let (mut state, mut frame) = self.closed(at.displaced(from, error))?;
-        if libm::hypot(error[0], error[1]) > LARGEST_CHARTED_ERROR {
+        let turned = libm::hypot(error[0], error[1]);
+        if turned * turned < LEAST_MISS || turned > LARGEST_CHARTED_ERROR {
             return Some((state, frame));
         }
         // Lengths that have changed move the motors as well, along J⁺.
