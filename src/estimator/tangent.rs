@@ -135,7 +135,8 @@ impl Linkage {
             return Some((state, frame));
         }
         // Lengths that have changed move the motors as well, along J⁺.
-        let aim = at.displaced(&self.closed(*from)?.0, error);
+        let Some((from, _)) = self.closed(*from) else { return Some((state, frame)) };
+        let aim = at.displaced(&from, error);
         for _ in 0..NEWTON_STEPS {
             let miss = Pair::from(MEASURED.map(|link| aim.theta[link] - state.theta[link]));
             if miss.amax() < LEAST_MISS || state.side()[0].abs() < NEAR_SINGULARITY {
@@ -143,6 +144,10 @@ impl Linkage {
             }
             let [a, b] = (frame.holding() * miss).into();
             let Some(closer) = self.closed(frame.displaced(&state, [a, b, 0.0, 0.0])) else { break };
+            // A correction does not change the assembly.
+            if closer.0.side()[0] * state.side()[0] <= 0.0 {
+                break;
+            }
             (state, frame) = closer;
         }
         Some((state, frame))

@@ -164,7 +164,7 @@ impl Instance {
         Ok(())
     }
 
-    /// Allocates the rollback copy for steps that may fail midway: neither they nor the calls that tune parameters allocate anything.
+    /// Allocates the rollback copy, so that neither steps that may fail midway nor calls that tune parameters allocate it.
     fn prepare_to_go_back(&mut self) {
         let [before, now] = [&self.before, &self.now.scene].map(|scene| scene.as_ref().map(std::mem::discriminant));
         // An estimator has parts of its own that depend on the scene.
