@@ -22,7 +22,7 @@ pub(super) struct Alarm {
     time_since_sample: f64,
     /// Mean normalised innovation squared per sample.
     nis: f64,
-    /// Largest inertia torques of the last steps, N·m.
+    /// Peak of the inertia torques with exponential decay, N·m.
     inertia: f64,
 }
 
@@ -40,8 +40,8 @@ impl Alarm {
         self.time_since_sample += h;
     }
 
-    /// Measurement update: `nis` is the normalised innovation squared summed over `samples` samples. `exceed_masses` says whether something explains
-    /// them that errors of masses do not.
+    /// Measurement update: `nis` is the normalised innovation squared summed over `samples` samples. `exceed_masses` returns whether a
+    /// cause explains the samples better than mass errors.
     pub(super) fn receive(
         &mut self,
         belief: &Belief,
@@ -62,7 +62,7 @@ impl Alarm {
         let changes =
             size > SUDDEN_CHANGE.0 * scale && (loud > SUDDEN_CHANGE.1 || loud > PROBABLE_CHANGE.0 && beyond(PROBABLE_CHANGE.1));
         let changes = changes || size > LASTING_CHANGE.0 * scale && beyond(LASTING_CHANGE.1);
-        // Errors of masses are forces as well, large ones where links accelerate by more than the torques that carry them.
+        // Mass errors act like forces, too; these are large if the inertia torques exceed the torque scale.
         if changes && (self.inertia < scale || exceed_masses()) {
             self.time_since_alarm = 0.0;
         }
@@ -81,7 +81,7 @@ impl Alarm {
         self.time_since_alarm < ALARM_DURATION
     }
 
-    /// Whether innovations exceed their covariance.
+    /// Whether the innovations are larger than their covariance allows.
     pub(super) fn is_inconsistent(&self) -> bool {
         self.nis > LARGEST_CONSISTENT_NIS
     }

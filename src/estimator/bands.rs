@@ -10,7 +10,7 @@ use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
 use super::tuning::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
 use super::{Estimator, Machine};
 
-/// Squares of cosine and sine of eight angles evenly over a quarter turn.
+/// cos² and sin² of eight angles, evenly spaced over a quarter turn.
 const DIRECTIONS: [[f64; 2]; 8] = [
     [0.9903926402016152, 0.009607359798384785],
     [0.9157348061512726, 0.08426519384872737],
@@ -21,14 +21,14 @@ const DIRECTIONS: [[f64; 2]; 8] = [
     [0.08426519384872737, 0.9157348061512726],
     [0.009607359798384785, 0.9903926402016152],
 ];
-/// Radius beyond which 5 % never lie, in standard deviations of the widest model along its widest axis: √(−2 ln 0.05) and more.
+/// Upper bound of the 95 % radius, in standard deviations of the widest model along its widest axis: slightly more than √(−2 ln 0.05).
 const WIDEST: f64 = 2.5;
-/// Bisections of the radius: to a part in 1e9 of the widest.
+/// Bisections of the radius: its error is 1e-9 of the upper bound.
 const BISECTIONS: usize = 30;
 
 impl Estimator {
-    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the start is doubted both assemblies count
-    /// alike.
+    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the assembly of the start is in
+    /// doubt, both assemblies have equal weight.
     pub fn sigmas(&self, machine: &Machine, motion: &LinkState) -> [Links; 2] {
         let own = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>, points: Option<[Links; 2]>| {
             let frame = machine.linkage.frame(&motion.theta);
@@ -57,7 +57,7 @@ impl Estimator {
         covariance.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
     }
 
-    /// Covariance of the tip about that of a motion, m². While the start is doubted both assemblies count alike.
+    /// Covariance of the tip about the tip of a motion, m². While the assembly of the start is in doubt, both assemblies have equal weight.
     pub fn tip_covariance(&self, machine: &Machine, motion: &LinkState) -> Matrix2<f64> {
         let of_models = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| -> Matrix2<f64> {
             tip_of_models(machine, motion, belief, learning).iter().map(|(weight, about)| about * *weight).sum()
@@ -68,15 +68,16 @@ impl Estimator {
             let added = tip_by_geometry(machine, (motion, &frame), (&self.belief, self.learning.as_deref()));
             about + mixed(&self.belief.bank, &added)
         });
-        // Sigma points of the motion may contradict the geometry that has been learned.
+        // Together with learned geometry, sigma points may give a covariance that is not positive definite.
         let known = by_points.filter(|about| about.trace() > 0.0 && about.determinant() > 0.0).unwrap_or_else(by_models);
         let Some(other) = self.doubt.other() else { return known };
         let apart = tip_apart(machine, motion, &other.motion);
         (known + of_models(&other.motion, &other.belief, None) + apart * apart.transpose()) / 2.0
     }
 
-    /// Radius about the tip, m, that holds it with 95 % of probability: quantile of the mixture of the models, each normal. While the start is
-    /// doubted, in either assembly. No two places of the tip are further apart than the diameter of its reach.
+    /// Radius of a circle about the tip, m, that contains the true tip with a probability of 95 %: the quantile of a mixture of normal
+    /// distributions, one per model. While the assembly of the start is in doubt, the circle contains the tip in either assembly. The
+    /// radius is at most the diameter of the tip's reach.
     pub fn tip_radius(&self, machine: &Machine, motion: &LinkState) -> f64 {
         let radius = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| {
             let models = tip_of_models(machine, motion, belief, learning).map(|(weight, about)| {
@@ -92,8 +93,8 @@ impl Estimator {
         own.max(self.doubt.other().map_or(0.0, beside)).min(machine.linkage.widest_reach())
     }
 
-    /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, where
-    /// motors cannot exert it.
+    /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; `None` close to a direct singularity, because
+    /// the motors cannot exert the force there.
     pub fn motor_torques(&self, machine: &Machine, motion: &LinkState) -> Option<([f64; 2], [f64; 2])> {
         let frame = machine.linkage.frame(&motion.theta);
         // Torques τ of the motors have the effect N_Mᵀ τ on the tangent basis.
@@ -105,7 +106,7 @@ impl Estimator {
     }
 }
 
-/// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 by the errors of a belief.
+/// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 in a belief.
 pub(super) fn sigmas(frame: &Frame, belief: &Belief) -> [Links; 2] {
     let covariance = belief.bank.covariance();
     [0, 2].map(|first| {
@@ -114,14 +115,15 @@ pub(super) fn sigmas(frame: &Frame, belief: &Belief) -> [Links; 2] {
     })
 }
 
-/// Mixture of moments of the models.
+/// Moments of the mixture, by the moments of each model.
 fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) -> SMatrix<f64, R, R> {
     moments.iter().zip(&bank.members).map(|(moments, member)| moments * member.weight).sum()
 }
 
-/// Second moments, in each model, that errors of lengths and encoders add to those of a quantity which errors of the motion move by the first of two
-/// derivatives, and lengths and mounting angles by the second. Those that are not learned persist while encoders hold the motors as far as possible, as
-/// further errors of encoders do at any time.
+/// Extra second moments of a quantity due to errors of lengths and encoders, for each model. `by_error` and `by_parameters` are the
+/// derivatives of the quantity with respect to errors of the motion, and to lengths and mounting angles. Lengths and mounting angles that
+/// are not learned act at constant readings of the encoders, and so do the errors of the encoders' discs and scales, which are never
+/// learned.
 fn by_geometry<const R: usize>(
     machine: &Machine,
     (motion, frame): (&LinkState, &Frame),
@@ -143,7 +145,7 @@ fn by_geometry<const R: usize>(
     added.map(|added| added + further)
 }
 
-/// Second moments, in each model, that errors of lengths and encoders add to those of the tip, m².
+/// Extra second moments of the tip due to errors of lengths and encoders, for each model, m².
 fn tip_by_geometry(
     machine: &Machine,
     (motion, frame): (&LinkState, &Frame),
@@ -152,7 +154,7 @@ fn tip_by_geometry(
     by_geometry(machine, (motion, frame), belief, (&frame.tip(), &frame.tip_by_geometry()))
 }
 
-/// Probability of each model of a motion, and second moments of its tip about that of the motion, m².
+/// Probability of each model, and second moments of its tip about the tip of the motion, m².
 fn tip_of_models(
     machine: &Machine,
     motion: &LinkState,
@@ -161,7 +163,7 @@ fn tip_of_models(
 ) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = machine.linkage.frame(&motion.theta);
     let (tip, added) = (frame.tip(), tip_by_geometry(machine, (motion, &frame), (belief, learning)));
-    // Where exact links lie folded back onto each other, the tip is on the motors' axis whatever their angles are.
+    // If exact links lie folded onto each other, the tip is on the motors' axis at any motor angle, and its variance would be 0.
     let least = Matrix2::from_diagonal_element((LEAST_SIGMA * machine.linkage.length).powi(2));
     std::array::from_fn(|j| {
         let Member { weight, error, covariance } = &belief.bank.members[j];
@@ -170,14 +172,15 @@ fn tip_of_models(
     })
 }
 
-/// Way from the tip of a motion to that of another, m.
+/// Vector from the tip of one motion to the tip of another, m.
 fn tip_apart(machine: &Machine, from: &LinkState, to: &LinkState) -> Pair {
     machine.linkage.tip(&to.theta) - machine.linkage.tip(&from.theta)
 }
 
-/// Radius that holds 95 % of a mixture of normal distributions about one centre, m, by probability and variances along both axes, m².
+/// Radius that contains 95 % of a mixture of normal distributions with one centre, m. Each model has a probability and variances along both
+/// principal axes, m².
 fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
-    // Over directions of the whitened error, along each of which its square is exponential.
+    // Mean over directions of the whitened error; in each direction its square has an exponential distribution.
     let within = |radius: f64| -> f64 {
         let part = |(weight, variances): &(f64, Pair)| {
             let beyond = DIRECTIONS.map(|direction| {
@@ -205,13 +208,14 @@ fn radius_of_95_percent(models: &[(f64, Pair)]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Circles, lines, and a loud model that is less probable than 5 % hardly widens the radius.
+    /// Circles and lines have the exact radius; a loud model with a probability below 5 % hardly widens it.
     #[test]
     fn radii_hold_95_percent() {
         let radius = |models: &[(f64, [f64; 2])]| {
             radius_of_95_percent(&models.iter().map(|(weight, variances)| (*weight, (*variances).into())).collect::<Vec<_>>())
         };
-        // Quantiles of the Rayleigh, half-normal and Rayleigh distributions; tolerances: bisection, and eight directions of a line.
+        // Quantiles of the Rayleigh, half-normal and Rayleigh distributions; tolerances: bisection; eight directions for a line; the loud
+        // model.
         for (models, expected, tolerance) in [
             (&[(1.0, [4.0, 4.0])][..], 2.0 * (-2.0 * 0.05_f64.ln()).sqrt(), 1e-8),
             (&[(1.0, [1.0, 0.0])], 1.959964, 1e-3),

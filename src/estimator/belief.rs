@@ -1,8 +1,9 @@
-//! Belief about a motion: the unknown force, and a bank of errors about the motion and that force, on the tangent space at the motion.
+//! Belief about a motion: the unknown force, and a bank of filters for the errors of motion and force on the tangent space at the motion.
 //!
-//! The bank has interacting multiple models: four process noises in parallel, each with its own error mean and covariance about one estimate, mixed
-//! by their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
-//! The models differ in the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
+//! The bank has interacting multiple models: four filters with different process noises run in parallel, each with its own mean and
+//! covariance of the errors of one common estimate, and are mixed by their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control
+//! 33 (1988) 780). The models differ in the random walk of the unknown force, in the intensity of a white torque, and in the errors of the
+//! links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
@@ -20,13 +21,13 @@ use super::tuning::{
     MODELS, NEGLIGIBLE_PROBABILITY, TAKEN_AS_KNOWN,
 };
 
-/// Unknown force, and errors about it and about a motion that stands elsewhere.
+/// Unknown force, and errors of the force and of a motion. The motion is stored elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Belief {
-    /// Unknown force as motor torques, N·m, and a tip force, N: the smallest inputs with its effect.
+    /// Unknown force as motor torques, N·m, and a tip force, N: the smallest inputs that have its effect.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     pub force: Links,
-    /// Bank of errors about the motion and the force.
+    /// Bank of errors of the motion and the force.
     pub bank: Bank,
 }
 
@@ -42,7 +43,7 @@ impl Belief {
     }
 
     /// Injects the mean error into a motion and the force. Returns the error, the map between the tangent bases and the new frame; `None`,
-    /// with nothing changed, where the loop cannot be closed.
+    /// with nothing changed, if the loop cannot be closed or the motion would be too fast.
     pub(super) fn inject_error(
         &mut self,
         linkage: &Linkage,
@@ -50,7 +51,7 @@ impl Belief {
         motion: &mut LinkState,
     ) -> Option<(Error, Matrix2<f64>, Frame)> {
         let mut error = self.bank.mean();
-        // Persistent errors of encoders stay where they are.
+        // Persistent errors of the encoders stay in the bank.
         error.fixed_rows_mut::<2>(READINGS).fill(0.0);
         let [a, b, c, d, ..]: [f64; ERRORS] = error.into();
         let (corrected, to) = linkage.displaced(from, motion, [a, b, c, d])?;
@@ -65,8 +66,8 @@ impl Belief {
         Some((error, turn, to))
     }
 
-    /// Mean and covariance of the errors with another force, by its change on the tangent basis, N·m, which is as certain as that of a quiet
-    /// model and uncorrelated with the motion.
+    /// Mean and covariance of the errors after a `change` of the force on the tangent basis, N·m. The new force has the covariance of a
+    /// quiet model and no correlation with the motion.
     pub(super) fn with_force(&self, change: &Pair) -> (Error, Matrix) {
         let (mut error, mut covariance) = self.bank.moments();
         let certain = self.bank.members[CAUSE_MODEL].covariance.fixed_view::<2, 2>(FORCE, FORCE).into_owned();
@@ -118,26 +119,27 @@ pub struct Innovation {
 }
 
 impl Innovation {
-    /// Innovation of a sample that an encoder takes of a motion, with its noise, rad², and the standard deviation of its persistent error, rad.
+    /// Innovation of an encoder's sample about a motion, by the measured angle, rad, the noise, rad², and the standard deviation of the
+    /// persistent error, rad.
     pub(super) fn new(motion: &LinkState, at: &Frame, encoder: usize, angle: f64, [noise, persistent]: [f64; 2]) -> Self {
         Self { residual: wrapped(angle - motion.theta[MEASURED[encoder]]), row: at.row(encoder), noise }
             .with_persistent_error(encoder, persistent)
     }
 
-    /// Innovation of a sample with a persistent error of this standard deviation, rad.
+    /// The same innovation with a persistent error of this standard deviation, rad.
     pub(super) fn with_persistent_error(mut self, encoder: usize, persistent: f64) -> Self {
         self.row[READINGS + encoder] = persistent;
         self
     }
 }
 
-/// Expectation of a sample by the models.
+/// Prediction of a sample by each model.
 #[derive(Clone, Copy, Debug)]
 pub struct Prediction {
     pub(super) weights: [f64; MODELS],
     /// Residual, rad, its variance S = H P Hᵀ + R, rad², and P Hᵀ, for each model.
     pub(super) each: [(f64, f64, Error); MODELS],
-    /// Variance by which innovations last that are no white noise, rad², to compare the models.
+    /// Variance of the part of the innovation that is not white, rad²; used only to compare the models.
     pub(super) lasting: f64,
 }
 
@@ -156,13 +158,13 @@ impl Prediction {
         self.nis_with_less(0.0)
     }
 
-    /// Normalised innovation squared of the mixture, with the noise less by `excess`, rad².
+    /// Normalised innovation squared of the mixture, with the noise reduced by `excess`, rad².
     pub(super) fn nis_with_less(&self, excess: f64) -> f64 {
         let (mean, variance) = self.mixture_moments();
         mean * mean / (variance - excess)
     }
 
-    /// Normalised innovation squared of the loudest model, with the noise less by `excess`, rad².
+    /// Normalised innovation squared of the loudest model, with the noise reduced by `excess`, rad².
     pub fn nis_of_loudest_model(&self, excess: f64) -> f64 {
         let (residual, variance, _) = self.each[MODELS - 1];
         residual * residual / (variance - excess)
@@ -185,7 +187,7 @@ impl Bank {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
-    /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
+    /// Transforms all errors to another tangent basis: `turn` maps angles, rates and force.
     pub fn change_basis(&mut self, turn: &Matrix2<f64>) {
         for member in self.active_members() {
             turn_errors(turn, &mut member.error);
@@ -193,9 +195,9 @@ impl Bank {
         }
     }
 
-    /// Time update by h seconds: mixing of the models, transition F, process noise. The scales are the torque scale and the inertia torques,
-    /// N·m, and by how much more the unknown force walks, N·m/√s. A model persists for `switch_time`, s, before one drawn from `priors`
-    /// replaces it.
+    /// Time update by h seconds: mixing of the models, transition F, process noise. `scales` are the torque scale, N·m, the inertia
+    /// torques, N·m, and an additional random walk of the unknown force, N·m/√s. A model lasts for `switch_time`, s, on average; then a
+    /// model drawn from `priors` replaces it.
     pub fn predict(
         &mut self,
         f: &Transition,
@@ -208,7 +210,7 @@ impl Bank {
         self.predict_with(f, noise, (&TAKEN_AS_KNOWN, scales), (persistence(h, switch_time), priors), end);
     }
 
-    /// Time update with the share of a model that stays, in which `end` completes what has become of a model and bounds it.
+    /// Time update with the probability `stay` that a model persists; `end` runs on each model after the prediction and bounds it.
     pub(super) fn predict_with(
         &mut self,
         f: &Transition,
@@ -234,7 +236,8 @@ impl Bank {
         }
     }
 
-    /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`LIKELY_MODELS`]; evidence of samples stays.
+    /// Replaces the priors of the models: the probabilities contain `model_prior`, and then contain [`LIKELY_MODELS`]. The evidence of the
+    /// samples stays.
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
         for (member, (prior, model_prior)) in self.members.iter_mut().zip(LIKELY_MODELS.iter().zip(model_prior)) {
             member.weight *= prior / model_prior;
@@ -266,7 +269,7 @@ impl Bank {
         (mean, all)
     }
 
-    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S; their probabilities change by the likelihoods.
+    /// Measurement update of all models by a sample, with gain K = P Hᵀ/S, and of their probabilities by the likelihoods.
     pub fn update(&mut self, expected: &Prediction) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
@@ -286,7 +289,7 @@ impl Bank {
         self.normalise();
     }
 
-    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
+    /// Subtracts from the mean errors the part `by` that has been added to the common estimate.
     pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
             member.error -= by;
@@ -325,13 +328,13 @@ impl Bank {
         }
     }
 
-    /// Bank with the moments of this one in all models, and these probabilities.
+    /// Bank with these probabilities, and with the moments of this mixture in all models.
     pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
         let (error, covariance) = self.moments();
         Self { members: priors.map(|weight| Member { weight, error, covariance }) }
     }
 
-    /// Bank with zero mean of the force, of this variance, (N·m)², and uncorrelated with the motion.
+    /// Bank in which the force has zero mean error, this variance, (N·m)², and no correlation with the motion.
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
         for Member { error, covariance, .. } in &mut bank.members {
@@ -346,13 +349,14 @@ impl Bank {
         self.members.iter().zip(TAKEN_AS_KNOWN.force_walk).map(|(member, walk)| member.weight * walk).sum()
     }
 
-    /// Covariance of the error about the estimate, the mean error included.
+    /// Second moments of the error about the estimate, including its mean.
     pub fn covariance(&self) -> Matrix {
         let (mean, covariance) = self.moments();
         covariance + mean * mean.transpose()
     }
 
-    /// Covariance of the force about zero error, (N·m)²: a block of [`Self::covariance`] for 1,700 instructions less in a sample.
+    /// Covariance of the force about zero error, (N·m)²: a block of [`Self::covariance`], computed alone to save 1,700 instructions per
+    /// sample.
     pub fn force_covariance(&self) -> Matrix2<f64> {
         self.members
             .iter()
@@ -363,7 +367,7 @@ impl Bank {
             .sum()
     }
 
-    /// Expectation of a sample.
+    /// Prediction of a sample by each model.
     pub fn prediction(&self, sample: &Innovation) -> Prediction {
         let each = self.members.each_ref().map(|Member { weight, error, covariance }| {
             if *weight == 0.0 {
@@ -376,19 +380,19 @@ impl Bank {
     }
 }
 
-/// How much a model keeps of its own moments in a time update, and how much it takes of the mixture's.
+/// Shares of a model's own moments and of the mixture's moments in a time update.
 #[derive(Clone, Copy)]
 pub(super) struct Mixing {
     /// Probability.
     pub(super) weight: f64,
     /// Share of the model's own moments.
     pub(super) own: f64,
-    /// Share of the mixture's.
+    /// Share of the mixture's moments.
     pub(super) any: f64,
 }
 
 impl Mixing {
-    /// Shares of a model of this probability, which has stayed, or to which any model has switched. Those of a model that takes no part are no numbers.
+    /// Shares of a model of this probability: either it stays, or any model switches to it. If its new probability is 0, they are NaN.
     pub(super) fn new(weight: f64, stay: f64, prior: f64) -> Self {
         let (own, any) = (weight * stay, (1.0 - stay) * prior);
         let weight = own + any;
@@ -396,21 +400,22 @@ impl Mixing {
     }
 }
 
-/// Probability that a model stays for h seconds, where it lasts for `switch_time`, s, on average.
+/// Probability that a model persists for h seconds if it lasts for `switch_time`, s, on average.
 pub(super) fn persistence(h: f64, switch_time: f64) -> f64 {
     libm::exp(-h / switch_time)
 }
 
 impl Intensities {
-    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. The scales are
-    /// the torque scale and the inertia torques, N·m, and by how much more the force walks, N·m/√s.
+    /// Process noise of model j: spectral density of the white torque, (N·m)²·s, and variance rate of the unknown force, (N·m)²/s. The
+    /// scales are the torque scale, N·m, the inertia torques, N·m, and an additional random walk of the force, N·m/√s.
     pub(super) fn of_model(&self, j: usize, [scale, inertia, further]: [f64; 3]) -> [f64; 2] {
         let walk = scale * scale * self.force_walk[j] + inertia * inertia * self.mass_walk[j] + further * further;
         [scale * scale * self.white_torque[j], walk]
     }
 }
 
-/// Bounds the errors of model j and their variances in unobserved directions; `also` takes the index of each variance that is scaled, and the factor.
+/// Bounds the errors of model j and their variances in unobserved directions; `also` gets the index and the factor of each variance that is
+/// scaled.
 pub(super) fn bound(j: usize, Member { error, covariance, .. }: &mut Member, mut also: impl FnMut(usize, f64)) {
     let largest = [LARGEST_ANGLE_VARIANCES[j], LARGEST_RATE_VARIANCE];
     for i in 0..FORCE {
@@ -430,7 +435,8 @@ mod tests {
     use super::*;
     use crate::estimator::tuning::{BY_INTERVALS, BY_NOISE};
 
-    /// Without samples the probabilities become [`LIKELY_MODELS`]; evidence of samples stays; models of probability 0 stay out.
+    /// With the priors reset, a bank without samples has the probabilities [`LIKELY_MODELS`]; evidence of samples stays; probabilities of 0
+    /// stay 0.
     #[test]
     fn forecasts_are_of_what_is_likely() {
         let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {
