@@ -1,7 +1,7 @@
-//! Causes: which of several explanations the samples since something went wrong speak for.
+//! Causes: the most probable explanation of the samples since something went wrong.
 //!
-//! From the first sample that surprises on, a witness follows the errors beside the bank (`witness.rs`); an explanation is a set of faults
-//! that it leaves free.
+//! From the first surprising sample on, a witness (`witness.rs`) follows the errors in parallel to the bank. An explanation is a set of
+//! faults that the witness leaves free.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
@@ -28,7 +28,7 @@ pub enum Cause {
     TipForce,
     /// An encoder, 0: left, 1: right.
     Encoder(usize),
-    /// Payload or friction other than the parameters.
+    /// Payload or friction that differ from the parameters.
     Parameters,
     /// Times of the samples.
     Timing,
@@ -47,29 +47,29 @@ impl Cause {
         Self::Timing,
     ];
 
-    /// Number as told to a master.
+    /// Number of the cause as reported to the master.
     pub fn number(self) -> usize {
         Self::ALL.iter().position(|cause| *cause == self).unwrap_or_default()
     }
 }
 
-/// Witness of something that surprises.
+/// A surprise and its witness.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Surprise {
     /// Duration, s.
     age: f64,
-    /// Whether something has been wrong.
+    /// Whether an alarm or a fault has confirmed the surprise.
     confirmed: bool,
     witness: Witness,
 }
 
-/// Judge of the causes: at work from a surprise on.
+/// Judge of the causes; active from a surprise on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Causes {
     surprise: Option<Surprise>,
-    /// Number and probability of the last cause before the surprise, or of one that was certain.
+    /// Number and probability of the last cause before the surprise, or of a certain cause.
     last: Option<(u8, f64)>,
-    /// Time since something last was wrong, s.
+    /// Time since the last alarm or fault, s.
     calm: f64,
 }
 
@@ -79,18 +79,18 @@ impl Causes {
         self.surprise.as_ref().is_some_and(|surprise| surprise.age < EVIDENCE_TIME)
     }
 
-    /// Surprise whose samples are still judged.
+    /// The surprise, if its samples are still judged.
     fn judge(&mut self) -> Option<&mut Surprise> {
         self.surprise.as_mut().filter(|surprise| surprise.age < EVIDENCE_TIME)
     }
 
-    /// Surprise behind which something has been wrong.
+    /// The surprise, if an alarm or a fault has confirmed it.
     fn confirmed(&self) -> Option<&Surprise> {
         self.surprise.as_ref().filter(|surprise| surprise.confirmed)
     }
 
-    /// Whether a force, parameters or timing explain the samples since the last surprise that errors of masses do not. Encoders have gates of their
-    /// own, and an offset looks like a mass in a fast passage.
+    /// Whether a force, parameters or timing explain the samples since the last surprise better than mass errors. Encoder faults do not
+    /// count: encoders have their own gates, and in fast motion an offset looks like a mass error.
     pub(super) fn exceed_masses(&self, machine: &Machine) -> bool {
         self.surprise.as_ref().is_some_and(|surprise| {
             let [masses, left, right, tip, _, _, parameters, timing] = surprise.evidence(machine, None);
@@ -98,8 +98,8 @@ impl Causes {
         })
     }
 
-    /// Begins to judge where an innovation of normalised square `nis` surprises, or where an alarm is raised. `start`: rates of the
-    /// estimate on its tangent basis, rad/s, and mean and covariance of its errors.
+    /// Starts a judgement if an innovation with the normalised square `nis` surprises, or if an alarm is raised. `start` returns the rates
+    /// of the estimate on its tangent basis, rad/s, and the mean and covariance of its errors.
     pub(super) fn begin_where_surprised(
         &mut self,
         machine: &Machine,
@@ -123,14 +123,15 @@ impl Causes {
         }
     }
 
-    /// Measurement update by a sample of encoder i, before that of the estimate.
+    /// Measurement update by a sample of encoder i, before the update of the estimate.
     pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(surprise) = self.judge() {
             surprise.witness.receive(i, sample);
         }
     }
 
-    /// Ends the collection of evidence where the errors are no longer followed; `wrong`: because the estimate was.
+    /// Ends the collection of evidence when the errors are no longer followed. `wrong`: the estimate was wrong, which confirms the
+    /// surprise.
     pub(super) fn close(&mut self, wrong: bool) {
         if let Some(surprise) = &mut self.surprise {
             surprise.age = surprise.age.max(EVIDENCE_TIME);
@@ -138,20 +139,20 @@ impl Causes {
         }
     }
 
-    /// Takes over a cause that is certain: it explains what has surprised.
+    /// Takes over a certain cause, which explains the surprise.
     pub(super) fn know(&mut self, cause: Cause) {
         *self = Self { surprise: None, last: Some((cause.number() as u8, 1.0)), calm: 0.0 };
     }
 
-    /// Follows a correction of the motion by an error that turns its tangent basis.
+    /// Applies a correction of the motion by `error`, which turns the tangent basis by `turn`.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         if let Some(surprise) = self.judge() {
             surprise.witness.correct(error, turn);
         }
     }
 
-    /// Time update by h seconds: `wrong` says whether an alarm is raised or an encoder fails; `accelerations` are
-    /// those on the tangent basis, rad/s².
+    /// Time update by h seconds: `wrong` says whether an alarm is raised or an encoder fails; `accelerations` returns the accelerations on
+    /// the tangent basis, rad/s².
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
@@ -180,7 +181,7 @@ impl Causes {
         }
     }
 
-    /// Most probable cause and its probability. `away`: an encoder whose readings have left the estimate.
+    /// Most probable cause and its probability. `away`: an encoder with readings that have jumped away from the estimate.
     pub(super) fn most_probable(&self, machine: &Machine, away: Option<usize>) -> (Cause, f64) {
         match (self.confirmed(), self.last) {
             (Some(surprise), _) => surprise.most_probable(machine, away),
@@ -218,7 +219,7 @@ impl Surprise {
         probabilities.map(|probability| (1.0 - UNEXPLAINED) * probability / sum)
     }
 
-    /// Logarithms of the evidence of all causes, that of masses which are off for none of them.
+    /// Log-evidence of all causes; the first, no cause, is mass errors alone.
     fn evidence(&self, machine: &Machine, away: Option<usize>) -> [f64; Cause::ALL.len()] {
         let (sizes, known) = (prior_sizes(machine), PARAMETERS + MASSES.start..PARAMETERS + MASSES.end);
         let explained = Cause::ALL.map(|cause| {
@@ -234,7 +235,7 @@ impl Surprise {
             self.witness.explained(&Faults::from_fn(|k, _| if known.contains(&k) || free.contains(&k) { sizes[k] } else { 0.0 }))
         });
         let most = explained.iter().fold(0.0_f64, |most, (less, _)| most.max(*less));
-        // Evidence is divided by the scatter that the best explanation leaves, where that is more than noise.
+        // The evidence is divided by the scatter that the best explanation leaves, if this scatter exceeds the noise.
         let scatter = ((self.witness.squares - most) / self.witness.samples.max(1.0)).max(LEAST_SCATTER);
         std::array::from_fn(|k| {
             let ((less, freedom), cause) = (explained[k], Cause::ALL[k]);

@@ -1,17 +1,17 @@
-//! Doubt about the start: encoders do not see the assembly, and a start may be in the wrong one. Both are followed until motion has told them
-//! apart.
+//! Doubt about the start: encoders do not measure the assembly, so a start may be in the wrong one. Both assemblies are followed until the
+//! motion decides between them.
 //!
-//! The motion in the other assembly has an unknown force of its own. About each motion a witness (`witness.rs`) knows no force but one of any
-//! size that hardly changes, and leaves masses, payload, friction and a delay of the samples free. An assembly that is wrong needs a force that
-//! changes as the machine accelerates, which none of these explains. With the sum X of r²/S that the best of them leave, and the determinant D
-//! that their freedom costs, the evidence for the start is
+//! The motion in the other assembly has its own unknown force. Each motion has a witness (`witness.rs`), which allows only an unknown force
+//! of any size that hardly changes, and leaves masses, payload, friction and a delay of the samples free. The wrong assembly needs a force
+//! that changes as the machine accelerates, and none of these explains such a force. X is the sum of r²/S that the best values of the free
+//! parameters leave, and the determinant D is the cost of their freedom. The evidence for the start is
 //!
 //! ```text
 //! ½ [ (X' − X)/c + ln D' − ln D ]        c = max(1, min(X, X')/n)
 //! ```
 //!
-//! with a dash in the other assembly, after n samples. Next to the readings' noise the process noise of both witnesses is small: by a larger one r²/S
-//! would be smaller in the assembly whose motors it moves more.
+//! after n samples; the dash marks the other assembly. The process noise of both witnesses is small compared with the noise of the
+//! readings. A larger process noise would favour the assembly in which it moves the motors more, because r²/S would be smaller there.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
@@ -31,28 +31,28 @@ use super::witness::{ByFaults, DELAY, Faults, Witness, prior_sizes};
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 #[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
 pub(super) enum Doubt {
-    /// Both encoders have not been heard yet.
+    /// No samples of both encoders have arrived together yet.
     Pending,
     /// Both assemblies are followed.
     Open(Branches),
-    /// The assembly is known, or a later question asks for it.
+    /// The assembly is known, or the hypotheses (`hypotheses.rs`) decide it.
     Ended,
 }
 
-/// Estimate and motion in the other assembly, in comparison.
+/// Comparison of the estimate with the motion in the other assembly.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Branches {
     other: Alternative,
     /// Witnesses about the estimate and about the other motion.
     witnesses: [Witness; 2],
-    /// Logarithm of the odds of the start.
+    /// Log-odds of the start.
     evidence: f64,
 }
 
 /// Verdict of the samples on the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// Nothing yet.
+    /// Undecided.
     Open,
     /// The start is in the right assembly.
     Right,
@@ -76,7 +76,7 @@ impl Doubt {
         if let Self::Open(branches) = self { Some(&branches.other) } else { None }
     }
 
-    /// Begins with the first samples of both encoders, where the assemblies are not one.
+    /// Opens the doubt at the first samples of both encoders, unless the assemblies coincide.
     pub(super) fn begin(&mut self, machine: &Machine, motion: &LinkState) {
         if matches!(self, Self::Pending) {
             let other = Alternative::of_start(machine, motion);
@@ -85,22 +85,22 @@ impl Doubt {
         }
     }
 
-    /// Receives a sample of encoder i, as the estimate has expected it, before its own update.
+    /// Receives a sample of encoder i about the estimate, before the update of the estimate.
     pub(super) fn receive(&mut self, i: usize, sample: &Innovation) {
         if let Some(branches) = self.branches() {
             branches.witnesses[0].receive(i, sample);
         }
     }
 
-    /// Follows a correction of the estimate by an error that turns its tangent basis.
+    /// Applies a correction of the estimate by `error`, which turns the tangent basis by `turn`.
     pub(super) fn follow(&mut self, error: &Error, turn: &Matrix2<f64>) {
         if let Some(branches) = self.branches() {
             branches.witnesses[0].correct(error, turn);
         }
     }
 
-    /// Measurement update of the other motion by samples, and of its witness by those that the estimate's witness has `seen`, after the update of the
-    /// estimate. Returns the motion that replaces the estimate, if any.
+    /// Measurement update of the other motion by `samples` and of its witness by `seen`, the samples that the estimate's witness has
+    /// received. Called after the update of the estimate. Returns the motion that replaces the estimate, if any.
     pub(super) fn correct(
         &mut self,
         machine: &Machine,
@@ -116,8 +116,8 @@ impl Doubt {
         (verdict == Verdict::Wrong).then_some(other)
     }
 
-    /// Time update by h seconds, after that of the estimate by a step from a motion to another under an unknown force. Returns the logarithm of
-    /// the odds of the other assembly where the doubt ends undecided: at a direct singularity both assemblies are one.
+    /// Time update by h seconds, after the estimate's `step` from one motion to the next under its unknown force. Returns the log-odds of
+    /// the other assembly if the doubt ends undecided, because both assemblies coincide at a direct singularity.
     pub(super) fn step(
         &mut self,
         machine: &Machine,
@@ -135,7 +135,7 @@ impl Doubt {
         };
         let (before, acts) = (other.motion, other.belief.force);
         let Some(beside) = other.propagate(machine, scene, Moves::Under(&acts), h) else {
-            // No motion in the other assembly goes on.
+            // The motion in the other assembly cannot continue.
             *self = Self::Ended;
             return None;
         };
@@ -175,7 +175,7 @@ impl Branches {
         self.judge(machine)
     }
 
-    /// Weighs the evidence.
+    /// Updates the evidence and returns the verdict.
     fn judge(&mut self, machine: &Machine) -> Verdict {
         let sizes = prior_sizes(machine);
         let free = Faults::from_fn(|k, _| if k < DELAY { 0.0 } else { sizes[k] });
@@ -188,7 +188,7 @@ impl Branches {
         let [most, enough] = NEITHER_FITS;
         let evidence = 0.5 * ((other.0 - own.0) / scatter.max(1.0) + other.1 - own.1);
         if !evidence.is_finite() || scatter > most && samples > enough {
-            // Something acts that neither explains.
+            // Neither assembly explains the samples: both witnesses restart.
             (self.witnesses, self.evidence) = (witnesses(machine), 0.0);
             return Verdict::Open;
         }
@@ -202,7 +202,7 @@ impl Branches {
     }
 }
 
-/// Witnesses that have seen nothing, of errors as of a start, and of an unknown force of any size.
+/// Witnesses without samples, with the errors of a start and an unknown force of any size.
 fn witnesses(machine: &Machine) -> [Witness; 2] {
     let [angles, rates, _] = machine.start_variances();
     let force = (DOUBT_FORCE * machine.torque_scale()).powi(2);

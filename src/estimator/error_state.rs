@@ -1,9 +1,10 @@
-//! Error state of the filters: on the tangent basis N two components of the angles, two of the rates, two of the unknown force, and the persistent errors
-//! of both encoders; and what becomes of its covariance P by a transition, by a sample and by another basis. Every covariance is symmetric to the bit.
-//! Behind it stand the parameters that may be learned.
+//! Error state of the filters: two components of the angles, two of the rates and two of the unknown force on the tangent basis N, and the
+//! persistent errors of both encoders. The parameters that may be learned follow these errors. The functions here transform the covariance
+//! P by a transition, a sample or a change of basis; each result is symmetric to the bit.
 //!
-//! A persistent error of a reading, by lengths, mounting and discs, is a Gauss–Markov process b of variance 1 in units of its standard deviation,
-//! which keeps the part φ = τ/(τ + h) of it in h seconds, exp(−h/τ) to first order (Bryson and Ho, *Applied Optimal Control*, 1975, section 12.4):
+//! A persistent error of a reading, due to lengths, mounting and discs, is a Gauss–Markov process b with variance 1 in units of its
+//! standard deviation s. In h seconds it keeps the part φ = τ/(τ + h), which is exp(−h/τ) to first order (Bryson and Ho, *Applied Optimal
+//! Control*, 1975, section 12.4):
 //!
 //! ```text
 //! y = H x + s b + v        b' = φ b + w        w ~ N(0, 1 − φ²)
@@ -36,11 +37,11 @@ pub type Transition = SMatrix<f64, MOVING, MOVING>;
 
 /// Number of parameters that may be learned.
 pub const LEARNED: usize = 18;
-/// Number of loads, the first: masses, payload and friction.
+/// Number of loads, which come first: masses, payload and friction.
 pub const LOADS: usize = 11;
-/// Number of lengths and mounting angles, behind the loads.
+/// Number of lengths and mounting angles, which follow the loads.
 pub const GEOMETRY: usize = LEARNED - LOADS;
-/// Logarithms of the factors of the masses of links 1 to 4, inertias along with them.
+/// Logarithms of the factors of the masses of links 1 to 4; inertias have the same factors.
 pub const MASSES: Range<usize> = 0..4;
 /// Mass of the payload, kg.
 pub const PAYLOAD: usize = 4;
@@ -50,12 +51,13 @@ pub const VISCOUS: Range<usize> = 5..10;
 pub const DRY: usize = 10;
 /// Lengths of links 1 to 4 and of the base: errors of the parameters, m.
 pub const LENGTHS: Range<usize> = LOADS..LOADS + 5;
-/// Mounting angles of the encoders, rad, on which servos close.
+/// Mounting angles of the encoders, rad; servos close their loops on the encoders.
 pub const OFFSETS: Range<usize> = LENGTHS.end..LEARNED;
 /// Values of the parameters: logarithms, kg, N·m·s/rad, m, rad.
 pub type Learned = SVector<f64, LEARNED>;
 
-/// Moves errors, by columns, by a transition F, with the part `kept` of persistent errors. A force moves angles and rates, and stays as it is but for the basis.
+/// Propagates errors, one per column, by a transition F; persistent errors keep the part `kept`. A force moves angles and rates; only the
+/// change of basis changes the force itself.
 pub(super) fn move_errors<const C: usize>(f: &Transition, kept: f64, errors: &mut SMatrix<f64, ERRORS, C>) {
     let (of_motion, of_force) = columns(f);
     for column in &mut errors.data.0 {
@@ -67,13 +69,13 @@ pub(super) fn move_errors<const C: usize>(f: &Transition, kept: f64, errors: &mu
     }
 }
 
-/// Columns of a transition: by angles and rates, which move no force, and by the force.
+/// Columns of a transition with respect to angles and rates, which do not change the force, and with respect to the force.
 fn columns(f: &Transition) -> ([Vector<FORCE>; FORCE], [Vector<MOVING>; 2]) {
     let of_motion = std::array::from_fn(|k| Vector::from_fn(|i| f[(i, k)]));
     (of_motion, std::array::from_fn(|k| f.data.0[FORCE + k].into()))
 }
 
-/// Moves a covariance by a transition F, with the part `kept` of persistent errors and the process noise: symmetric to the bit.
+/// Propagates a covariance by a transition F and the process noise; persistent errors keep the part `kept`.
 pub(super) fn move_covariance(f: &Transition, kept: f64, covariance: &mut Matrix, noise: impl FnOnce(&mut Matrix)) {
     move_errors(f, kept, covariance);
     let half: [Vector<MOVING>; MOVING] = std::array::from_fn(|k| Vector::from_fn(|i| covariance[(i, k)]));
@@ -90,7 +92,7 @@ pub(super) fn move_covariance(f: &Transition, kept: f64, covariance: &mut Matrix
     covariance.fill_lower_triangle_with_upper_triangle();
 }
 
-/// Becomes its multiple, plus one of another matrix, plus x yᵀ; symmetric to the bit where all of them are.
+/// matrix ← own·matrix + part·other + x yᵀ; symmetric to the bit if all three terms are.
 pub(super) fn combine<const R: usize, const C: usize>(
     matrix: &mut SMatrix<f64, R, C>,
     own: f64,
@@ -103,7 +105,7 @@ pub(super) fn combine<const R: usize, const C: usize>(
     }
 }
 
-/// Turns the tangent basis of errors, by columns: their angles, rates and force change alike.
+/// Turns the tangent basis of errors, one per column: the same map turns angles, rates and force.
 pub(super) fn turn_errors<const R: usize, const C: usize>(turn: &Matrix2<f64>, errors: &mut SMatrix<f64, R, C>) {
     for pair in (0..MOVING).step_by(2) {
         let mut errors = errors.fixed_rows_mut::<2>(pair);
@@ -111,7 +113,7 @@ pub(super) fn turn_errors<const R: usize, const C: usize>(turn: &Matrix2<f64>, e
     }
 }
 
-/// Turns the tangent basis of a covariance, symmetric to the bit.
+/// Turns the tangent basis of a covariance.
 pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
     for i in (0..MOVING).step_by(2) {
         for k in (i..ERRORS).step_by(2) {
@@ -123,7 +125,7 @@ pub(super) fn turn_covariance(turn: &Matrix2<f64>, covariance: &mut Matrix) {
     covariance.fill_lower_triangle_with_upper_triangle();
 }
 
-/// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample: symmetric to the bit.
+/// Measurement update of a covariance, P − P Hᵀ H P/S, by `column`, P Hᵀ, and the variance S of the sample.
 pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column: &SVector<f64, N>, variance: f64) {
     let taken = Vector::from(column.data.0[0]) / variance.sqrt();
     for (k, of) in covariance.data.0.iter_mut().enumerate() {
@@ -133,8 +135,8 @@ pub(super) fn reduce<const N: usize>(covariance: &mut SMatrix<f64, N, N>, column
     }
 }
 
-/// Measurement update of a covariance of which the errors from `first` on are corrected by part of their gain alone, which reduces their own covariance by
-/// `share` of what all of it would.
+/// Measurement update of a covariance if the errors from `first` on are corrected by only a part of their gain: their own covariance
+/// decreases by `share` of the full reduction.
 pub(super) fn reduce_in_part<const N: usize>(
     covariance: &mut SMatrix<f64, N, N>,
     column: &SVector<f64, N>,
@@ -153,12 +155,13 @@ pub(super) fn reduce_in_part<const N: usize>(
     }
 }
 
-/// Whether a stored matrix is possible as a covariance: symmetric to the bit, no variance below 0, no correlation beyond 1 but by round-off.
+/// Whether a stored matrix is possible as a covariance: symmetric to the bit, no negative variance, no correlation beyond 1 except for
+/// round-off.
 pub(super) fn is_covariance<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {
     *p == p.transpose() && (0..N).all(|i| p[(i, i)] >= 0.0 && (0..i).all(|k| is_correlation(p[(i, k)], p[(i, i)], p[(k, k)])))
 }
 
-/// Whether a stored covariance is possible beside two variances.
+/// Whether a stored covariance is possible with these two variances.
 pub(super) fn is_correlation(covariance: f64, one: f64, other: f64) -> bool {
     covariance * covariance <= 1.01 * one * other
 }
@@ -168,7 +171,7 @@ pub(super) fn independent([angles, rates, force]: [f64; 3]) -> Matrix {
     Matrix::from_diagonal(&Error::from_fn(|i, _| [angles, rates, force, 1.0][i / 2]))
 }
 
-/// Gives the force a covariance of its own, (N·m)², uncorrelated with the motion.
+/// Replaces the covariance of the force by `own`, (N·m)², without correlation with the motion.
 pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
     covariance.fixed_rows_mut::<2>(FORCE).fill(0.0);
     covariance.fixed_columns_mut::<2>(FORCE).fill(0.0);
@@ -179,12 +182,12 @@ pub(super) fn isolate_force(covariance: &mut Matrix, own: &Matrix2<f64>) {
 mod tests {
     use super::*;
 
-    /// Some transition, in which angles and rates move no force.
+    /// A transition in which angles and rates do not change the force.
     fn transition() -> Transition {
         Transition::from_fn(|i, k| if i >= FORCE && k < FORCE { 0.0 } else { libm::sin((3 * i + 7 * k + 1) as f64) })
     }
 
-    /// Covariances move as F P Fᵀ + Q does with the whole F of eight errors, whatever is known to be 0 in it.
+    /// The moved covariance is F P Fᵀ + Q with the full F of eight errors, although the code skips the zeros of F.
     #[test]
     fn covariances_move_by_the_whole_transition() {
         let (f, kept) = (transition(), 0.7);
@@ -203,7 +206,7 @@ mod tests {
         assert!((errors - whole * root).amax() < 1e-13 * root.amax() * MOVING as f64);
     }
 
-    /// Readings that share a persistent error tell where an axis is no better than to that error, and how it has moved far better.
+    /// Readings with a common persistent error determine the position of an axis only to that error, but its movement far better.
     #[test]
     fn persistent_errors_do_not_average_out() {
         let (error, noise) = (2e-3, 1e-5);
@@ -216,7 +219,8 @@ mod tests {
             move_covariance(&Transition::identity(), 0.999, &mut covariance, |_| ());
         }
         let (of_angle, of_reading) = (covariance[(0, 0)].sqrt(), row.dot(&(covariance * row)).sqrt());
-        // A hundred samples last for a tenth of the correlation time of a thousand; the error changes by √(2/1000) of itself between two of them.
+        // A hundred samples last for a tenth of the correlation time, a thousand samples; between two samples the error changes by
+        // √(2/1000) of its standard deviation.
         assert!(of_angle > 0.9 * error && of_angle < error, "{of_angle}");
         assert!(of_reading < 0.05 * error, "{of_reading}");
     }
