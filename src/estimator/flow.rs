@@ -1,7 +1,8 @@
-//! Flow of the motion and of its errors: Runge–Kutta of order 4 on the equations of motion in the link angles and on their variational
-//! equations, whose coefficients a scene gives.
+//! Flow of the motion and of its errors: Runge–Kutta method of order 4 on the equations of motion in the link angles and on their
+//! variational equations. A scene provides the coefficients.
 //!
-//! The six variations are N in the angles, N in the rates, and the unknown force on N; behind them come those of the learned parameters.
+//! The six variations start as N in the angles, N in the rates, and the unknown force on N. The variations of the learned parameters
+//! follow.
 
 use nalgebra::{Matrix4, Matrix4x2, Matrix4x6, SMatrix};
 
@@ -24,38 +25,38 @@ pub struct Linearised {
     pub by_torque: Matrix4x2<f64>,
 }
 
-/// Equations of motion of a scene under held inputs. Unknown forces are inputs in addition (τ₁, τ₂, N·m, F_x, F_y, N).
+/// Equations of motion of a scene with constant inputs. The unknown force adds to the inputs (τ₁, τ₂, N·m, F_x, F_y, N).
 pub trait Scene {
     /// Accelerations of the links, rad/s².
     fn acceleration(&self, at: &LinkState, force: &Links) -> Links;
 
-    /// Accelerations of the links with their derivatives, and by two torques on the links, N·m.
+    /// Accelerations of the links with their derivatives, and the accelerations by each column of `torques`, two sets of torques on the
+    /// links, N·m.
     fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised;
 
-    /// Derivatives of the accelerations, which are `alpha`, by the loads that may be learned, by columns.
+    /// ∂α/∂load at acceleration `alpha`, one column per load that may be learned.
     fn by_loads(&self, at: &LinkState, force: &Links, alpha: &Links) -> SMatrix<f64, 4, LOADS>;
 
-    /// Derivatives of the accelerations by a delay of the inputs, rad/s³, from those of a step of h seconds before.
+    /// ∂α/∂(delay of the inputs), rad/s³, by a difference from the inputs h seconds before.
     fn by_delay(&self, at: &LinkState, force: &Links, h: f64) -> Links;
 
-    /// Derivatives of the accelerations, which are `alpha`, by the lengths of links 1 to 4, at held angles and rates; `None` where these are
-    /// not learned.
+    /// ∂α/∂(lengths of links 1 to 4) at acceleration `alpha` and constant angles and rates; `None` if lengths are not learned.
     fn by_lengths(&self, at: &LinkState, force: &Links, alpha: &Links) -> Option<Matrix4<f64>>;
 
-    /// Derivatives of the accelerations by the mounting angles of the encoders, on which servos close; `None` without servos.
+    /// ∂α/∂(mounting angles of the encoders), because servos close their loops on the encoders; `None` without servos.
     fn by_offsets(&self, at: &LinkState, force: &Links) -> Option<Matrix4x2<f64>>;
 
     /// Mass matrix M in the link angles, kg·m².
     fn mass(&self, theta: &Links) -> Matrix4<f64>;
 
-    /// Whether some load changes steeply.
+    /// Whether a load changes steeply with the state.
     fn has_stiff_forces(&self) -> bool;
 
-    /// Whether dry friction, end stops, contacts or servos that saturate at once may change forces within a step.
+    /// Whether dry friction, end stops, contacts or saturating servos may change forces abruptly within a step.
     fn has_abrupt_forces(&self) -> bool;
 }
 
-/// End of a propagated motion, with its derivatives by P learned parameters, all or none.
+/// End of a propagated motion, with its derivatives; P is the number of learned parameters, all or none.
 #[derive(Clone, Copy, Debug)]
 pub struct Flow<const P: usize = 0> {
     /// State at the end.
@@ -72,7 +73,7 @@ pub struct Flow<const P: usize = 0> {
     pub units: Matrix4x2<f64>,
 }
 
-/// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
+/// Smallest inputs that exert a unit of each force on the tangent basis; the mean length weights tip forces against torques.
 pub fn unit_forces(linkage: &Linkage, at: &Frame) -> Matrix4x2<f64> {
     let per_length = 1.0 / (linkage.length * linkage.length);
     let weights = Matrix4::from_diagonal(&Links::new(1.0, 1.0, per_length, per_length));
@@ -134,7 +135,7 @@ impl<const P: usize> Point<P> {
         }
     }
 
-    /// Time derivative; `learned` are the derivatives of the accelerations by the learned parameters at this state.
+    /// Time derivative; `learned` is ∂α/∂(learned parameters) at this state.
     fn rate(&self, near: &Linearised, learned: &SMatrix<f64, 4, P>) -> Self {
         let Self { state, d_theta, d_omega, by_learned: [theta, omega] } = self;
         let mut d_alpha = near.by_angle * d_theta + near.by_rate * d_omega;
@@ -149,7 +150,8 @@ impl<const P: usize> Point<P> {
     }
 }
 
-/// Motion with variations from a state with its frame, under an unknown force, in the steps that it needs but at least `least`.
+/// Motion with variations over h seconds from a state with its frame, under an unknown force. It takes as many steps as it needs, but at
+/// least `least`.
 pub fn flow<const P: usize>(
     linkage: &Linkage,
     scene: &impl Scene,
@@ -170,7 +172,8 @@ pub fn flow<const P: usize>(
         point.d_omega.set_column(k, &turned);
     }
     let h = h / f64::from(steps);
-    // Masses move against known forces alone: against an unknown one that wanders, a common factor of them would seem to be told by a fall.
+    // ∂α/∂mass takes the accelerations by known forces only. With the unknown force, which drifts, a free fall would seem to determine a
+    // common factor of all masses.
     let unknown = if P > 0 { frame.basis.tr_mul(&(frame.by_inputs() * force)) } else { Pair::zeros() };
     let learned = |at: &LinkState, near: &Linearised| {
         let mut learned: SMatrix<f64, 4, P> = by_lengths;
@@ -189,7 +192,7 @@ pub fn flow<const P: usize>(
         let LinkState { theta, omega } = point.state;
         let middle = LinkState { theta: theta + omega * (h / 2.0), omega: omega + near.alpha * (h / 2.0) };
         let near_middle = near_at(&middle);
-        // Accelerations by the parameters are those of the middle throughout.
+        // ∂α/∂parameter at the middle holds for the whole step.
         let held = learned(&middle, &near_middle);
         let rate_at = |point: &Point<P>| point.rate(&near_at(&point.state), &held);
         let k1 = point.rate(&near, &held);
@@ -202,8 +205,8 @@ pub fn flow<const P: usize>(
     Flow { end, steps, d_theta, d_omega, by_learned, units }
 }
 
-/// Derivatives of angles and rates by the learned parameters at the begin of a step, where other lengths close the loop with other angles and rates;
-/// and the accelerations by lengths, which are held over all steps.
+/// Derivatives of angles and rates with respect to the learned parameters at the beginning, because other lengths close the loop at other
+/// angles and rates; and ∂α/∂length, which is constant over all steps.
 fn lengths_at_begin<const P: usize>(
     scene: &impl Scene,
     (from, frame): (&LinkState, &Frame),

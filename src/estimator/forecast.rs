@@ -15,11 +15,10 @@ use super::tuning::{FORECAST_MASS_WALK, LEAST_SIGMA, MOST_CHECKS, MOST_STEPS_OF_
 /// Number of sigma points.
 const POINTS: usize = 2 * MOVING;
 
-/// A sigma point.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Point {
     motion: LinkState,
-    /// Force in addition to that of the estimate, as inputs, N·m and N.
+    /// Force in addition to the estimate's force, as inputs, N·m and N.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     force: Links,
 }
@@ -45,8 +44,8 @@ pub(super) struct Forecast {
 }
 
 impl Point {
-    /// Integrates by h seconds under the force of the estimate and its own; keeps the state where that fails. Returns the number of
-    /// Runge–Kutta steps.
+    /// Integrates over h seconds under the estimate's force and its own. Keeps the state if the loop cannot be closed. Returns the number
+    /// of Runge–Kutta steps.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, force: &Links, h: f64) -> u32 {
         let force = force + self.force;
         let near = scene.linearised(&self.motion, &force, &Matrix4x2::zeros());
@@ -59,7 +58,7 @@ impl Point {
 }
 
 impl SigmaPoints {
-    /// Sigma points around an estimate, whose force has these variance rates.
+    /// Sigma points around an estimate; `walk` are the variance rates of the force.
     fn around(linkage: &Linkage, motion: &LinkState, belief: &Belief, walk: [f64; 2]) -> Self {
         let frame = linkage.frame(&motion.theta);
         let inputs = unit_forces(linkage, &frame);
@@ -87,8 +86,8 @@ impl SigmaPoints {
         }
     }
 
-    /// Gives each point in a force direction a force in proportion to the standard deviation of the force, so that the points have its
-    /// distribution at each instant of its random walk.
+    /// Scales the force of each point in a force direction to the present standard deviation of the force, so that the points follow its
+    /// random walk.
     fn spread_force(&mut self) {
         let root = root(self.force);
         for (k, point) in self.points.iter_mut().enumerate() {
@@ -111,7 +110,8 @@ fn displacement(k: usize) -> f64 {
     if k < MOVING { (MOVING as f64).sqrt() } else { -(MOVING as f64).sqrt() }
 }
 
-/// Square root L of P = L Lᵀ. What P lacks in variance by round-off, or because a direction is known exactly, is taken as negligible.
+/// Square root L of P = L Lᵀ. A variance that is 0, because a direction is known exactly, or negative by round-off, is replaced by a
+/// negligible one.
 fn root<const N: usize>(p: nalgebra::SMatrix<f64, N, N>) -> nalgebra::SMatrix<f64, N, N> {
     Cholesky::new_with_substitute(p, LEAST_SIGMA * LEAST_SIGMA).map_or_else(nalgebra::SMatrix::zeros, |factor| factor.l())
 }
@@ -122,7 +122,7 @@ impl Forecast {
         self.sigma_points = None;
     }
 
-    /// Time update of the sigma points, before that of the estimate.
+    /// Time update of the sigma points, before the time update of the estimate.
     pub(super) fn step(
         &mut self,
         machine: &Machine,
@@ -161,9 +161,9 @@ impl Forecast {
         self.sigma_points.iter().all(|sigma_points| sigma_points.is_sound(linkage))
     }
 
-    /// Fraction of sigma points, estimate included, whose sin(θ₃ − θ₂) changes sign within the horizon, under held inputs that include the
-    /// unknown force; `step` is the time between two checks, s, longer if there would be more than [`MOST_CHECKS`]. A point that turns so
-    /// fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows counts as one that meets a singularity.
+    /// Fraction of sigma points, estimate included, with a change of sign of sin(θ₃ − θ₂) within the horizon, under constant inputs that
+    /// include the unknown force. `step` is the time between two checks, s; it becomes longer if there would be more than [`MOST_CHECKS`]
+    /// checks. If a point turns so fast that it takes more steps than [`MOST_STEPS_OF_POINT`] allows, it counts as meeting a singularity.
     pub(super) fn singularity_probability(
         &self,
         machine: &Machine,
@@ -172,10 +172,10 @@ impl Forecast {
         step: f64,
     ) -> f64 {
         let linkage = &machine.linkage;
-        // The force is constant: its random walk makes covariances consistent, but blurs the prediction of a singularity.
+        // The force is constant here: its random walk keeps covariances consistent, but would blur the prediction of a singularity.
         let mut sigma_points = self.sigma_points.unwrap_or_else(|| SigmaPoints::around(linkage, motion, belief, [0.0; 2]));
         let side = motion.side()[0];
-        // A point on the other side has met the singularity already.
+        // A point on the other side has already passed the singularity.
         let is_across = |point: &Point| {
             let now = point.motion.side()[0] * side;
             now.is_nan() || now <= 0.0

@@ -1,4 +1,5 @@
-//! Effect of uncertain lengths and mounting angles of the encoders on motor angles and tip: a persistent error, or parameters that are learned.
+//! Effect of uncertain lengths and mounting angles of the encoders on motor angles and tip. The uncertainty is a persistent error, or the
+//! parameters are learned.
 
 use nalgebra::{Matrix2, Matrix2x5, Matrix4x5, SMatrix, SVector};
 
@@ -10,8 +11,8 @@ use super::tuning::{MOTOR_REGULARIZATION, NEAR_VERTEX};
 pub(super) const LENGTH_COUNT: usize = 5;
 
 impl Frame {
-    /// Variances of the motor angles that the encoders show, rad², by errors of each length of this standard deviation, m: the loop closes by J⁺ for
-    /// lengths that are off.
+    /// Variances of the measured motor angles, rad², if each length has an error with this standard deviation, m. J⁺ closes the loop for
+    /// other lengths.
     pub(super) fn motors_by_lengths(&self, length: f64) -> [f64; 2] {
         if length == 0.0 {
             return [0.0; 2];
@@ -20,7 +21,7 @@ impl Frame {
         MEASURED.map(|link| length * length * turned.row(link).norm_squared())
     }
 
-    /// Tangent coordinates by the angles of the motors, as far as motors determine them.
+    /// Derivatives of the tangent coordinates with respect to the motor angles, as far as the motors determine them.
     pub(super) fn holding(&self) -> Matrix2<f64> {
         let motors = self.motors();
         // Regularised, the matrix is positive definite.
@@ -28,7 +29,7 @@ impl Frame {
         squared.try_inverse().unwrap_or_default() * motors.transpose()
     }
 
-    /// Displacement of the tip by each length, dimensionless, whose links turn so.
+    /// ∂tip/∂length, dimensionless, with `turned`, the derivatives of the link angles.
     fn tip_by_lengths(&self, turned: &Matrix4x5<f64>) -> Matrix2x5<f64> {
         let mut moved = self.tip_by_links() * turned;
         let mut of_left_leg = moved.fixed_columns_mut::<2>(0);
@@ -36,12 +37,12 @@ impl Frame {
         moved
     }
 
-    /// Derivatives of the angles of links 1 to 4 by lengths and mounting angles, with the tangent coordinates held.
+    /// Derivatives of the angles of links 1 to 4 with respect to lengths and mounting angles, at constant tangent coordinates.
     pub(crate) fn links_by_geometry(&self) -> SMatrix<f64, 4, GEOMETRY> {
         self.turned_by_lengths().fixed_resize(0.0)
     }
 
-    /// Derivatives of both readings by lengths and mounting angles.
+    /// Derivatives of both readings with respect to lengths and mounting angles.
     pub(crate) fn readings_by_geometry(&self) -> [SVector<f64, GEOMETRY>; 2] {
         let turned = self.links_by_geometry();
         [0, 1].map(|i| {
@@ -51,18 +52,19 @@ impl Frame {
         })
     }
 
-    /// Derivatives of the tip by lengths and mounting angles, m.
+    /// Derivatives of the tip, m, with respect to lengths and mounting angles.
     pub(crate) fn tip_by_geometry(&self) -> SMatrix<f64, 2, GEOMETRY> {
         self.tip_by_lengths(&self.turned_by_lengths()).fixed_resize(0.0)
     }
 
-    /// Tangent coordinates by lengths and mounting angles while encoders hold the motors as far as possible.
+    /// Derivatives of the tangent coordinates with respect to lengths and mounting angles at constant readings, as far as the motors
+    /// determine them.
     pub(super) fn held_by_geometry(&self) -> SMatrix<f64, 2, GEOMETRY> {
         self.holding() * -SMatrix::from_columns(&self.readings_by_geometry()).transpose()
     }
 
-    /// Turns of the links by the length of each link and of the base: −J⁺ of the closure gap, damped next to a vertex, where J⁺ grows without
-    /// bound and says nothing of finite lengths.
+    /// Derivatives of the link angles with respect to the lengths of links and base: −J⁺ of the closure gap. They are damped next to a
+    /// vertex, because J⁺ is unbounded there and does not describe finite errors of the lengths.
     pub(super) fn turned_by_lengths(&self) -> Matrix4x5<f64> {
         let part = (self.smallest / NEAR_VERTEX).min(1.0);
         let mut gaps = Matrix2x5::zeros();

@@ -1,7 +1,7 @@
 //! History of the encoder angles for delayed samples (fixed-lag measurement update).
 //!
-//! A sample of time t − d measures the error e(t − d) = Φ⁻¹ e(t): its row is H Φ⁻¹, without the process noise in between. Each time update
-//! propagates the rows; each measurement update corrects the angles.
+//! A sample of time t − d measures the error e(t − d) = Φ⁻¹ e(t), so its row is H Φ⁻¹; the process noise in between is neglected. Each time
+//! update propagates the rows; each measurement update corrects the angles.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -13,7 +13,7 @@ use super::tangent::{Frame, LinkState, MEASURED, wrapped};
 use super::tuning::{LARGEST_INVERSE, LEAST_TURN};
 use crate::copies::clone_by_fields;
 
-/// Number of macro steps whose angles the history holds.
+/// Number of macro steps in the history.
 pub const REMEMBERED: usize = 64;
 
 /// Estimated angle of an encoder's axis at a past instant.
@@ -43,7 +43,7 @@ impl Past {
     }
 }
 
-/// Past macro steps, the latest last.
+/// Past macro steps; the latest is last.
 #[derive(Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct History {
     past: ArrayVec<Past, REMEMBERED>,
@@ -52,7 +52,7 @@ pub(super) struct History {
 clone_by_fields!(History { past });
 
 impl History {
-    /// Time update by h seconds and a transition matrix from a motion; entries older than `max_age`, s, are dropped.
+    /// Time update by h seconds from a motion, with the transition matrix; drops entries older than `max_age`, s.
     pub(super) fn step(&mut self, (motion, frame): (&LinkState, &Frame), transition: &Transition, h: f64, max_age: f64) {
         if max_age == 0.0 {
             return;
@@ -74,12 +74,12 @@ impl History {
         }
     }
 
-    /// Measurement update: the estimate was corrected by `error`, and the basis changed.
+    /// Measurement update, after `error` has corrected the estimate and `turn` has turned the tangent basis.
     pub(super) fn correct(&mut self, error: &Error, turn: &Matrix2<f64>) {
         if self.past.is_empty() {
             return;
         }
-        // After a correction of the order of 1 rad the tangent bases before and after have no common plane.
+        // After a correction of about 1 rad, the map between the tangent bases may be singular.
         let Some(back) = turn.try_inverse().filter(|_| turn.determinant().abs() >= LEAST_TURN) else { return self.clear() };
         for axis in self.past.iter_mut().flat_map(|past| &mut past.axes) {
             axis.angle += axis.row.dot(error);
@@ -92,8 +92,8 @@ impl History {
         self.past.clear();
     }
 
-    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the sample is older
-    /// than the run or than the last change of hypothesis.
+    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` if the sample is older than
+    /// the run or the last change of hypothesis.
     pub(super) fn at(&self, motion: &LinkState, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
         if age == 0.0 {
             return Some((motion.theta[MEASURED[encoder]], frame.row(encoder)));
@@ -111,7 +111,7 @@ impl History {
         Some((begin.angle + part * whole + bent, begin.row * other + end.row * part))
     }
 
-    /// Whether stored entries are possible: finite, the latest last.
+    /// Whether stored entries are possible: finite, in order of time.
     pub(super) fn is_sound(&self) -> bool {
         let is_finite = |axis: &Axis| [axis.angle, axis.rate].iter().chain(&axis.row).all(|x| x.is_finite());
         self.past.iter().all(|past| past.age.is_finite() && past.age > 0.0 && past.axes.iter().all(is_finite))
