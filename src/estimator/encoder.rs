@@ -1,4 +1,4 @@
-//! Encoder model: validity, gating, silence and noise of the samples, with the quantisation interval.
+//! Encoder model: validity, gating, silence, noise and quantisation of the samples.
 
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -15,7 +15,7 @@ use super::tuning::{
     SINGLE_EDGE, TIME_ALONE, TIME_ROUND_OFF, UNKNOWN_INTERVAL,
 };
 
-/// Time of an encoder that has no sample, s.
+/// Time of an encoder without samples, s.
 pub(super) const NEVER: f64 = -1e30;
 /// Samples connected by a master: angles and their times.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -28,7 +28,7 @@ pub struct Measured {
     pub time: [f64; 2],
 }
 
-/// Numbers stored as bits: samples may be NaN, which Borsh refuses.
+/// Stores numbers as bits, because samples may be NaN, which Borsh refuses.
 fn as_bits<W: Write>(pair: &[f64; 2], writer: &mut W) -> io::Result<()> {
     pair.map(f64::to_bits).serialize(writer)
 }
@@ -74,19 +74,19 @@ pub enum Fault {
 pub(super) struct Measurement {
     /// Angle, rad.
     pub(super) angle: f64,
-    /// Mean rate between the two valid samples before it, rad/s; `None` where there are none, or samples between them are missing.
+    /// Mean rate between the two valid samples before it, rad/s; `None` if there are none, or if samples between them are missing.
     pub(super) before: Option<f64>,
     /// Age, s.
     pub(super) age: f64,
     /// Rate of the axis in the motion, rad/s.
     pub(super) rate: f64,
-    /// Standard deviation of the white noise, rad, by the encoder and by a stamp that errs.
+    /// Standard deviation of the white noise, rad, due to the encoder and to jitter of the time stamps.
     pub(super) sigma: f64,
     /// Quantisation interval, rad.
     pub(super) quantum: f64,
     /// Standard deviation of the persistent error, rad.
     pub(super) persistent: f64,
-    /// Variance of the noise by errors of the model that an encoder alone does not reveal, rad².
+    /// Variance of the noise due to model errors that one encoder alone does not reveal, rad².
     pub(super) unrevealed: f64,
     /// Half-width of the interval about the angle that carries no information, rad.
     pub(super) dead_zone: f64,
@@ -95,7 +95,8 @@ pub(super) struct Measurement {
 }
 
 impl Measurement {
-    /// The sample, as one of encoder i, about another motion. Its past angle is extrapolated by the rate, as other motions have no history.
+    /// The sample about another motion, as a sample of encoder i. Other motions have no history, so the rate extrapolates a past angle to
+    /// the present.
     pub(super) fn about(&self, i: usize, motion: &LinkState, frame: &Frame) -> Self {
         let rate = motion.omega[MEASURED[i]];
         let angle = self.angle + self.age * rate;
@@ -109,12 +110,12 @@ impl Measurement {
         Self { angle, dead_zone, innovation: Innovation { residual, noise, ..self.innovation }, ..*self }
     }
 
-    /// Variance of the sample, rad², where its quantisation error is its own.
+    /// Variance of the sample, rad², if its quantisation error is independent of other samples.
     pub(super) fn single_variance(&self) -> f64 {
         white_variance(self.sigma) + self.quantum * self.quantum / 12.0
     }
 
-    /// The sample of encoder i, which is used alone: errors of the model count as errors of its readings.
+    /// The sample of encoder i if only this encoder is used: model errors count as errors of its readings.
     pub(super) fn alone(&self, i: usize, encoder: &Encoder) -> Self {
         let mut alone = self.with_persistent_error(i, self.persistent.max(ERROR_ALONE));
         alone.unrevealed = ERROR_ALONE * ERROR_ALONE * encoder.samples_within(TIME_ALONE);
@@ -122,8 +123,8 @@ impl Measurement {
         alone
     }
 
-    /// The sample of encoder i where lengths and mounting angles are learned: they are no errors of its reading, but those of disc and scale, of the standard
-    /// deviation `further`, rad, and of the model are.
+    /// The sample of encoder i if lengths and mounting angles are learned. These are then no errors of the reading. Errors of disc and
+    /// scale, with the standard deviation `further`, rad, and model errors remain.
     pub(super) fn learned(&self, i: usize, further: f64) -> Self {
         let of_model = if self.unrevealed > 0.0 { ERROR_ALONE } else { 0.0 };
         self.with_persistent_error(i, further.max(of_model))
@@ -134,21 +135,22 @@ impl Measurement {
         Self { persistent, innovation: self.innovation.with_persistent_error(i, persistent), ..*self }
     }
 
-    /// Innovation of the rate by the change of the innovation, rad, since the last sample, `interval` seconds before. A persistent error is one of both
-    /// samples.
+    /// Innovation of the rate, from the `change` of the innovation, rad, since the last sample `interval` seconds before. A persistent
+    /// error is common to both samples and cancels.
     pub(super) fn change(&self, change: f64, interval: f64) -> Innovation {
         let mut row = Error::zeros();
         row.fixed_rows_mut::<2>(RATE).copy_from(&(self.innovation.row.fixed_rows::<2>(0) * interval));
         Innovation { residual: wrapped(change), row, noise: 2.0 * self.single_variance() }
     }
 
-    /// Whether the axis rests: quantisation and persistent errors are those of all its samples then, no noise, and teach nothing.
+    /// Whether the axis rests. Quantisation and persistent errors are then common to all its samples, so they are no noise, and nothing is
+    /// learned from the samples.
     pub(super) fn rests(&self) -> bool {
         self.rate.abs() * CORRELATION_TIME < self.quantum.max(self.persistent)
     }
 }
 
-/// Variance of white noise of a standard deviation, rad², which is never 0.
+/// Variance of white noise with this standard deviation, rad²; never 0.
 fn white_variance(sigma: f64) -> f64 {
     (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA)
 }
@@ -156,7 +158,7 @@ fn white_variance(sigma: f64) -> f64 {
 /// Conditions under which the gate judges a sample.
 #[derive(Clone, Copy)]
 pub(super) struct GateConditions {
-    /// Whether the estimate is trusted rather than the sample.
+    /// Whether the estimate is trusted more than the sample.
     pub(super) patient: bool,
     /// Whether the estimate has settled on the other encoder.
     pub(super) witnessed: bool,
@@ -178,7 +180,7 @@ pub struct Encoder {
     trust: Trust,
     /// Innovation of the last sample that was compared with the estimate: measured minus expected angle, rad.
     innovation: f64,
-    /// Macro steps' time since the encoder was absent or a sample was rejected, or since the estimate began anew, s.
+    /// Macro steps' time since the encoder was absent, a sample was rejected or the estimate restarted, s.
     believed_for: f64,
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
@@ -188,7 +190,7 @@ pub struct Encoder {
     time_since_arrival: f64,
     /// Macro steps' time between the last two valid samples, s; 0 before there are two.
     arrival_interval: f64,
-    /// Mean variance of the stamps, s².
+    /// Mean variance of the time stamps, s².
     jitter: f64,
     /// Standard deviation of the time of the last valid sample, s.
     timing: f64,
@@ -214,8 +216,8 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// Measurement of encoder `i` about a motion, if it is new and valid. `persistent` is the standard deviation of the encoder's persistent error, rad, `offset`
-    /// its mounting angle, rad.
+    /// Measurement of encoder `i` about a motion, if it is new and valid. `persistent` is the standard deviation of the encoder's
+    /// persistent error, rad; `offset` is its mounting angle, rad.
     pub(super) fn measurement(
         &mut self,
         i: usize,
@@ -240,7 +242,8 @@ impl Encoder {
         Some(Measurement { angle, before, age, rate, sigma, quantum, persistent, unrevealed: 0.0, dead_zone: 0.0, innovation })
     }
 
-    /// Mean rate between the last two samples of the encoder as it was `before` its last one, rad/s; `None` where there are none, or samples are missing.
+    /// Mean rate between the two samples before the last one, rad/s, from the encoder's state `before` the last sample; `None` if there are
+    /// none, or if samples are missing.
     fn mean_rate_before(&self, before: &Self) -> Option<f64> {
         let is_known = before.interval > 0.0 && before.interval <= SILENT_AFTER_INTERVALS * self.interval;
         is_known.then(|| before.rate())
@@ -257,7 +260,7 @@ impl Encoder {
         }
         let returns = self.is_absent();
         let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
-        // Stamps that are off by less than a sample's period are no reason to refuse a sample.
+        // A sample is accepted if the error of its time stamp is less than a sampling period.
         let period = if self.arrival_interval > 0.0 { self.arrival_interval } else { f64::INFINITY };
         let tolerance = std::mem::take(&mut self.time_since_arrival).min(period).max(rounded);
         self.fault = if angle.is_nan() || angle.abs() >= LARGEST_ANGLE || !time.is_finite() {
@@ -282,7 +285,7 @@ impl Encoder {
         self.change = if has_sample { angle - self.angle } else { 0.0 };
         if has_sample {
             let interval = (time - self.valid_time).abs();
-            // Stamps err where their intervals equal neither each other nor those of the arrivals.
+            // Time stamps jitter if their interval differs both from the last one and from the interval of arrivals.
             let off = (interval - self.time_since_sample).abs().min((interval - self.interval).abs());
             let off = if off > rounded && self.interval > 0.0 { off } else { 0.0 };
             self.jitter += (off * off / 2.0 - self.jitter) / SAMPLES_OF_JITTER;
@@ -316,8 +319,8 @@ impl Encoder {
         self.time_since_sample.is_finite()
     }
 
-    /// Standard deviation of the white noise of the last sample, rad, whose encoder has the noise `sigma`, rad, on an axis that turns at
-    /// `rate`, rad/s, under a stamp that errs.
+    /// Standard deviation of the white noise of the last sample, rad: the encoder's noise `sigma`, rad, and the error of the time stamp on
+    /// an axis that turns at `rate`, rad/s.
     fn white_sigma(&self, sigma: f64, rate: f64) -> f64 {
         if self.timing == 0.0 { sigma } else { libm::hypot(sigma, self.timing * rate) }
     }
@@ -328,12 +331,12 @@ impl Encoder {
         self.time_since_sample > SILENT_AFTER_INTERVALS * if interval > 0.0 { interval } else { UNKNOWN_INTERVAL }
     }
 
-    /// Whether samples arrive that are believed, single outliers aside.
+    /// Whether samples arrive and are believed, except for single outliers.
     pub(super) fn is_believed(&self) -> bool {
         !(self.is_silent() || self.is_stuck() || self.is_away())
     }
 
-    /// Whether the encoder has been silent for so long that the estimate may have left it: longer than where single samples are lost.
+    /// Whether the encoder has been silent for so long that the estimate may have drifted away from it. Single lost samples do not count.
     pub(super) fn is_absent(&self) -> bool {
         self.is_silent() && self.time_since_sample > SETTLING_TIME
     }
@@ -353,7 +356,7 @@ impl Encoder {
         self.innovation
     }
 
-    /// Begins anew with an estimate that the samples have reinitialised, which was off by `innovation`, rad.
+    /// Restarts with an estimate that the samples have reinitialised; `innovation` is the innovation before the restart, rad.
     pub(super) fn begin_anew(&mut self, innovation: f64) {
         self.innovation = innovation;
         self.settle_anew();
@@ -379,17 +382,18 @@ impl Encoder {
         self.believed_for >= SETTLING_TIME && !self.is_absent()
     }
 
-    /// Counts the time anew for which samples are believed, as an estimate begins anew.
+    /// Restarts the time for which samples have been believed, because the estimate restarts.
     pub(super) fn settle_anew(&mut self) {
         self.believed_for = 0.0;
     }
 
-    /// Whether the encoder fails: it is stuck, or samples have been rejected in a row. A sample that is refused for its stamp is lost.
+    /// Whether the encoder fails: it is stuck, or several samples in a row have been rejected. A sample with a wrong time stamp counts as
+    /// lost, not as rejected.
     pub(super) fn fails(&self) -> bool {
         self.is_stuck() || self.trust.is_lasting()
     }
 
-    /// Leaves out samples whose innovation is `residual`, rad, until they jump, also where the estimate has not settled yet.
+    /// Leaves out the samples, which have the innovation `residual`, rad, until they jump, even if the estimate has not settled yet.
     pub(super) fn leave_out_lastingly(&mut self, residual: f64) {
         (self.innovation, self.trust) = (residual, self.trust.after(Event::Exchanged(residual)));
     }
@@ -404,10 +408,10 @@ impl Encoder {
         matches!(self.trust, Trust::Stuck { .. })
     }
 
-    /// Judges whether a reading that has jumped stays away, by how its innovation has changed since the last sample. One that
-    /// moves on by as much as half its jump was struck rather than jumped. One that has been left out jumps again where its second difference
-    /// is as large too: an estimate by one encoder may turn wildly, and its innovations with it. `witnessed`: the estimate has settled on the
-    /// other encoder.
+    /// Judges whether a reading that has jumped stays away, by the change of its innovation since the last sample. If the innovation moves
+    /// by more than half the jump, the axis was struck, and the reading returns. After several rejections in a row, it returns only if its
+    /// second difference is as large, too: an estimate from one encoder may turn quickly and change the innovations. `witnessed`: the
+    /// estimate has settled on the other encoder.
     pub(super) fn stays_away(&mut self, sample: &Measurement, witnessed: bool) -> bool {
         let (lasting, change) = (self.trust.is_lasting(), wrapped(self.innovation_change(sample)).abs());
         self.innovation = sample.innovation.residual;
@@ -421,8 +425,8 @@ impl Encoder {
         self.is_away()
     }
 
-    /// Expected sample as the bank takes it, with its quantisation interval in place of white noise; `None` where the gate rejects the
-    /// sample. `repetition`: fault of a reading that repeats.
+    /// Prediction for the update of the bank, with the quantisation interval instead of white noise; `None` if the gate rejects the sample.
+    /// `repetition` returns the fault of a reading that repeats.
     pub(super) fn admit(
         &mut self,
         bank: &Bank,
@@ -434,8 +438,8 @@ impl Encoder {
         admitted.then(|| self.with_quantisation_interval(expected, sample))
     }
 
-    /// Gating: whether a sample is used. Errors that many samples share are no larger in one of them: whether a force explains it is judged by its own
-    /// quantisation error, and no sample by errors of the model.
+    /// Gate: whether a sample is used. Errors that many samples share count once here: the test whether a force explains the sample takes
+    /// the quantisation error of a single sample, and the gate leaves out model errors.
     fn passes_gate(
         &mut self,
         bank: &Bank,
@@ -456,14 +460,14 @@ impl Encoder {
             _ if away => Fault::Rejected,
             // NaN exceeds the gate.
             _ if expected.nis_with_less(sample.unrevealed) <= GATE => Fault::None,
-            // The first sample departs from no track: the start may be off.
+            // The first sample is not rejected, because the start may be wrong.
             _ if (rejected < 1 && self.interval > 0.0) || (unexplained && rejected < MOST_REJECTED_IN_A_ROW) => Fault::Rejected,
             _ => Fault::None,
         };
         let event = match self.fault {
             Fault::None => Event::Accepted,
             Fault::Stuck => Event::Froze,
-            // A force that has moved an axis so far moves it on; the next sample tells.
+            // A force that has moved the axis so far moves it further, which the next sample shows.
             _ if patient && witnessed && self.is_settled() && self.jumps(bank, sample, change) => Event::Jumped(residual),
             _ => Event::Rejected,
         };
@@ -479,14 +483,14 @@ impl Encoder {
         sample.innovation.residual - self.innovation
     }
 
-    /// Whether no assumed force explains how the innovation has changed, by `change`, rad, since the last sample.
+    /// Whether no assumed force explains the `change` of the innovation since the last sample, rad.
     fn jumps(&self, bank: &Bank, sample: &Measurement, change: f64) -> bool {
         bank.prediction(&sample.change(change, self.interval)).nis_of_loudest_model(0.0) > GATE
     }
 
-    /// The sample for filters that know no quantiser. Where the axis turns by less than half a quantisation interval per sample, an unchanged
-    /// reading confines it to the interval, and a changed one locates it at the edge between two intervals.
-    /// The reading of a faster axis has the noise of a quantisation error that lasts while the axis turns by nearly an integer number of intervals per sample.
+    /// The sample for filters without a model of the quantiser. If the axis turns by less than half a quantisation interval per sample, an
+    /// unchanged reading confines the axis to the interval, and a changed reading locates it at the edge between two intervals. If the axis
+    /// is faster, the quantisation error is noise; it persists while the axis turns by nearly an integer number of intervals per sample.
     pub(super) fn confined_to_interval(&self, sample: &Measurement) -> Measurement {
         let &Measurement { angle, rate, sigma, quantum, unrevealed, innovation, .. } = sample;
         if self.is_dithered(sigma, quantum) {
@@ -500,7 +504,7 @@ impl Encoder {
         if self.repeated { sample.at(angle, noise, quantum / 2.0) } else { sample.at(angle - self.change / 2.0, noise, 0.0) }
     }
 
-    /// The sample for filters that know no quantiser; `None` if it is confined to a quantisation interval.
+    /// The sample for filters without a model of the quantiser; `None` if it is confined to a quantisation interval.
     pub(super) fn unconfined(&self, sample: &Measurement) -> Option<Measurement> {
         Some(self.confined_to_interval(sample)).filter(|sample| sample.dead_zone == 0.0)
     }
@@ -510,12 +514,13 @@ impl Encoder {
         self.samples_within(PERSISTENT_TIME)
     }
 
-    /// Number of samples within a time, s, at least one.
+    /// Number of samples within `time`, s; at least one.
     fn samples_within(&self, time: f64) -> f64 {
         if self.interval > 0.0 { (time / self.interval).max(1.0) } else { 1.0 }
     }
 
-    /// Rate, rad/s, beyond that of the nearest integer number of quantisation intervals per sample: an axis that turns by such a number repeats its error.
+    /// Difference of the rate, rad/s, from the nearest integer number of quantisation intervals per sample. An axis with exactly such a
+    /// rate repeats its quantisation error.
     fn beat(&self, quantum: f64, rate: f64) -> f64 {
         let single = quantum / self.interval;
         rate - (rate / single).round() * single
@@ -527,25 +532,25 @@ impl Encoder {
         turns.min(self.samples_within(CORRELATION_TIME)).max(1.0)
     }
 
-    /// Whether the quantisation error is white: dithered by noise, or of the first sample.
+    /// Whether the quantisation error is white: noise dithers it, or it belongs to the first sample.
     pub(super) fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
         quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0
     }
 
     /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
-    /// average out while the axis rests.
+    /// average out at rest.
     fn noise(&self, sigma: f64, quantum: f64, rate: f64) -> f64 {
         let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
         white_variance(sigma) + quantum * quantum / 12.0 * repeated
     }
 
-    /// Expected sample with the quantisation interval in place of the white noise that it was computed with.
+    /// Prediction with the quantisation interval instead of the white noise.
     pub(super) fn with_quantisation_interval(&self, expected: &Prediction, sample: &Measurement) -> Prediction {
         let &Measurement { rate, sigma, quantum, unrevealed, innovation: Innovation { noise, .. }, .. } = sample;
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        // The error is repeated as long as the reading changes as the axis turns; any other change locates an edge.
+        // The quantisation error repeats as long as the reading changes by the turn of the axis; any other change locates an edge.
         let correlated_samples = self.correlated_samples(quantum, self.beat(quantum, rate));
         let repeats = (wrapped(self.change) - rate * self.interval).abs() < quantum / 2.0;
         let repeated = if repeats { correlated_samples } else { 1.0 };
@@ -561,13 +566,14 @@ impl Encoder {
 mod tests {
     use super::*;
 
-    /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
+    /// An axis that turns by an integer number of intervals per sample is as poorly observed as an axis at rest; an axis that crosses edges
+    /// is not.
     #[test]
     fn whole_steps_repeat() {
         let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), Error::from_fn(|i, _| [1.0, 0.0][i.min(1)]));
         let known = (0.5 * quantum).powi(2);
-        // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals, and of the reading as filters without intervals
-        // take it.
+        // Variance of the white noise that replaces the third reading if the estimate is off by 0.4 intervals, and of the reading for
+        // filters without a model of the quantiser.
         let variances = |steps: f64| {
             let mut encoder = Encoder::NEW;
             for k in 0..3 {
@@ -598,18 +604,18 @@ mod tests {
         for steps in [1.0, -1.0, 3.0] {
             // Tolerance: round-off of the difference of nearly equal variances.
             assert!((variance(steps) / rest - 1.0).abs() < 1e-6, "{steps} steps: {}, at rest {rest}", variance(steps));
-            // One error for 0.3 s counts once in 300 samples.
+            // An error that lasts for 0.3 s counts once in 300 samples.
             let once = 300.0 * quantum * quantum / 12.0;
             assert!((variances(steps).1 / once - 1.0).abs() < 1e-6, "{steps} steps: {}, not {once}", variances(steps).1);
         }
-        // Readings of 0, 1, 3 and 0, 2, 5 intervals: the last change differs from that of the rate.
+        // Readings of 0, 1, 3 and 0, 2, 5 intervals: the last change differs from the turn of the axis.
         for steps in [1.4, 2.4] {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
     }
 
-    /// A reading of an axis that rests jumps by more than any force explains, though its quantisation error lasts. The encoder is left out until
-    /// the reading jumps back, however the estimate moves; an axis that is struck moves on at once.
+    /// If the axis rests, a jump of the reading is larger than any force explains, although the quantisation error persists. The encoder is
+    /// then left out until the reading jumps back, for any motion of the estimate. If the axis is struck, it moves further at once.
     #[test]
     fn jumps_are_judged_by_the_reading() {
         let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), Error::from_fn(|i, _| [1.0, 0.0][i.min(1)]));
@@ -643,11 +649,12 @@ mod tests {
         assert!(!is_away_after(&[jump, (0.1, -0.1), (0.1, 0.0), (0.0, -0.1)]), "the reading jumps back");
     }
 
-    /// Stamps that err by less than a sample's period are used, with a noise that grows with the axis' rate; later ones and exact ones are not.
+    /// Samples with stamps that err by less than a sampling period are used, with a noise that grows with the rate of the axis. Samples
+    /// with larger errors are refused; exact stamps add no noise.
     #[test]
     fn stamps_that_jitter_are_used() {
         let (h, steps) = (1e-3, 2000);
-        // Times of arrival less the stamps, s, of uniform errors of ±0.4 ms: standard deviation 0.4 ms/√3.
+        // Times of arrival minus the stamps, s: uniform errors of ±0.4 ms, with the standard deviation 0.4 ms/√3.
         let received = |error: &dyn Fn(u32) -> f64| {
             let (mut encoder, mut used, mut silent) = (Encoder::NEW, 0, 0);
             for k in 0..steps {
@@ -663,17 +670,17 @@ mod tests {
         let (encoder, used, silent) = received(&uniform);
         assert!(used >= steps - 1 && silent == 0, "{used} used, {silent} times silent");
         let (told, expected) = (encoder.white_sigma(0.0, 2.0), 2.0 * 0.4e-3 / 3f64.sqrt());
-        // The mean is over 50 samples, and what exceeds the last stamp's admissible age counts beside it.
+        // The mean is over 50 samples, and an excess of the last age over the admissible age is added.
         assert!((0.5..2.5).contains(&(told / expected)), "{told} for {expected}");
         assert_eq!(encoder.white_sigma(1e-4, 0.0), 1e-4);
         let (encoder, used, silent) = received(&|_| 0.0);
         assert_eq!((used, silent, encoder.white_sigma(1e-4, 2.0)), (steps, 0, 1e-4));
-        // Beyond a period: the first two are exact.
+        // Errors beyond a period, after two exact stamps.
         assert_eq!(received(&|k| if k < 2 { 0.0 } else { 1.5e-3 }).1, 2);
         assert_eq!(received(&|k| if k < 2 { 0.0 } else { -1.5e-3 }).1, 2);
     }
 
-    /// An encoder that is stuck stays so where a sample is refused for its stamp, until a reading changes.
+    /// A stuck encoder stays stuck until a reading changes, even if a sample is refused for its stamp.
     #[test]
     fn refused_samples_free_no_encoder() {
         let mut encoder = Encoder::NEW;
@@ -684,7 +691,7 @@ mod tests {
         assert!(encoder.receive(2.1, 1.2, 1.2, 0.0).is_some() && encoder.fault == Fault::None && !encoder.fails());
     }
 
-    /// Invalid samples change neither sampling interval nor difference, wherever their time is.
+    /// Invalid samples change neither the sampling interval nor the difference, at any time stamp.
     #[test]
     fn what_is_not_used_is_not_counted() {
         let mut encoder = Encoder::NEW;

@@ -1,13 +1,15 @@
-//! Hypotheses: motions that encoders do not tell from the estimate at once. They are alternatives that answer one open question, until samples decide.
+//! Hypotheses: motions that the encoders cannot distinguish from the estimate at once. They are the alternative answers to one open
+//! question, until samples decide.
 //!
 //! | question | alternatives | compared with |
 //! | --- | --- | --- |
-//! | behind a vertex, which way? | straight on, turned to either side | the estimate |
-//! | in a slow passage of a direct singularity, across or back? | the motion under nearly no unknown force | its mirror image |
-//! | in which assembly, after that, a vertex or a restart? | nearly no unknown force in the estimate's, and in the mirrored one | each other |
+//! | after a vertex, which way? | straight on, turned to either side | the estimate |
+//! | in a slow passage of a direct singularity, across or back? | the motion with nearly no unknown force | its mirror image |
+//! | after such a passage, a vertex or a restart, in which assembly? | motions with nearly no unknown force in the estimate's assembly and in the other one | each other |
 //!
-//! Motor angles do not distinguish the assemblies; only the later motion does, and slowly. An unknown force explains either, and the models
-//! of the estimate admit forces that change, so their evidence does not decide: hence nearly no unknown force.
+//! Motor angles do not distinguish the assemblies; only the later motion does, and slowly. A suitable unknown force explains either
+//! assembly, and the models of the estimate allow such changing forces, so their evidence does not decide. The compared motions therefore
+//! have nearly no unknown force.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -31,10 +33,10 @@ use crate::copies::clone_by_fields;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{Assembly, Start, close};
 
-/// Largest number of ways from a vertex.
+/// Largest number of alternatives after a vertex.
 const MOST: usize = 3;
 
-/// Motion beside the estimate, with errors about it.
+/// Motion followed in parallel to the estimate, with its errors.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Alternative {
     pub(super) motion: LinkState,
@@ -44,16 +46,16 @@ pub(super) struct Alternative {
 /// How an alternative moves.
 #[derive(Clone, Copy)]
 pub(super) enum Moves<'a> {
-    /// Straight on through a vertex, under this unknown force.
+    /// Straight on through a vertex, with this unknown force.
     Straight(&'a Links),
-    /// Under this unknown force.
+    /// With this unknown force.
     Under(&'a Links),
-    /// Under nearly no unknown force; with the transition of the estimate if the motion is close to the estimate.
+    /// With nearly no unknown force; it takes the transition of the estimate if the motion is close to the estimate.
     Quiet(Option<&'a Propagation>),
 }
 
 impl Moves<'_> {
-    /// Unknown force, its torque scale relative to that of the estimate, and prior probabilities of the models.
+    /// Unknown force, its torque scale relative to the estimate's, and prior probabilities of the models.
     fn force(self) -> (Links, f64, &'static [f64; MODELS]) {
         match self {
             Self::Straight(force) | Self::Under(force) => (*force, 1.0, &LIKELY_MODELS),
@@ -79,16 +81,17 @@ enum Question {
     /// None is open.
     #[default]
     None,
-    /// Which way from a vertex? There is at least one, as old as the others, s.
+    /// Which way from a vertex? There is at least one way; all have the same age, s.
     Vertex { ways: ArrayVec<Way, MOST>, age: f64 },
-    /// Across a direct singularity or back, in a slow passage? Largest log-likelihood so far of the mirror image of the quiet motion.
+    /// Across a direct singularity or back, in a slow passage? `odds` is the largest log-likelihood so far of the mirror image of the quiet
+    /// motion.
     Passage { passing: Alternative, odds: f64 },
-    /// In which assembly? Quiet motions in that of the estimate and in the other one, with the log-likelihood of the other one relative to the
-    /// first, and the age of both, s.
+    /// In which assembly? Quiet motions in the estimate's assembly and in the other one, the log-likelihood of the second relative to the
+    /// first, and the age of the question, s.
     Assemblies { own: Alternative, other: Alternative, evidence: f64, age: f64 },
 }
 
-/// The open question, and what is known for those to come.
+/// The open question, and the evidence for questions that may follow.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Hypotheses {
     question: Question,
@@ -96,10 +99,10 @@ pub(super) struct Hypotheses {
     since_vertex: f64,
     /// Whether the estimate approaches a vertex.
     approaches_vertex: bool,
-    /// Largest log-likelihood of the other side during the present passage of a singularity: −1000 far from one, 0 where the side is
+    /// Largest log-likelihood of the other side during the present passage of a singularity: −1000 far from a singularity, 0 if the side is
     /// unknown.
     mirror_odds: f64,
-    /// Evidence of a restart: accumulated time with samples far from the estimate minus that with near ones, s.
+    /// Evidence for a restart, s: accumulated time with samples far from the estimate, minus the time with samples near it.
     lost: f64,
 }
 
@@ -112,23 +115,23 @@ impl Default for Hypotheses {
 }
 
 impl Hypotheses {
-    /// Whether several motions are followed: behind a vertex, or in both assemblies.
+    /// Whether several motions are followed, after a vertex or in both assemblies.
     pub(super) fn are_open(&self) -> bool {
         matches!(self.question, Question::Vertex { .. } | Question::Assemblies { .. })
     }
 
-    /// Whether motions under nearly no unknown force are followed.
+    /// Whether motions with nearly no unknown force are followed.
     pub(super) fn are_quiet(&self) -> bool {
         matches!(self.question, Question::Passage { .. } | Question::Assemblies { .. })
     }
 
-    /// Whether the branch is known: the last vertex was left longer ago than a question about it stays open.
+    /// Whether the branch is known: the time since the last vertex exceeds the lifetime of a question about it.
     pub(super) fn is_branch_known(&self) -> bool {
         self.since_vertex > AFTER_VERTEX.lifetime
     }
 
-    /// Opens a question where the estimate, whose macro step ends at `to`, leaves a vertex, since no sample has told on
-    /// which side it was passed. Called before the time update.
+    /// Opens a question if the estimate leaves a vertex, because no sample has shown on which side it was passed. `to` is the estimate at
+    /// the end of the macro step. Called before the time update.
     pub(super) fn open_after_vertex(
         &mut self,
         machine: &Machine,
@@ -139,7 +142,7 @@ impl Hypotheses {
     ) {
         let (before, after) = (step.from.smallest, step.to.smallest);
         let near = before.min(after) < NEAR_VERTEX;
-        // Forces do not change a rate by as much in a step.
+        // Forces cannot change a rate by so much in one step.
         let fastest = motion.fastest();
         let turned = near
             && fastest > REST_RATE
@@ -154,7 +157,7 @@ impl Hypotheses {
         }
     }
 
-    /// Time update by a macro step of h seconds, after that of the estimate. `coasts`: no samples come.
+    /// Time update by a macro step of h seconds, after the time update of the estimate. `coasts`: no samples are used.
     pub(super) fn step(
         &mut self,
         machine: &Machine,
@@ -197,7 +200,7 @@ impl Hypotheses {
         }
     }
 
-    /// Follows the passage of a direct singularity, and asks for the assembly behind it.
+    /// Follows the passage of a direct singularity, and opens the question of the assembly after it.
     fn follow_passage(&mut self, machine: &Machine, (motion, belief): (&LinkState, &Belief), at: &Frame) {
         let quiet = || Alternative::quiet(machine, motion, belief);
         if let Question::Passage { passing, odds } = &mut self.question {
@@ -208,7 +211,7 @@ impl Hypotheses {
         if side.abs() < DISTINGUISHABLE {
             if rate.abs() < SLOW_PASSAGE {
                 match self.question {
-                    // The motion returns to the singularity undecided: the likelier alternative continues through it.
+                    // The motion returns to the singularity before a decision: the likelier alternative continues through it.
                     Question::Assemblies { own, other, evidence, .. } => {
                         let evidence = evidence.clamp(NEGLIGIBLE_ODDS, 0.0 - NEGLIGIBLE_ODDS);
                         self.mirror_odds = evidence.min(0.0);
@@ -236,7 +239,7 @@ impl Hypotheses {
             };
             self.question = match own.mirrored(machine) {
                 None => Question::None,
-                // The estimate is in the mirrored assembly, and the next samples replace it.
+                // The estimate is in the mirrored assembly; the next samples replace it.
                 Some(mirrored) if own.motion.side()[0] * side < 0.0 => {
                     let evidence = (-odds).max(WHICH_ASSEMBLY.decided + 1.0);
                     Question::Assemblies { own: mirrored, other: own, evidence, age: 0.0 }
@@ -246,7 +249,7 @@ impl Hypotheses {
         }
     }
 
-    /// Way that the first samples (innovation, angle) after a vertex favour by far.
+    /// Way that the first samples after a vertex clearly favour.
     pub(super) fn favoured(&self, linkage: &Linkage, belief: &Belief, samples: &[Option<Measurement>; 2]) -> Option<usize> {
         let Question::Vertex { ways, .. } = &self.question else { return None };
         let favour = ways.iter().map(|Way { other, .. }| {
@@ -291,7 +294,8 @@ impl Hypotheses {
         decided
     }
 
-    /// Lets an alternative replace the estimate. Behind a vertex the two change places; of two assemblies both go on beside the new estimate.
+    /// Replaces the estimate by an alternative. After a vertex, estimate and alternative are exchanged. If the question is the assembly,
+    /// the quiet motions in both assemblies continue in parallel to the new estimate.
     pub(super) fn take_over(&mut self, which: usize, machine: &Machine, (motion, belief): (&mut LinkState, &mut Belief)) {
         match &mut self.question {
             Question::None | Question::Passage { .. } => (),
@@ -313,18 +317,19 @@ impl Hypotheses {
         }
     }
 
-    /// Takes over a doubt about the side of the estimate that ends undecided: the log-likelihood of the other one.
+    /// Takes over an undecided doubt about the side of the estimate; `odds` is the log-likelihood of the other side.
     pub(super) fn doubt_side(&mut self, odds: f64) {
         self.mirror_odds = self.mirror_odds.max(odds.clamp(NEGLIGIBLE_ODDS, 0.0));
     }
 
-    /// Counts samples that are `off`, each for `passed` seconds; whether the estimate is lost.
+    /// Counts samples: those far from the estimate (`off`) add `passed` seconds, others subtract them. Returns whether the estimate is
+    /// lost.
     pub(super) fn is_lost(&mut self, off: bool, passed: f64) -> bool {
         self.lost = (self.lost + if off { passed } else { -passed }).max(0.0);
         self.lost >= DIVERGENCE_TIME
     }
 
-    /// None, of an estimate that may be on either side of a direct singularity: both assemblies are followed from then on.
+    /// No question yet, for an estimate that may be on either side of a direct singularity. Both assemblies will be followed.
     pub(super) fn of_unknown_side() -> Self {
         Self { mirror_odds: 0.0, ..Self::default() }
     }
@@ -351,7 +356,7 @@ impl Hypotheses {
 }
 
 impl Question {
-    /// Which way from a vertex, of this age, s; no question where there is no way.
+    /// The question which way from a vertex, with this age, s; no question if there is no way.
     fn of_ways(ways: ArrayVec<Way, MOST>, age: f64) -> Self {
         if ways.is_empty() { Self::None } else { Self::Vertex { ways, age } }
     }
@@ -363,7 +368,7 @@ impl Alternative {
         self.belief.is_sound(linkage, &self.motion)
     }
 
-    /// Motion of the estimate under nearly no unknown force.
+    /// Motion of the estimate with nearly no unknown force.
     fn quiet(machine: &Machine, motion: &LinkState, belief: &Belief) -> Self {
         let sigma = INITIAL_FORCE_SIGMA * machine.torque_scale();
         let bank = belief.bank.with_priors(QUIET_MODELS).with_force(sigma * sigma);
@@ -371,8 +376,8 @@ impl Alternative {
         Self { motion: *motion, belief }
     }
 
-    /// Motion in the other assembly than the estimate's, with equal angles and rates of the motors, about which a start is as uncertain. `None`
-    /// where the assemblies cannot be told apart.
+    /// Motion in the other assembly, with equal angles and rates of the motors and the uncertainty of a start. `None` if the assemblies
+    /// cannot be distinguished.
     pub(super) fn of_start(machine: &Machine, motion: &LinkState) -> Option<Self> {
         let mirrored = mirror_image(machine, motion).filter(|_| is_distinguishable(motion))?;
         Some(Self { motion: mirrored, belief: Belief::new(machine.start_variances()) })
@@ -382,7 +387,7 @@ impl Alternative {
     fn mirrored(&self, machine: &Machine) -> Option<Self> {
         let Self { motion, .. } = self;
         let mirrored = mirror_image(machine, motion)?;
-        // Equal errors of the motors on the other tangent basis.
+        // Maps errors to the other tangent basis so that the errors of the motors are equal.
         let [from, to] = [motion, &mirrored].map(|of| machine.linkage.frame(&of.theta).motors());
         let turn = to.try_inverse().filter(|_| to.determinant().abs() >= LEAST_MOTOR_DETERMINANT)? * from;
         let mut f = Transition::identity();
@@ -393,7 +398,7 @@ impl Alternative {
         Some(Self { motion: mirrored, belief })
     }
 
-    /// Time update by h seconds; `None` if the motion cannot go on. Returns the step.
+    /// Time update by h seconds. Returns the step; `None` if the motion cannot continue.
     pub(super) fn propagate(&mut self, machine: &Machine, scene: &impl Scene, moves: Moves, h: f64) -> Option<Propagation> {
         let (linkage, (force, scale, models)) = (&machine.linkage, moves.force());
         let from = linkage.frame(&self.motion.theta);
@@ -422,8 +427,8 @@ impl Alternative {
         Some(step)
     }
 
-    /// Measurement update; returns the log-likelihood, the error that was injected and the map between the tangent bases, `None` where the loop
-    /// cannot be closed.
+    /// Measurement update; returns the log-likelihood, the injected error and the map between the tangent bases; `None` if the loop cannot
+    /// be closed.
     pub(super) fn update(&mut self, linkage: &Linkage, samples: &[Option<Measurement>; 2]) -> Option<(f64, Error, Matrix2<f64>)> {
         let mut likelihood = 0.0;
         let frame = linkage.frame(&self.motion.theta);
@@ -436,7 +441,7 @@ impl Alternative {
             }
             innovation.residual -= dead_zone.copysign(off);
             let expected = self.belief.bank.prediction(&innovation);
-            // Within the dead zone of a reading all motions are equally likely: the normalisation by the variance is left out.
+            // In the dead zone of a reading all motions are equally likely, so the likelihood is not normalised by the variance.
             likelihood += if dead_zone > 0.0 { -0.5 * expected.nis() } else { expected.log_likelihood() };
             self.belief.bank.update(&expected);
         }
@@ -450,8 +455,8 @@ fn largest(numbers: impl Iterator<Item = f64>, least: f64) -> Option<usize> {
     numbers.enumerate().fold((None, least), |best, (k, number)| if number > best.1 { (Some(k), number) } else { best }).0
 }
 
-/// Log-likelihood of the mirror state next to a direct singularity, at equal distance and opposite rate, which the motors do not
-/// distinguish: by s = sin(θ₃ − θ₂) and ṡ with their covariance.
+/// Log-likelihood of the mirror state next to a direct singularity, from s = sin(θ₃ − θ₂), ṡ and their covariance. The mirror state has
+/// opposite s and ṡ; motor angles do not distinguish it.
 fn mirror_odds(motion: &LinkState, belief: &Belief, at: &Frame) -> f64 {
     let slope = libm::cos(motion.theta[2] - motion.theta[1]);
     let row = (at.basis.row(2) - at.basis.row(1)) * slope;
@@ -468,7 +473,7 @@ fn assembly_of(motion: &LinkState) -> Assembly {
     if motion.side()[0] > 0.0 { Assembly::Plus } else { Assembly::Minus }
 }
 
-/// Whether a motion is so far from direct singularities that forces tell the assemblies apart.
+/// Whether a motion is so far from direct singularities that forces distinguish the assemblies.
 pub(super) fn is_distinguishable(motion: &LinkState) -> bool {
     motion.side()[0].abs() >= NEAR_SINGULARITY
 }
@@ -486,9 +491,9 @@ fn closed_by_motors(machine: &Machine, [left, right]: [Pair; 2], assembly: Assem
     Some(LinkState::new(THETA.map(|i| q[i]), THETA.map(|i| v[i])))
 }
 
-/// State h seconds later at constant rates; `None` where the loop cannot be closed behind the vertex.
+/// State h seconds later at constant rates; `None` if the loop cannot be closed after the vertex.
 fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkState, Frame)> {
-    // Not closed next to the vertex: J near its rank loss would falsify the rates.
+    // The loop is not closed next to the vertex: J is nearly singular and would falsify the rates.
     let along = LinkState { theta: motion.theta + motion.omega * h, omega: motion.omega };
     let frame = linkage.frame(&along.theta);
     if frame.smallest >= NEAR_VERTEX { linkage.closed(along) } else { Some((along, frame)) }
@@ -503,7 +508,7 @@ pub(super) fn started_by_motors(machine: &Machine, motion: &LinkState, axes: [Pa
     (started.side()[0].abs() >= DISTINGUISHABLE && machine.linkage.is_closed(&started)).then_some(started)
 }
 
-/// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back, displaced, and integrated forward; `None` where that
+/// Motion that passes a vertex at the lateral distance `aside`, rad: integrated backward, displaced and integrated forward; `None` if that
 /// fails.
 fn turned_aside(linkage: &Linkage, scene: &impl Scene, (motion, belief): (&LinkState, &Belief), aside: f64) -> Option<Way> {
     let fastest = motion.fastest();
@@ -537,7 +542,7 @@ mod tests {
     use super::*;
     use crate::simulation::bindings::default_parameters;
 
-    /// Motions that go straight on next to a vertex are states that may be stored, whatever their rates.
+    /// Motions that go straight on next to a vertex are valid stored states at any rates.
     #[test]
     fn straight_motions_may_be_stored() {
         let linkage = Linkage::new(&default_parameters().geometry);
