@@ -19,7 +19,7 @@ use super::witness::{ByFaults, DELAY, FAULTS, Faults, JUMPS, PARAMETERS, TIP, TO
 /// Explanation of an alarm or a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Cause {
-    /// Nothing.
+    /// No cause.
     #[default]
     None,
     /// A torque at a motor, 0: left, 1: right.

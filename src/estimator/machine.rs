@@ -1,4 +1,4 @@
-//! Parameters of the estimator (encoders, initial uncertainty, unknown force, forecast), and the machine as it is believed.
+//! Parameters of the estimator (encoders, initial uncertainty, unknown force, forecast), and the estimator's model of the machine.
 
 use nalgebra::SVector;
 
@@ -16,7 +16,7 @@ pub enum Bands {
     /// Linear propagation of the covariance.
     #[default]
     Linear,
-    /// Sigma points: simulated motions around the estimate.
+    /// Sigma points: motions simulated around the estimate.
     SigmaPoints,
 }
 
@@ -39,7 +39,7 @@ pub struct Parameters {
     pub sigma0_length: f64,
     /// Standard deviation of the constant mounting angle of each encoder, rad.
     pub sigma0_offset: f64,
-    /// Standard deviation of further errors of each encoder that persist and are not constant, rad.
+    /// Standard deviation of other errors of each encoder that persist but are not constant, rad.
     pub sigma0_eccentricity: f64,
     /// Relative standard deviation of the scale of each encoder.
     pub sigma0_scale: f64,
@@ -70,13 +70,13 @@ impl Parameters {
         (self.sigma0_eccentricity, self.sigma0_scale) = (0.0, 0.0);
     }
 
-    /// Whether lengths and encoders are told to be exact.
+    /// Whether lengths and encoders are configured as exact.
     pub(super) fn has_exact_geometry(&self) -> bool {
         [self.sigma0_length, self.sigma0_offset, self.sigma0_eccentricity, self.sigma0_scale] == [0.0; 4]
     }
 
-    /// Variances of the errors of both readings by discs and scales of the encoders, rad², which are never learned. That of a scale grows with the angle from
-    /// where the reading is 0.
+    /// Variances of both readings due to errors of the encoders' discs and scales, rad², which are never learned. A scale error is
+    /// proportional to the angle.
     pub(super) fn variances_of_encoders(&self, theta: &Links) -> [f64; 2] {
         MEASURED.map(|link| {
             let by_scale = self.sigma0_scale * theta[link];
@@ -84,7 +84,7 @@ impl Parameters {
         })
     }
 
-    /// Refuses delays that the history does not reach, or that learning does not take; `step_size` is the macro step, s.
+    /// Refuses delays that are too long for the history, and any delay with learning. `step_size` is the macro step, s.
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
         if self.learn_enabled && self.max_delay > 0.0 {
             return Err(SceneError(format!(
@@ -93,8 +93,8 @@ impl Parameters {
                 self.max_delay
             )));
         }
-        // The history holds a macro step each, which a communication step that is no multiple of h makes shorter than h. Shorter than h/2,
-        // where communication steps are, they do not reach back to maxDelay, and older samples are late.
+        // Each entry of the history is a macro step. If the communication step is no multiple of h, macro steps are shorter than h. If
+        // communication steps are shorter than h/2, the history does not reach back to maxDelay, and older samples are late.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(
@@ -107,7 +107,7 @@ impl Parameters {
     }
 }
 
-/// Parameters before any sample.
+/// Learned parameters before any sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// Values.
@@ -116,29 +116,29 @@ pub struct Prior {
     pub sigma: Learned,
 }
 
-/// Machine as it is believed: by the parameters, with the lengths that have been learned.
+/// The estimator's model of the machine: the parameters, with the learned lengths.
 #[derive(Debug, PartialEq)]
 pub struct Machine {
-    /// Lengths as they are believed.
+    /// Geometry with the learned lengths.
     pub(super) geometry: Geometry,
-    /// Lengths of links and base as the parameters say, m.
+    /// Lengths of links and base by the parameters, m.
     pub(super) nominal: [f64; LENGTH_COUNT],
-    /// The closed loop of these lengths.
+    /// The closed loop with the learned lengths.
     pub linkage: Linkage,
     /// The parameters in force.
     pub parameters: Parameters,
-    /// Standard deviations of lengths, m, and of mounting angles, rad, that are not learned; 0 of those that are.
+    /// Standard deviations of lengths, m, and of mounting angles, rad; 0 if they are learned.
     pub(super) unlearned: [f64; 2],
     /// Torque scale of the unknown force, N·m.
     torque_scale: f64,
-    /// Values and standard deviations of what is learned, before any sample; boxed, so that it costs nothing where nothing is learned.
+    /// Values and standard deviations of the learned parameters before any sample; boxed, so that it costs no space if nothing is learned.
     pub(super) prior: Option<Box<Prior>>,
 }
 
 clone_by_fields!(Machine { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior });
 
 impl Machine {
-    /// Machine of a geometry that includes all masses, before anything is learned.
+    /// Machine before anything is learned; `geometry` includes all masses.
     pub fn new(geometry: &Geometry, parameters: &Parameters, prior: Option<Prior>) -> Self {
         // Mean over the legs of the torque that carries their weight, (m_P a_P + m_D l_P)·9.81 m/s².
         let weight = |p: usize, d: usize| {
@@ -156,17 +156,17 @@ impl Machine {
         Self { geometry, nominal, linkage, parameters, unlearned, torque_scale, prior }
     }
 
-    /// Standard deviations of lengths, m, and mounting angles, rad, that are not learned.
+    /// Standard deviations of lengths, m, and mounting angles, rad; 0 if they are learned.
     pub(super) fn unlearned_geometry(&self) -> SVector<f64, GEOMETRY> {
         SVector::from_fn(|i, _| self.unlearned[usize::from(i >= LENGTH_COUNT)])
     }
 
-    /// Length of link i or of the base as the parameters say, m.
+    /// Length of link i or of the base by the parameters, m.
     pub fn length(&self, i: usize) -> f64 {
         self.nominal[i]
     }
 
-    /// Takes over the lengths that have been learned; returns whether they are others.
+    /// Takes over the learned lengths; returns whether they have changed.
     pub fn learn(&mut self, learned: &Learned) -> bool {
         let before = self.geometry;
         set_lengths(&mut self.geometry, |i, _| self.nominal[i] + learned[LENGTHS.start + i]);
@@ -194,7 +194,7 @@ impl Machine {
     }
 }
 
-/// Sets the lengths of links and base, m, by number and present length.
+/// Sets the lengths of links and base, m; `length` gets the number and the present length.
 pub fn set_lengths(geometry: &mut Geometry, mut length: impl FnMut(usize, f64) -> f64) {
     let lengths = geometry.links.iter_mut().map(|link| &mut link.length).chain([&mut geometry.base_distance]);
     lengths.enumerate().for_each(|(i, of)| *of = length(i, *of));

@@ -6,18 +6,19 @@
 //! | `tangent.rs`, `error_state.rs` | the closed loop: J, N, closure; errors on N and their covariance |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
-//! | `learning.rs` | masses, friction, lengths and mounting angles as parameters behind the errors |
+//! | `learning.rs` | masses, friction, lengths and mounting angles: parameters that follow the errors |
 //! | `encoder.rs`, `trust.rs`, `quantiser.rs`, `history.rs` | samples: validity, trust, noise, intervals, delay |
-//! | `hypotheses.rs` | the open question about the branch, and the motions that may answer it |
-//! | `unaided.rs` | the estimate without an encoder that repeats itself |
-//! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | what is told of the estimate |
+//! | `hypotheses.rs` | the open question about the branch, and the motions that are its possible answers |
+//! | `unaided.rs` | the estimate without an encoder that repeats its reading |
+//! | `forecast.rs`, `bands.rs`, `geometry.rs`, `alarm.rs` | reported properties of the estimate: forecast, uncertainty, alarm |
 //! | `doubt.rs` | whether the start is in the right assembly |
-//! | `witness.rs`, `cause.rs` | filter that knows of no fault; explanations of an alarm, compared |
-//! | `machine.rs`, `tuning.rs` | the machine as it is believed, with the master's parameters; tuned constants |
+//! | `witness.rs`, `cause.rs` | filter without faults; comparison of the explanations of an alarm |
+//! | `machine.rs`, `tuning.rs` | the estimator's model of the machine, with the master's parameters; tuned constants |
 //! | `stored.rs` | matrices in stored states |
 //!
-//! The module knows the mechanism and the scene that a simulation passes: equations of motion with derivatives, and the motion at the begin
-//! and the end of each macro step. The simulation owns the motion; the estimator returns the corrected one and the unknown force to continue with.
+//! A simulation passes the mechanism and the scene: equations of motion with derivatives, and the motion at the beginning and the end of
+//! each macro step. The simulation owns the motion. The estimator returns the corrected motion, and the unknown force with which the
+//! simulation continues.
 //!
 //! Invariant: no input or output and no clock; equal input bits give equal output bits.
 
@@ -84,7 +85,7 @@ pub enum Status {
     Coasting,
     /// Too close to a vertex to know the branch: samples are not used.
     Holding,
-    /// Several motions are followed: the start is doubted, or a singularity was passed.
+    /// Several motions are followed: the assembly of the start is in doubt, or a singularity was passed.
     TwoBranches,
     /// One encoder is silent; the other is used.
     OneEncoder,
@@ -94,7 +95,7 @@ pub enum Status {
     Faulty(Fault),
 }
 
-/// Changing part of the estimator, with its largest parts boxed. The motion that its errors are about is the simulation's.
+/// State of the estimator, with its largest parts boxed. Its errors refer to the motion, which the simulation owns.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
     belief: Belief,
@@ -108,7 +109,7 @@ pub struct Estimator {
     doubt: Box<Doubt>,
     #[borsh(deserialize_with = "stored::read_boxed")]
     unaided: Box<[Unaided; 2]>,
-    /// Learning of parameters; boxed, so that an estimator that does not learn is no larger.
+    /// Learning of parameters; boxed, so that it costs no space if nothing is learned.
     learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
     #[borsh(deserialize_with = "stored::read_boxed")]
@@ -117,7 +118,7 @@ pub struct Estimator {
     alarm: Alarm,
     #[borsh(deserialize_with = "stored::read_boxed")]
     causes: Box<Causes>,
-    /// Whether one encoder alone has lost the machine, which may be anywhere until both have shown it.
+    /// Whether the estimate from one encoder alone has lost the machine, which may be anywhere until both encoders have settled.
     adrift: bool,
     /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
@@ -170,13 +171,12 @@ impl Estimator {
         &self.belief
     }
 
-    /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion,
-    /// `None` where no sample has changed the estimate.
-    /// Lengths that are learned change those of the closed loop.
+    /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion;
+    /// `None` if no sample has changed the estimate. Learned lengths change the closed loop of `machine`.
     pub fn correct(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let corrected = self.corrected(machine, motion, measured, now);
         match self.learned() {
-            // Learning has begun anew.
+            // Learning has restarted: the motion has to close the loop of the new lengths.
             Some(learned) if machine.learn(&learned) => {
                 let corrected = corrected.unwrap_or(*motion);
                 Some(machine.linkage.closed(corrected).map_or(corrected, |(closed, _)| closed))
@@ -185,7 +185,7 @@ impl Estimator {
         }
     }
 
-    /// Stages of a measurement update. The motion closes the loop unless learning has begun anew.
+    /// Stages of a measurement update. The returned motion closes the loop unless learning has restarted.
     fn corrected(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
         let mut estimate = self.estimated(machine, motion);
         let mut measurements = self.receive(machine, &estimate, (measured, now));
@@ -235,15 +235,15 @@ impl Estimator {
         let mut receive =
             |i: usize| self.encoders[i].measurement(i, machine, (motion, frame, history), (sigma[i], offset[i]), measured);
         let measurements = [receive(0), receive(1)];
-        // Samples of encoders that are believed end a forecast even where their values cannot be used.
+        // Samples of trusted encoders end a forecast even if their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
         measurements
     }
 
-    /// While several hypotheses are open behind a vertex, the first samples select one before any of them is corrected. Returns whether it replaces the
-    /// estimate.
+    /// If several hypotheses are open after a vertex, the first samples may select one before any of them is corrected. Returns whether a
+    /// hypothesis replaces the estimate.
     fn switch_branch(&mut self, machine: &Machine, estimate: &mut Estimated, measurements: &mut [Option<Measurement>; 2]) -> bool {
         let Some(other) = self.hypotheses.favoured(&machine.linkage, &self.belief, measurements) else { return false };
         self.take_over(other, machine, estimate);
@@ -255,7 +255,7 @@ impl Estimator {
         true
     }
 
-    /// Moves the motion by the mean of its error, and learned values by the mean of theirs: the bank is about the corrected ones.
+    /// Adds the mean errors to the motion and to the learned values; the bank then refers to the corrected motion and values.
     fn inject(&mut self, machine: &mut Machine, Estimated { motion, frame, errors, sigma, .. }: &mut Estimated) {
         let learned = self.learning.as_mut().map(|learning| {
             let before = learning.values();
@@ -267,7 +267,7 @@ impl Estimator {
             return self.reset(machine, &Reset::Unclosed);
         };
         if let Some(((_, change), errors)) = learned.as_ref().zip(errors.as_ref()) {
-            // Persistent errors of the readings are those about what is learned.
+            // The change of the learned values changes the persistent errors of the readings.
             for i in 0..2 {
                 error[READINGS + i] = errors.rows[i].dot(&change.fixed_rows::<GEOMETRY>(LOADS)) / sigma[i];
             }
@@ -276,7 +276,7 @@ impl Estimator {
         self.follow(&Correction { error, turn, values: learned.map(|(values, _)| values) });
     }
 
-    /// Follows a correction: all that is about the estimate's motion moves with it.
+    /// Applies a correction to everything that refers to the motion of the estimate.
     fn follow(&mut self, correction: &Correction) {
         let Correction { error, turn, values } = correction;
         self.history.correct(error, turn);
@@ -288,7 +288,8 @@ impl Estimator {
         }
     }
 
-    /// Lets the samples that were used judge the other motions, if any are followed; the first samples of both encoders begin the doubt about the start.
+    /// Compares the other motions, if any are followed, with the samples that were used. The first samples of both encoders open the doubt
+    /// about the start.
     fn judge_motions(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         if self.hypotheses.are_open() || self.hypotheses.are_quiet() || self.doubt.is_open() {
             self.judge_alternatives(machine, estimate, residuals);
@@ -298,7 +299,7 @@ impl Estimator {
         }
     }
 
-    /// Lets the samples that were used judge the alternatives; one of them may replace the estimate.
+    /// Updates the alternatives by the samples that were used; one of them may replace the estimate.
     fn judge_alternatives(&mut self, machine: &Machine, estimate: &mut Estimated, residuals: &[Residual; 2]) {
         let confined = self.hypotheses.are_quiet() || self.doubt.is_open();
         let used = [0, 1].map(|i| {
@@ -318,7 +319,7 @@ impl Estimator {
         }
     }
 
-    /// Lets the samples that were used judge whether an unmodelled force acts.
+    /// Updates the alarm for an unmodelled force by the samples that were used.
     fn judge_force(&mut self, machine: &Machine, estimate: &Estimated, residuals: &[Residual; 2]) {
         let nis = || residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.nis);
         let squares = (nis().fold(0.0, |sum, nis| sum + nis), nis().count());
@@ -326,7 +327,7 @@ impl Estimator {
         self.alarm.receive(&self.belief, &estimate.frame, machine.torque_scale(), squares, exceed_masses);
     }
 
-    /// Errors of both readings beside those of the motion; `None` where nothing is learned.
+    /// Errors of both readings in addition to the errors of the motion; `None` if nothing is learned.
     fn errors_beside_learned(&self, machine: &Machine, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
         self.learning.is_some().then(|| {
             let by_lengths = frame.motors_by_lengths(machine.unlearned[0]);
@@ -336,7 +337,7 @@ impl Estimator {
         })
     }
 
-    /// Standard deviations, rad, and known parts, rad, of the persistent errors of both encoders.
+    /// Standard deviations and known parts of the persistent errors of both encoders, rad.
     fn systematic_errors(
         &self,
         machine: &Machine,
@@ -373,8 +374,8 @@ impl Estimator {
         residuals
     }
 
-    /// Measurement update of the bank by a sample of encoder i: prediction, gate, gain and covariance. `models` are the prior probabilities of the
-    /// models; `learns`: lengths and mounting angles were being learned before the samples of both encoders.
+    /// Measurement update of the bank by a sample of encoder i: prediction, gate, gain and covariance. `models` are the prior probabilities
+    /// of the models. `learns`: lengths and mounting angles were already being learned before these samples.
     fn update_by(
         &mut self,
         machine: &Machine,
@@ -383,12 +384,12 @@ impl Estimator {
         (i, measurement): (usize, &Measurement),
     ) -> Residual {
         let errors = errors.as_ref();
-        // Errors that the other encoder does not reveal, and those that are never learned, persist in the reading.
+        // Model errors that the other encoder does not reveal, and errors that are never learned, persist in the reading.
         let alone = !self.encoders[1 - i].is_believed();
         let measurement = if alone { &measurement.alone(i, &self.encoders[i]) } else { measurement };
         let learned = errors.filter(|_| learns).map(|errors| measurement.learned(i, errors.further[i]));
         let used = learned.as_ref().unwrap_or(measurement);
-        // Prediction, before the sample counts.
+        // Prediction.
         let mut prediction = self.belief.bank.prediction(&used.innovation);
         let columns = self
             .learning
@@ -413,7 +414,7 @@ impl Estimator {
             }
             return Residual::Rejected { nis };
         };
-        // Gain and covariance, of the parameters that are learned and of the motion.
+        // Gain and covariance, of the learned parameters and of the motion.
         if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
             let persistent = ([used.persistent, measurement.persistent], self.encoders[i].samples_of_persistent_error());
             learning.update(&mut confined, columns, persistent, used.rests());
@@ -427,13 +428,14 @@ impl Estimator {
         Residual::Accepted(Accepted { measurement: *measurement, nis, likelihood })
     }
 
-    /// Sample of encoder i as the witness of a doubted start sees it. Samples that are confined to a quantisation interval do not tell assemblies apart.
+    /// Sample of encoder i for the witness of a start in doubt. Samples that are confined to a quantisation interval do not distinguish the
+    /// assemblies.
     fn seen(&self, i: usize, measurement: &Measurement) -> Option<Measurement> {
-        // Accelerations do not show what hardly changes.
+        // The persistent error is left out: it hardly changes, so it does not affect the accelerations.
         self.doubt.is_open().then(|| self.encoders[i].unconfined(&measurement.with_persistent_error(i, 0.0)))?
     }
 
-    /// Lets the causes see a sample of encoder i, of this normalised innovation squared, before the bank is updated.
+    /// Updates the causes by a sample of encoder i with the normalised innovation squared `nis`, before the update of the bank.
     fn watch(
         &mut self,
         machine: &Machine,
@@ -454,15 +456,15 @@ impl Estimator {
         }
     }
 
-    /// Lets the estimate without encoder i begin or end, as its reading repeats or not.
+    /// Starts the estimate without encoder i if the reading repeats, and ends it if the reading changes.
     fn begin_unaided(&mut self, i: usize, frame: &Frame, models: &[f64; MODELS], errors: Option<&ReadingErrors>) {
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
         let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, errors);
         self.unaided[i].receive(encoders, || (bank(), self.belief.tangent_force(frame).norm()), models);
     }
 
-    /// Whether the first samples of both encoders are far from the estimate, and at the angles that it expects if they are exchanged. Later
-    /// samples do not count: an estimate that is lost meets such angles by chance.
+    /// Whether the encoders are exchanged: their first samples are far from the estimate, but fit it if they are exchanged. Later samples
+    /// do not count, because a lost estimate may fit exchanged samples by chance.
     fn are_exchanged(&self, (motion, frame): (&LinkState, &Frame), measurements: &[Option<Measurement>; 2]) -> bool {
         let [Some(left), Some(right)] = measurements else { return false };
         if self.encoders.iter().any(|encoder| encoder.interval() > 0.0)
@@ -475,8 +477,8 @@ impl Estimator {
         nis([left.innovation, right.innovation]) > GATE && nis(exchanged) <= GATE
     }
 
-    /// Restarts an estimate that samples of both encoders have long been far from, since one alone may be faulty; next to a vertex, where
-    /// samples are not used, one that is far suffices. Returns the motion.
+    /// Restarts the estimate if the samples of both encoders have been far from it for long; a single encoder may be faulty. Next to a
+    /// vertex, samples are not used, and one encoder far from the estimate suffices. Returns the new motion.
     fn restart(&mut self, machine: &Machine, motion: &LinkState, measurements: &[Option<Measurement>; 2]) -> Option<LinkState> {
         self.restarted = false;
         let [Some(left), Some(right)] = measurements else { return None };
@@ -507,7 +509,7 @@ impl Estimator {
         Some(anew)
     }
 
-    /// Starts the estimate again; the caller replaces the motion. Each field says which kinds of reset concern it.
+    /// Restarts the estimate; the caller replaces the motion. Each `match` lists for its fields which kinds of reset change them.
     fn reset(&mut self, machine: &Machine, kind: &Reset) {
         use Reset::{Adrift, Assembly, Branch, Repetition, Runaway, Samples, Unclosed};
         let Self {
@@ -531,7 +533,7 @@ impl Estimator {
             match kind {
                 Branch => learning.pause(&belief.bank),
                 Repetition(_, fault) if *fault != Fault::Stuck => learning.pause(&belief.bank),
-                // Samples have been believed that were wrong, or the estimate was: what was learned by them is not trusted.
+                // The estimate or the accepted samples were wrong, so the learned values are not trusted.
                 Repetition(..) | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => learning.begin_all_anew(prior),
             }
         }
@@ -556,7 +558,7 @@ impl Estimator {
         match kind {
             Samples { .. } => causes.close(true),
             Branch | Unclosed | Runaway | Adrift => causes.close(false),
-            // The assembly explains what has surprised.
+            // The wrong assembly explains the surprise.
             Assembly(_) => **causes = Causes::default(),
             Repetition(..) => (),
         }
@@ -584,7 +586,7 @@ impl Estimator {
         }
     }
 
-    /// Parameters that the master has set to other values begin anew; `tuned` is the prior with these values.
+    /// Restarts the learning of parameters that the master has changed; `tuned` is the prior with the new values.
     pub fn begin_anew_where_tuned(&mut self, machine: &Machine, tuned: Option<&Prior>) {
         if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &machine.prior, tuned) {
             for i in (0..LEARNED).filter(|i| before.values[*i] != tuned.values[*i]) {
@@ -593,12 +595,12 @@ impl Estimator {
         }
     }
 
-    /// Values of what is learned; `None` where nothing is.
+    /// Values of the learned parameters; `None` if nothing is learned.
     pub fn learned(&self) -> Option<Learned> {
         self.learning.as_ref().map(|learning| learning.values())
     }
 
-    /// Standard deviations of what is learned, and 0 of what is not.
+    /// Standard deviations of the learned parameters; 0 for parameters that are not learned.
     pub fn learned_sigma(&self) -> Learned {
         self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma(&self.belief.bank))
     }
@@ -608,19 +610,20 @@ impl Estimator {
         self.learning.iter_mut().flat_map(|learning| learning.take_bounds(machine))
     }
 
-    /// Normalised error squared of the learned parameters among `which` that are not known, against true values, and their number.
+    /// Normalised error squared, against true values, of the parameters among `which` that are being learned, and their number.
     pub fn learned_nees(&self, truth: &Learned, which: std::ops::Range<usize>) -> Option<(f64, usize)> {
         self.learning.as_ref().map(|learning| learning.nees(&self.belief.bank, truth, which))
     }
 
-    /// Lets a hypothesis replace the estimate.
+    /// Replaces the estimate by a hypothesis.
     fn take_over(&mut self, other: usize, machine: &Machine, estimate: &mut Estimated) {
         self.reset(machine, &Reset::Branch);
         self.hypotheses.take_over(other, machine, (&mut estimate.motion, &mut self.belief));
         estimate.frame = machine.linkage.frame(&estimate.motion.theta);
     }
 
-    /// Gives up the machine where one encoder alone, which has long been used, does not follow it: it may be anywhere until both encoders show it.
+    /// Drops the estimate if it comes from one encoder alone and has become too uncertain: the machine may be anywhere until both encoders
+    /// have settled.
     fn drop_single_encoder_track(&mut self, machine: &Machine, frame: &Frame) {
         let is_used = |encoder: &Encoder| encoder.is_believed() && encoder.is_settled();
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
@@ -631,8 +634,9 @@ impl Estimator {
         }
     }
 
-    /// Looks for the end of a failure by which the machine was given up. Where both encoders have long been back and the estimate cannot begin anew by
-    /// them, as their samples never come together or the loop does not close, their samples correct it from anywhere.
+    /// Ends the state in which the machine may be anywhere, once both encoders have settled but the estimate could not restart, because
+    /// their samples never come together or the loop does not close. The samples then correct an estimate with the variances of an unknown
+    /// position.
     fn look_for_both(&mut self, measurements: &[Option<Measurement>; 2]) {
         if !self.adrift {
             return;
@@ -642,14 +646,14 @@ impl Estimator {
             if let Some(measurement) = measurement {
                 self.encoders[i].stays_away(measurement, false);
             }
-            // An estimate that begins anywhere is itself off.
+            // The innovations of such an estimate are large, so the encoders have to settle again.
             if !self.adrift || !self.encoders[i].is_believed() {
                 self.encoders[i].settle_anew();
             }
         }
     }
 
-    /// Time update by a macro step of h seconds from a motion to another, in a scene without the unknown force.
+    /// Time update by a macro step of h seconds from one motion to the next; the scene does not include the unknown force.
     pub fn predict(&mut self, machine: &Machine, scene: &impl Scene, [from, to]: [&LinkState; 2], h: f64) {
         let Machine { linkage, parameters, .. } = machine;
         let frame = linkage.frame(&from.theta);
@@ -674,10 +678,10 @@ impl Estimator {
         }
         self.hypotheses.open_after_vertex(machine, (from, &self.belief), scene, &step, to);
         self.history.step((from, &frame), &step.f, h, parameters.max_delay);
-        // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
+        // Mass errors are observable through quantisation intervals, which confine the angles; white noise hides them.
         let observable = if self.has_intervals(parameters) { inertia } else { 0.0 };
-        // Without samples each model goes on by itself: a quantile of their mixture shows what a covariance hides. What acts changes as the
-        // machine moves, and errors of masses appear that no sample has revealed yet.
+        // Without samples the models are not mixed, because a quantile of their mixture shows more than a covariance. The unknown force
+        // changes as the machine moves, and mass errors act that no sample has revealed yet.
         let force = self.belief.tangent_force(&frame);
         let unrevealed = if self.learning.is_some() { 0.0 } else { inertia };
         let (further, lasting) = if coasts {
@@ -690,10 +694,10 @@ impl Estimator {
             (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
-        // A branch behind a singularity or an assembly that is not known teaches nothing.
+        // Nothing is learned while the branch after a singularity or the assembly is unknown.
         let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet() && !self.doubt.is_open();
         match (&mut self.learning, &learned) {
-            // Nothing is known.
+            // The covariance already covers any position.
             _ if self.adrift => (),
             (Some(learning), Some(flow)) if known => {
                 learning.begin_geometry(&mut self.belief.bank, &frame);
@@ -724,7 +728,7 @@ impl Estimator {
         self.alarm.step(h, inertia);
     }
 
-    /// Whether a quantisation interval says more than white noise.
+    /// Whether the quantisation interval of an encoder contains more information than white noise.
     fn has_intervals(&self, parameters: &Parameters) -> bool {
         (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]))
     }
@@ -738,7 +742,7 @@ impl Estimator {
         }
     }
 
-    /// Whether no samples are used: no encoder is believed, or one alone has lost the machine.
+    /// Whether no samples are used: no encoder is believed, or the estimate from one encoder alone has lost the machine.
     pub fn is_coasting(&self) -> bool {
         self.adrift || !self.encoders.iter().any(Encoder::is_believed)
     }
@@ -774,7 +778,7 @@ impl Estimator {
         self.encoders.iter().all(|encoder| encoder.is_settled() && encoder.fault == Fault::None)
     }
 
-    /// Whether the last samples have reinitialised the estimate, with the angles that they read.
+    /// Whether the last samples have reinitialised the estimate with their angles.
     pub fn has_restarted(&self) -> bool {
         self.restarted
     }
@@ -794,12 +798,12 @@ impl Estimator {
         self.alarm.is_on()
     }
 
-    /// Whether derivatives by masses and friction are asked for.
+    /// Whether the estimator needs the derivatives with respect to masses and friction.
     pub fn asks_for_parameters(&self) -> bool {
         self.learning.is_some() || self.causes.are_judged() || self.doubt.is_open()
     }
 
-    /// Most probable cause of the last alarm or fault, and its probability: 1 where an encoder's own samples show it.
+    /// Most probable cause of the last alarm or fault, and its probability, which is 1 if the samples of an encoder themselves show it.
     pub fn cause(&self, machine: &Machine) -> (Cause, f64) {
         let first = |is: &dyn Fn(&Encoder) -> bool| self.encoders.iter().position(is);
         if first(&|encoder| matches!(encoder.fault, Fault::Late | Fault::Future)).is_some() {
@@ -814,8 +818,8 @@ impl Estimator {
         }
     }
 
-    /// Probability of a direct singularity within the horizon under the held inputs of `scene`, which include the unknown force: the fraction
-    /// of 13 motions, those of the sigma points and of their mean, that meet one.
+    /// Probability of a direct singularity within the horizon under the constant inputs of `scene`, which include the unknown force. It is
+    /// the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
     pub fn singularity_probability(&self, machine: &Machine, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
         self.forecast.singularity_probability(machine, (motion, &self.belief), scene, step)
     }
@@ -845,38 +849,38 @@ impl Estimator {
     }
 }
 
-/// Why the estimate starts again.
+/// Reason for a restart of the estimate.
 enum Reset<'a> {
-    /// A hypothesis behind a vertex or a singularity replaces it.
+    /// A hypothesis after a vertex or a singularity replaces the estimate.
     Branch,
-    /// The motion in the other assembly than the start replaces it, with this belief.
+    /// The motion in the other assembly replaces the estimate, with this belief.
     Assembly(&'a Belief),
-    /// Samples of both encoders show the machine elsewhere: variances of angles, rad², rates, rad²/s², and force, (N·m)²; innovations, rad.
+    /// Samples of both encoders show that the machine is elsewhere. Variances of angles, rad², rates, rad²/s², and force, (N·m)²;
+    /// innovations, rad.
     Samples { variances: [f64; 3], innovations: [f64; 2] },
     /// No closed configuration is near the corrected one: the covariance is worthless.
     Unclosed,
-    /// It is faster than any machine.
+    /// The estimate is faster than any machine.
     Runaway,
-    /// One encoder alone has lost the machine, which may be anywhere.
+    /// The estimate from one encoder alone has lost the machine, which may be anywhere.
     Adrift,
-    /// The reading of an encoder repeats, with this fault: the estimate without it replaces the one by both.
+    /// The reading of an encoder repeats, with this fault: the estimate without this encoder replaces the estimate by both.
     Repetition(usize, Fault),
 }
 
-/// Motion that the simulation owns, as a measurement update changes it.
+/// Working copy of the simulation's motion, which a measurement update changes.
 struct Estimated {
     motion: LinkState,
     frame: Frame,
-    /// Errors of the readings beside those of the motion; `None` where nothing is learned.
+    /// Errors of the readings in addition to the errors of the motion; `None` if nothing is learned.
     errors: Option<ReadingErrors>,
     /// Standard deviations of the persistent errors of both encoders, rad.
     sigma: [f64; 2],
-    /// Mounting angles of both encoders that have been learned, rad.
+    /// Learned mounting angles of both encoders, rad.
     offset: [f64; 2],
 }
 
 impl Estimated {
-    /// Replaces the motion.
     fn move_to(&mut self, linkage: &Linkage, motion: &LinkState) {
         (self.motion, self.frame) = (*motion, linkage.frame(&motion.theta));
     }
