@@ -10,7 +10,6 @@ use super::tuning::{
     REFERENCE_TIME_CONSTANT, SUDDEN_CHANGE, VIOLENCE_PERSISTS,
 };
 
-/// State of the alarm.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Alarm {
     /// Reference value of the unknown force as inputs, N·m and N.

@@ -100,7 +100,7 @@ pub struct Member {
     pub covariance: Matrix,
 }
 
-/// Bank of models, of errors of the motion and the unknown force.
+/// Bank of models for the errors of the motion and the unknown force.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Bank {
     /// One model per process noise.

@@ -35,7 +35,6 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// All causes.
     const ALL: [Self; 8] = [
         Self::None,
         Self::Torque(0),
@@ -74,7 +73,7 @@ pub(super) struct Causes {
 }
 
 impl Causes {
-    /// Whether samples are judged, with the responses to parameters.
+    /// Whether samples are judged, which needs the responses to parameters.
     pub(super) fn are_judged(&self) -> bool {
         self.surprise.as_ref().is_some_and(|surprise| surprise.age < EVIDENCE_TIME)
     }
@@ -210,7 +209,6 @@ impl Surprise {
         (Cause::ALL[best], probabilities[best])
     }
 
-    /// Probabilities of all causes.
     fn probabilities(&self, machine: &Machine, away: Option<usize>) -> [f64; Cause::ALL.len()] {
         let evidence = self.evidence(machine, away);
         let best = evidence.iter().fold(f64::NEG_INFINITY, |best, of| best.max(*of));

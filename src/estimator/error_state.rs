@@ -27,12 +27,12 @@ pub(super) const FORCE: usize = 4;
 /// Index of the persistent error of the first encoder in an error.
 pub(super) const READINGS: usize = MOVING;
 
-/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m, and the persistent errors of both encoders in units of their
-/// standard deviations.
+/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m, and the persistent errors of both encoders in
+/// units of their standard deviations.
 pub type Error = SVector<f64, ERRORS>;
 /// Covariance of the error state.
 pub type Matrix = SMatrix<f64, ERRORS, ERRORS>;
-/// Transition matrix of the errors on the tangent basis, or a covariance of these.
+/// Transition matrix of the errors on the tangent basis, or their covariance.
 pub type Transition = SMatrix<f64, MOVING, MOVING>;
 
 /// Number of parameters that may be learned.

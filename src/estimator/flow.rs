@@ -21,7 +21,7 @@ pub struct Linearised {
     pub by_angle: Matrix4<f64>,
     /// ∂α/∂ω, 1/s.
     pub by_rate: Matrix4<f64>,
-    /// Accelerations by two torques on the links, rad/s².
+    /// Accelerations by each of two sets of torques on the links, rad/s².
     pub by_torque: Matrix4x2<f64>,
 }
 

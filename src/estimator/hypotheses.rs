@@ -464,11 +464,10 @@ fn mirror_odds(motion: &LinkState, belief: &Belief, at: &Frame) -> f64 {
     let element = |i: usize, k: usize| (row * covariance.fixed_view::<2, 2>(i, k) * row.transpose())[0];
     let (xx, xy, yy) = (element(0, 0), element(0, 2), element(2, 2));
     let [s, rate] = motion.side().into();
-    // Half the normalised square of twice the distance.
+    // Half the normalised square of the distance between both states, which is twice the distance from the singularity.
     -2.0 * (s * s * yy - 2.0 * s * rate * xy + rate * rate * xx) / (xx * yy - xy * xy).max(f64::MIN_POSITIVE)
 }
 
-/// Assembly of a state.
 fn assembly_of(motion: &LinkState) -> Assembly {
     if motion.side()[0] > 0.0 { Assembly::Plus } else { Assembly::Minus }
 }
@@ -499,8 +498,8 @@ fn straight_on(linkage: &Linkage, motion: &LinkState, h: f64) -> Option<(LinkSta
     if frame.smallest >= NEAR_VERTEX { linkage.closed(along) } else { Some((along, frame)) }
 }
 
-/// Motion from the angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if possible. `None` if the loop cannot be
-/// closed or the assemblies coincide.
+/// Motion with these angles, rad, and rates, rad/s, of the encoders' axes, in the assembly of the estimate if possible. `None` if the loop
+/// cannot be closed or the assemblies coincide.
 pub(super) fn started_by_motors(machine: &Machine, motion: &LinkState, axes: [Pair; 2]) -> Option<LinkState> {
     let own = assembly_of(motion);
     let other = if own == Assembly::Plus { Assembly::Minus } else { Assembly::Plus };

@@ -89,7 +89,7 @@ pub enum Status {
     TwoBranches,
     /// One encoder is silent; the other is used.
     OneEncoder,
-    /// Innovations exceed their covariance, or the estimate had diverged and was reinitialised.
+    /// Innovations are larger than their covariance allows, or the estimate had diverged and was reinitialised.
     Inconsistent,
     /// An encoder has a fault.
     Faulty(Fault),
