@@ -1,21 +1,21 @@
-//! Masses, friction, lengths and mounting angles that the estimator learns while it runs: parameters behind the error state, with a value and a
-//! covariance each.
+//! Learning: the estimator estimates masses, friction, lengths and mounting angles while it runs. Each parameter has a value and,
+//! beside the error state, an error with a covariance.
 //!
-//! Errors δp of the parameters move the motion by Ψ = ∂x/∂p (`flow.rs`), and stay themselves, so that of the covariance of all only two blocks move.
-//! A sample shows them by h beside the errors, y = H x + hᵀ δp, with h by lengths and mounting angles (`geometry.rs`):
+//! Parameter errors δp move the motion by Ψ = ∂x/∂p (`flow.rs`) and are constant, so a time update changes only two blocks of the joint
+//! covariance. A sample depends directly on lengths and mounting angles, through h (`geometry.rs`): y = H x + hᵀ δp.
 //!
 //! ```text
 //! P = [ A   C ]       C' = Φ C + Ψ S                                         K ∝ [ A Hᵀ + C h  ]
 //!     [ Cᵀ  S ]       A' = Φ A Φᵀ + Y + Yᵀ        Y = (Φ C + ½ Ψ S) Ψᵀ           [ Cᵀ Hᵀ + S h ]
 //! ```
 //!
-//! The bank of the estimate has A, each model here C and S.
+//! The bank of the estimate stores A; each model here stores C and S.
 //!
-//! A fall without torques leaves a common factor of all masses, payload and friction included, unknown. That has to be one direction of δp wherever the
-//! estimate stands, or a linear filter takes the turn of the direction for knowledge (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research 29
-//! (2010) 502). Masses are therefore in logarithms, and payload and friction, of the value b, have the error ε = δb − b δc beside what goes with the mean
-//! logarithm c of the masses; P, Ψ and h are by these errors. A correction that moves b leaves ε as it is: to first order ε is the error of b/exp(c), which
-//! a fall tells.
+//! A fall without torques does not reveal a common factor of all masses, payload and friction included. This unobservable direction of
+//! δp must not depend on the estimate; otherwise a linear filter takes its rotation for information (Huang, Mourikis and Roumeliotis, Int.
+//! J. Robotics Research 29 (2010) 502). So the masses are stored as logarithms. For payload and friction, with value b, the error is
+//! ε = δb − b δc, with the mean logarithm c of the masses: a common factor leaves ε at 0. P, Ψ and h refer to these errors. A correction
+//! of b does not change ε: to first order, ε is the error of b/exp(c), which a fall does reveal.
 
 use std::ops::Range;
 
@@ -52,15 +52,15 @@ const CARRIED: Range<usize> = MASSES.end..LOADS;
 /// Number of masses, the first parameters.
 const MASS_COUNT: f64 = MASSES.end as f64;
 
-/// Errors of both readings beside those of the motion.
+/// Errors of both readings that are not errors of the motion.
 pub(super) struct ReadingErrors {
-    /// Derivatives of each by lengths and mounting angles.
+    /// Derivatives of each reading by lengths and mounting angles.
     pub(super) rows: [Shown; 2],
-    /// Standard deviations of the errors by discs and scales, and by lengths that are not learned, rad.
+    /// Standard deviations of the errors due to discs and scales, and to lengths that are not learned, rad.
     pub(super) further: [f64; 2],
 }
 
-/// Moments of the errors of the parameters in a model of the estimate's bank.
+/// Mean and covariance of the parameter errors in one model of the estimate's bank.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Moments {
     /// Mean.
@@ -77,24 +77,24 @@ struct Moments {
 /// Learned values, and their errors in each model of the estimate's bank.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Learning {
-    /// Values of the parameters, by which the unit moves.
+    /// Parameter values that the unit moves by.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     values: Learned,
     models: [Moments; MODELS],
-    /// Whether lengths and mounting angles are learned at present; elsewhere they are noise that persists.
+    /// Whether lengths and mounting angles are learned at present; if not, they count as persistent noise.
     geometry: bool,
-    /// Bits of the parameters that have been moved to a bound which says that the machine is another one.
+    /// Bit mask of parameters that were moved to a bound. The bound means that the machine differs from its description.
     at_bound: u32,
-    /// Bits of those of them that have been told.
+    /// Bit mask of bounds already reported.
     told: u32,
-    /// Time since one was moved there, s.
+    /// Time since the last move to a bound, s.
     within_for: f64,
 }
 
 clone_by_fields!(Learning { values, models, geometry, at_bound, told, within_for });
 
 impl Learning {
-    /// Nothing learned yet.
+    /// Starts from the prior.
     pub(super) fn new(prior: &Prior) -> Self {
         let covariance = Square::from_diagonal(&prior.sigma.component_mul(&prior.sigma));
         let mut model = Moments { covariance, ..Moments::ZERO };
@@ -102,12 +102,11 @@ impl Learning {
         Self { values: prior.values, models: [model; MODELS], geometry: false, at_bound: 0, told: 0, within_for: 0.0 }
     }
 
-    /// All begin anew; what has been told of bounds stays so.
+    /// Restarts all parameters. Bounds already reported stay reported.
     pub(super) fn begin_all_anew(&mut self, prior: &Prior) {
         *self = Self { at_bound: self.at_bound & self.told, told: self.told, within_for: self.within_for, ..Self::new(prior) };
     }
 
-    /// Values of the parameters.
     pub(super) fn values(&self) -> Learned {
         self.values
     }
@@ -119,7 +118,8 @@ impl Learning {
         all.covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 
-    /// Normalised error squared of the parameters of non-zero variance among `which`, against true values, and their number; of payload and friction that of ε.
+    /// Normalised estimation error squared of the parameters in `which` with non-zero variance, and their number. For payload and friction
+    /// the error is ε.
     pub(super) fn nees(&self, own: &Bank, truth: &Learned, which: Range<usize>) -> (f64, usize) {
         let Moments { covariance, .. } = self.moments(own);
         let free = |i: usize| which.contains(&i) && covariance[(i, i)] > 0.0;
@@ -130,7 +130,8 @@ impl Learning {
         (p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error))), count)
     }
 
-    /// Parameters that have been moved to a bound since the last call, with the bounds: each once, and again only after all values have been within theirs.
+    /// Returns the parameters that were moved to a bound since the last call, with the bounds. Each is reported once, and again only after
+    /// all values have been within their bounds.
     pub(super) fn take_bounds(&mut self, machine: &Machine) -> impl Iterator<Item = (usize, [f64; 2])> {
         let news = self.at_bound & !std::mem::replace(&mut self.told, self.at_bound);
         (0..LEARNED).filter(move |i| news >> i & 1 == 1).map(|i| (i, bounds(i, machine)))
@@ -141,8 +142,9 @@ impl Learning {
         self.geometry
     }
 
-    /// Second moments, in each model, that errors of lengths and mounting angles add to those of a quantity which errors of the motion move by `by_error`.
-    /// They move it by the first of two derivatives, and by the second while they are not learned: encoders hold the motors.
+    /// Extra second moments of a quantity due to errors of lengths and mounting angles, in each model. `by_error` is the derivative of the
+    /// quantity by errors of the motion, the other two are derivatives by lengths and mounting angles: the first applies while these are
+    /// learned, the second while they are not, because the encoders then fix the motor angles.
     pub(super) fn added_moments<const R: usize>(
         &self,
         own: &Bank,
@@ -164,7 +166,7 @@ impl Learning {
         [0, 1].map(|i| (self.variance(own, &rows[i]) + further[i] * further[i]).sqrt().max(LEAST_SIGMA))
     }
 
-    /// Variance of what lengths and mounting angles add to a sample that shows them by `row`, rad².
+    /// Variance that lengths and mounting angles add to a sample, rad²; `row` has its derivatives by them.
     fn variance(&self, own: &Bank, row: &Shown) -> f64 {
         let of = |model: &Moments| {
             let within = model.covariance.fixed_view::<GEOMETRY, GEOMETRY>(LOADS, LOADS);
@@ -178,14 +180,14 @@ impl Learning {
             .sum()
     }
 
-    /// Errors of motion and force with all errors of both readings as persistent errors of the encoders.
+    /// Errors of motion and force, with all errors of both readings as persistent encoder errors.
     fn shown(&self, own: &Bank, errors: &ReadingErrors) -> Bank {
         let mut bank = *own;
         if !self.geometry {
             return bank;
         }
         let (sigma, ReadingErrors { rows, further }) = (self.sigma_of_readings(own, errors), errors);
-        // Persistent errors of the readings by those of discs and scales, and by parameters.
+        // Persistent errors of the readings by disc and scale errors, and by parameters.
         let by_discs = Matrix2::from_diagonal(&[0, 1].map(|i| further[i] / sigma[i]).into());
         let by_parameters = SMatrix::from_columns(&[rows[0] / sigma[0], rows[1] / sigma[1]]).transpose();
         for (model, member) in self.models.iter().zip(&mut bank.members) {
@@ -211,12 +213,12 @@ impl Learning {
         carried(&self.values, &self.models[0].covariance)
     }
 
-    /// Error of the parameters by a change of their values.
+    /// Error of the parameters for a change of their values.
     fn error(&self, change: &Learned) -> Learned {
         change - self.carried() * common(change)
     }
 
-    /// Values of the parameters of this error.
+    /// Values of the parameters for this error.
     fn with_error(&self, error: &Learned) -> Learned {
         self.values + error + self.carried() * common(error)
     }
@@ -242,14 +244,14 @@ impl Learning {
         all
     }
 
-    /// Pauses learning while the bank of the estimate goes on by itself: what the parameters are correlated with is lost.
+    /// Pauses learning while the bank of the estimate continues alone: the correlations of the parameters with it are lost.
     pub(super) fn pause(&mut self, own: &Bank) {
         let Moments { covariance, .. } = self.moments(own);
         self.models = [Moments { covariance, ..Moments::ZERO }; MODELS];
         self.geometry = false;
     }
 
-    /// Begins to learn lengths and mounting angles: encoders have held the motors, so that their errors are in the angles as well.
+    /// Starts to learn lengths and mounting angles. The encoders have fixed the motor angles until now, so the angles contain these errors.
     pub(super) fn begin_geometry(&mut self, own: &mut Bank, frame: &Frame) {
         if !std::mem::replace(&mut self.geometry, true) {
             let held = frame.held_by_geometry();
@@ -264,7 +266,7 @@ impl Learning {
         }
     }
 
-    /// A parameter begins anew.
+    /// Restarts one parameter.
     pub(super) fn begin_anew(&mut self, prior: &Prior, which: usize) {
         let before = self.carried();
         self.values[which] = prior.values[which];
@@ -281,7 +283,7 @@ impl Learning {
         self.models.iter_mut().for_each(|model| model.turn(&back));
     }
 
-    /// Time update along a step with its flow, and that of the bank of the estimate: see [`Bank::predict`].
+    /// Time update along a step with its flow, also of the bank of the estimate: see [`Bank::predict`].
     pub(super) fn predict(
         &mut self,
         own: &mut Bank,
@@ -305,7 +307,7 @@ impl Learning {
             psi.fixed_columns_mut::<GEOMETRY>(LOADS).fill(0.0);
         }
         let (all, mean) = (self.moments(own), own.mean());
-        // Shares of the parameters in mean and covariance of each model.
+        // Contributions of the parameters to the mean and covariance of each model.
         let mut added = [(SVector::<f64, FORCE>::zeros(), SMatrix::<f64, ERRORS, FORCE>::zeros()); MODELS];
         for (j, (model, added)) in self.models.iter_mut().zip(&mut added).enumerate() {
             let mixing = Mixing::new(own.members[j].weight, stay, priors[j]);
@@ -328,11 +330,12 @@ impl Learning {
         });
     }
 
-    /// Completes the expectation of a sample of encoder i by what it shows of lengths and mounting angles, by `row`; returns its covariance with the parameters in
-    /// each model. Lengths and mounting angles that are not learned at present are part of its noise.
+    /// Adds the effect of lengths and mounting angles to an expected sample of encoder i; `row` has the derivatives of the reading by them.
+    /// Returns the covariance of the sample with the parameters in each model. Lengths and mounting angles that are not learned at present
+    /// are part of the sample's noise.
     pub(super) fn expect(&self, expected: &mut Prediction, (i, sample): (usize, &Innovation), row: &Shown) -> [Learned; MODELS] {
         let row = if self.geometry { *row } else { Shown::zeros() };
-        // Without delay a sample shows angles and a persistent error alone.
+        // Without delay a sample depends only on angles and a persistent error.
         let own = sample.row.fixed_rows::<2>(0);
         let mut columns = [Learned::zeros(); MODELS];
         for (j, (model, (residual, variance, of_errors))) in self.models.iter().zip(&mut expected.each).enumerate() {
@@ -350,14 +353,16 @@ impl Learning {
         columns
     }
 
-    /// Measurement update by a sample as it was expected, with its covariances with the parameters, before that of the bank of the estimate. To the sample of
-    /// an axis that `rests` parameters are constants that stay as uncertain as they are (Schmidt 1966).
+    /// Measurement update by an expected sample and its covariances with the parameters; call it before the update of the estimate's bank.
+    /// If the axis `rests`, parameters keep their values and their uncertainty (Schmidt 1966).
     ///
-    /// Learning takes what is not modelled for what it learns. To lengths and mounting angles a sample has therefore a further noise of variance R, which counts two
-    /// errors once in n = `samples`: one of the standard deviation `persistent`, rad, that is never learned, and the product of the errors of masses and of the
-    /// readings by lengths and mounting angles, `shown`, rad, which a linear filter does not know. With the gain c/(S + R) = (1 − r) c/S of a covariance c with
-    /// the innovation their own is reduced by (1 − r²) c cᵀ/S (Joseph's form), and all others as without it. What is not learned of the part of an innovation
-    /// that they explain, of variance d² in the quietest model, lasts: models are compared as if the sample had the noise n r d² as well.
+    /// Learning would explain unmodelled errors by parameters. So for lengths and mounting angles a sample has extra noise of variance R. It
+    /// represents two errors, each counted once in n = `samples`: an error of standard deviation `persistent`, rad, that is never learned, and
+    /// the product of mass errors and reading errors due to lengths and mounting angles, `shown`, rad, which a linear filter neglects. If c is
+    /// the covariance with the innovation, the gain is c/(S + R) = (1 − r) c/S. The covariance of lengths and mounting angles decreases by
+    /// (1 − r²) c cᵀ/S (Joseph form), all other covariances as without R. Lengths and mounting angles explain part of an innovation, with
+    /// variance d² in the quietest model. The share of it that is not learned persists, so models are compared as if the sample also had
+    /// the noise n r d².
     pub(super) fn update(
         &mut self,
         expected: &mut Prediction,
@@ -391,27 +396,28 @@ impl Learning {
         }
     }
 
-    /// Values that the next correction leads to. Mean errors that would lead beyond a bound are moved to it in each model, with all that they are
-    /// correlated with, in this bank and in that of the estimate. Covariances stay (Simon, IET Control Theory and Applications 4 (2010) 1303).
+    /// Values after the next correction. If mean errors lead beyond a bound, they are moved to it in each model. Everything correlated with
+    /// them moves too, in this bank and in the bank of the estimate. Covariances do not change (Simon, IET Control Theory and Applications 4
+    /// (2010) 1303).
     pub(super) fn corrected(&mut self, own: &mut Bank, machine: &Machine) -> Learned {
         let (carried, mut values) = (self.carried(), self.with_error(&self.mean(own)));
         for i in 0..LEARNED {
             let [least, most] = bounds(i, machine);
             let beyond = values[i].clamp(least, most) - values[i];
             if beyond != 0.0 {
-                // A payload or a friction of 0 is that of a machine without.
+                // A payload or friction of 0 is plausible: a machine may have none.
                 if least < 0.0 {
                     (self.at_bound, self.within_for) = (self.at_bound | 1 << i, 0.0);
                 }
                 for (model, member) in self.models.iter_mut().zip(&mut own.members) {
-                    // Covariances with the value, which has the share of the common factor beside its error.
+                    // Covariances with the value, which is the error plus a share of the common factor.
                     let (by_masses, cross_with_masses) = model.with_common();
                     let with_value = model.covariance.column(i) + by_masses * carried[i];
                     let part = beyond / (with_value[i] + carried[i] * common(&with_value)).max(f64::MIN_POSITIVE);
                     model.error += with_value * part;
                     member.error += (model.cross.column(i) + cross_with_masses * carried[i]) * part;
                 }
-                // Round-off, and a bound that another one has led beyond.
+                // Round-off, or this move, may take values up to i beyond their bounds.
                 let moved = self.with_error(&self.mean(own));
                 values = Learned::from_fn(|k, _| {
                     let [least, most] = bounds(k, machine);
@@ -422,7 +428,7 @@ impl Learning {
         values
     }
 
-    /// Follows a correction of the motion that turns its tangent basis, and of the values.
+    /// Follows a correction of the values, and of the motion, which turns its tangent basis.
     pub(super) fn correct(&mut self, own: &Bank, turn: &Matrix2<f64>, values: Learned) {
         let change = self.error(&(values - self.values));
         for (model, _) in self.models.iter_mut().zip(&own.members).filter(|(_, member)| member.weight > 0.0) {
@@ -432,7 +438,7 @@ impl Learning {
         self.values = values;
     }
 
-    /// Whether stored values are possible beside a bank.
+    /// Whether stored values are possible together with a bank.
     pub(super) fn is_sound(&self, own: &Bank, machine: &Machine) -> bool {
         let is_within = |(i, value): (usize, &f64)| {
             let [least, most] = bounds(i, machine);
@@ -445,7 +451,7 @@ impl Learning {
 }
 
 impl Moments {
-    /// Parameters that are known exactly.
+    /// Moments of exactly known parameters.
     const ZERO: Self = Self {
         error: Learned::from_array_storage(ArrayStorage([[0.0; LEARNED]])),
         cross: Cross::from_array_storage(ArrayStorage([[0.0; ERRORS]; LEARNED])),
@@ -458,7 +464,7 @@ impl Moments {
         (covariance.columns_range(MASSES).column_sum() / MASS_COUNT, cross.columns_range(MASSES).column_sum() / MASS_COUNT)
     }
 
-    /// Turns errors ε into those of the values, δb = ε + b δc; with −b for b, back.
+    /// Converts errors ε to errors of the values, δb = ε + b δc; with −b for b, converts back.
     fn turn(&mut self, carried: &Learned) {
         let (by_common, cross_by_common) = self.with_common();
         let Self { error, cross, covariance } = self;
@@ -469,14 +475,15 @@ impl Moments {
         covariance.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Mean variance of the logarithms of the links' masses about their mean, so that a common factor does not count, which a free fall without torques never tells.
+    /// Mean variance of the logarithms of the link masses about their mean. It ignores a common factor, which a free fall without torques
+    /// never reveals.
     fn mass_variance(&self) -> f64 {
         const COUNT: usize = MASSES.end;
         let masses = self.covariance.fixed_view::<COUNT, COUNT>(0, 0);
         (masses.trace() - masses.sum() / MASS_COUNT) / MASS_COUNT
     }
 
-    /// Takes its share of those of the mixture; `off` is the mean error of motion and force about that of the mixture.
+    /// Mixes in the moments of the mixture; `off` is the mean error of motion and force minus the mean error of the mixture.
     fn mix(&mut self, all: &Self, off: &Error, Mixing { own, any, .. }: Mixing) {
         let share = (own * any).sqrt();
         let (by, off) = ((self.error - all.error) * share, off * share);
@@ -485,7 +492,7 @@ impl Moments {
         self.error = self.error * own + all.error * any;
     }
 
-    /// Moves along a step; returns what that adds to the mean error of motion and force, and Y.
+    /// Time update along a step. Returns the contribution to the mean error of motion and force, and Y.
     fn step(&mut self, f: &Transition, kept: f64, psi: &Moving) -> (SVector<f64, FORCE>, SMatrix<f64, ERRORS, FORCE>) {
         let Self { error, cross, covariance } = &*self;
         let (added, pushed, mut half) = (psi * error, psi * covariance, *cross);
@@ -498,7 +505,7 @@ impl Moments {
         (added, half * psi.transpose())
     }
 
-    /// Whether stored moments are possible beside the covariance of motion and force.
+    /// Whether stored moments are possible together with the covariance of motion and force.
     fn is_sound(&self, own: &Matrix) -> bool {
         let Self { error, cross, covariance: p } = self;
         error.iter().all(|x| x.is_finite())
@@ -512,8 +519,8 @@ fn common(learned: &Learned) -> f64 {
     learned.rows_range(MASSES).sum() / MASS_COUNT
 }
 
-/// Derivatives of the parameters by the mean logarithm of the masses, as their common factor has them: the values of payload and viscous friction, 1 for dry
-/// friction, which is in logarithms, 0 for what is known (variance 0) and for all others.
+/// Derivatives of the parameters by the mean logarithm of the masses under a common factor: the value for payload and viscous friction,
+/// 1 for dry friction, which is a logarithm, and 0 for known parameters (variance 0) and all others.
 fn carried(values: &Learned, covariance: &Square) -> Learned {
     Learned::from_fn(|i, _| match i {
         DRY if covariance[(i, i)] > 0.0 => 1.0,
@@ -527,13 +534,14 @@ pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, errors
     learning.zip(errors).map_or(*own, |(learning, errors)| learning.shown(own, errors))
 }
 
-/// Variance of the part of an innovation that lengths and mounting angles explain, by their covariances with it, as if they were independent of each other.
+/// Variance of the part of an innovation that lengths and mounting angles explain, from their covariances with it, as if they were
+/// independent of each other.
 fn explained(column: &Learned, covariance: &Square) -> f64 {
-    // Parameters that are known have no covariance with anything.
+    // Known parameters have no covariance with anything.
     (LOADS..LEARNED).map(|i| column[i] * column[i] / covariance[(i, i)].max(f64::MIN_POSITIVE)).sum()
 }
 
-/// Bounds of a value: no mass or friction below 0, and no factor, length or mounting angle of another machine than the one that was described.
+/// Bounds of a value: payload and friction are at least 0; factors, lengths and mounting angles stay near the described machine.
 fn bounds(parameter: usize, machine: &Machine) -> [f64; 2] {
     let about_0 = |most: f64| [-most, most];
     match parameter {
@@ -553,14 +561,14 @@ mod tests {
     use super::*;
     use crate::estimator::error_state::{Error, PAYLOAD};
 
-    /// Standard deviations before any sample are those of the prior, also of a payload and friction that go with the masses, and of what begins anew.
+    /// Before any sample, standard deviations equal the prior, also for payload and friction, which follow the masses, and after a restart.
     #[test]
     fn widths_before_any_sample_are_those_of_the_prior() {
         let values = Learned::from_fn(|i, _| if CARRIED.contains(&i) { 0.1 * i as f64 } else { 0.0 });
         let mut prior = Prior { values, sigma: Learned::from_fn(|i, _| if i == PAYLOAD { 0.0 } else { 0.05 + 0.01 * i as f64 }) };
         let bank = Bank::new([1.0; 3]);
         let mut learning = Learning::new(&prior);
-        // A part of the value goes with the masses.
+        // Part of the change of the values follows the masses.
         let some = Learned::from_fn(|i, _| libm::sin((3 * i + 1) as f64));
         let change = learning.with_error(&some) - learning.values;
         let mut moments = Moments { error: some, ..Moments::ZERO };
@@ -568,7 +576,7 @@ mod tests {
         assert!((moments.error - change).amax() < 1e-15 && (learning.error(&change) - some).amax() < 1e-15);
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-15, "{a} {b}");
         near(change[DRY], some[DRY] + common(&some));
-        // A payload that is known.
+        // A known payload does not follow the masses.
         near(change[PAYLOAD], some[PAYLOAD]);
         // Tolerance: round-off of variances of up to 0.1.
         let off = |learning: &Learning, prior: &Prior| (learning.sigma(&bank) - prior.sigma).amax();
@@ -580,8 +588,8 @@ mod tests {
         }
     }
 
-    /// Covariances after a cautious update are those of a joint filter with its gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ with the noise R of the sample, which is
-    /// larger in the gain of lengths and mounting angles alone.
+    /// After a cautious update, covariances equal those of a joint filter with the same gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ. R is the
+    /// noise of the sample; only the gain of lengths and mounting angles assumes a larger noise.
     #[test]
     fn cautious_updates_keep_true_covariances() {
         const ALL: usize = ERRORS + LEARNED;

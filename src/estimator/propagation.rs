@@ -15,16 +15,16 @@ pub(super) struct Propagation {
     pub(super) to: Frame,
     /// Transition matrix F of the errors on the tangent basis.
     pub(super) f: Transition,
-    /// Mass matrix at the begin, kg·m².
+    /// Mass matrix at the start, kg·m².
     pub(super) mass: Matrix4<f64>,
     /// Number of Runge–Kutta steps.
     pub(super) steps: u32,
-    /// Whether the motion passed too close to a vertex to know its branch.
+    /// Whether the motion passed so close to a vertex that its branch is unknown.
     pub(super) held: bool,
 }
 
 impl Propagation {
-    /// Transition along a propagated motion, which is compared with the end of the motion where a vertex is near.
+    /// Transition along a propagated motion. Near a vertex, its end is compared with the simulated `end`.
     pub(super) fn along<const P: usize>(
         flow: &Flow<P>,
         mass: Matrix4<f64>,
@@ -47,7 +47,7 @@ impl Propagation {
         Self { from: *from, to: *to, f, mass, steps: flow.steps, held }
     }
 
-    /// Transition of a motion close to this one between its own tangent spaces.
+    /// Transition of a nearby motion between its own tangent spaces.
     pub(super) fn transferred(&self, from: &Frame, to: &Frame) -> Self {
         let (onto, back) = (from.basis_map_to(&self.from), self.to.basis_map_to(to));
         let mut f = self.f.transpose();
@@ -57,8 +57,8 @@ impl Propagation {
         Self { from: *from, to: *to, f, ..*self }
     }
 
-    /// Inertia torques of links that accelerate by `alpha`, rad/s², in the mean over the tangent directions, N·m. Link by link: in a fast passage
-    /// next to a singularity those of two links nearly cancel on the basis, while errors of their masses do not.
+    /// Inertia torque of links with accelerations `alpha`, rad/s²: root mean square over the tangent directions, N·m. Squares are summed link
+    /// by link: in a fast passage next to a singularity the torques of two links nearly cancel on the basis, but their mass errors do not.
     pub(super) fn inertia_torque(&self, alpha: &Links) -> f64 {
         let torques = self.mass * alpha;
         (self.from.basis.component_mul(&self.from.basis).column_sum().dot(&torques.component_mul(&torques)) / 2.0).sqrt()
@@ -72,17 +72,17 @@ impl Propagation {
     }
 }
 
-/// Covariances of the errors on the tangent basis added in h seconds: `white` by a white torque of intensity 1 (N·m)²·s, `walk` by a random walk of the
-/// unknown force of intensity 1 (N·m)²/s.
+/// Covariances of the errors on the tangent basis that h seconds add: `white` by a white torque of intensity 1 (N·m)²·s, `walk` by a
+/// random walk of the unknown force of intensity 1 (N·m)²/s.
 pub struct ProcessNoise {
     pub(super) white: Transition,
     pub(super) walk: Transition,
-    /// Part of the persistent errors of the encoders that is kept.
+    /// Share of the persistent encoder errors that remains.
     pub(super) kept: f64,
 }
 
 impl ProcessNoise {
-    /// Adds the noise of these intensities, (N·m)²·s and (N·m)²/s, to a covariance.
+    /// Adds noise of these intensities, (N·m)²·s and (N·m)²/s, to a covariance.
     pub(super) fn add_to(&self, covariance: &mut Matrix, [white, walk]: [f64; 2]) {
         for ((column, by_torque), by_force) in covariance.data.0.iter_mut().zip(&self.white.data.0).zip(&self.walk.data.0) {
             let added = white * Vector::from(*by_torque) + walk * Vector::from(*by_force);
@@ -90,8 +90,8 @@ impl ProcessNoise {
         }
     }
 
-    /// Process noise of h seconds, with the mobility (NᵀMN)⁻¹, 1/(kg·m²): integrals of a white acceleration, and of an acceleration that is
-    /// a random walk.
+    /// Process noise of h seconds for the mobility (NᵀMN)⁻¹, 1/(kg·m²): integrals of a white acceleration, and of a random walk of the
+    /// acceleration.
     fn new(mobility: &Matrix2<f64>, h: f64) -> Self {
         let (squared, [h2, h3, h4, h5]) = (mobility * mobility, [h * h, h.powi(3), h.powi(4), h.powi(5)]);
         let (mut white, mut walk) = (Transition::zeros(), Transition::zeros());
@@ -127,7 +127,7 @@ fn transition<const P: usize>(from: &Frame, to: &Frame, flow: &Flow<P>) -> Trans
     f
 }
 
-/// Transition matrix without knowledge of the forces: angles follow the rates.
+/// Transition matrix if the forces are unknown: angles follow the rates.
 fn straight(from: &Frame, to: &Frame, h: f64) -> Transition {
     let turn = from.basis_map_to(to);
     let mut f = Transition::identity();

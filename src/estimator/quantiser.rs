@@ -1,6 +1,6 @@
-//! Measurement update by a quantisation interval: the angle lies within half an interval of the reading. White noise that leaves the mean
-//! and variance of the truncated normal distribution replaces it (Curry, *Estimation and Control with Quantized Measurements*, MIT Press
-//! 1970; Minka, *Expectation Propagation*, UAI 2001).
+//! Measurement update by a quantisation interval: the angle lies within half an interval of the reading. White noise replaces the
+//! interval; it is chosen to give the mean and variance of the truncated normal distribution (Curry, *Estimation and Control with
+//! Quantized Measurements*, MIT Press 1970; Minka, *Expectation Propagation*, UAI 2001).
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -10,11 +10,11 @@ use super::tuning::{
 };
 
 impl Prediction {
-    /// Expected sample whose reading stands for an interval of width `quantum`, rad, about the encoder's value.
+    /// Expected sample for a reading that stands for an interval of width `quantum`, rad, about its value.
     ///
-    /// `noise` is the measurement variance that the models assume, rad², and `white` the part of it that is not due to the quantiser.
-    /// `repeated` is the number of samples that share one quantisation error and together carry the information of one; `least` is the
-    /// smallest variance of each of them, in Δ²/12.
+    /// `noise`: measurement variance that the models assume, rad²; `white`: the part of it that is not due to the quantiser. `repeated`:
+    /// number of samples that share one quantisation error and together carry the information of one; `least`: smallest variance of each
+    /// of them, in Δ²/12.
     pub(super) fn with_interval(&self, quantum: f64, [noise, white]: [f64; 2], [repeated, least]: [f64; 2]) -> Self {
         let (mean, variance) = self.mixture_moments();
         let variance = variance - noise + white;
@@ -22,7 +22,7 @@ impl Prediction {
         let (mut to, mut told) = (mean, rounding);
         if sigma < WIDEST_SIGMA * quantum && mean.abs() < LARGEST_INNOVATION * quantum {
             let (shift, left) = truncated_normal((mean - quantum / 2.0) / sigma, (mean + quantum / 2.0) / sigma);
-            // Sums of information: P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y equal those of the truncated distribution.
+            // Sums of information, P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y, equal those of the truncated distribution.
             let less = 1.0 - left;
             told = if variance * left < less * LARGEST_VARIANCE * rounding {
                 to = sigma * shift / less;
@@ -42,7 +42,7 @@ impl Prediction {
 
 /// Mean and variance of the part of a standard normal distribution between a and b.
 fn truncated_normal(a: f64, b: f64) -> (f64, f64) {
-    // Mirrored to the upper tail, where no digits cancel.
+    // Mirrored to the upper tail to avoid cancellation.
     let (a, b, sign) = if a + b < 0.0 { (-b, -a, -1.0) } else { (a, b, 1.0) };
     if a > FARTHEST_INTERVAL {
         return (sign * a, INTERVAL_FLOORS[1]);
@@ -61,8 +61,8 @@ fn density(x: f64) -> f64 {
     DENSITY_AT_ZERO * libm::exp(-0.5 * x * x)
 }
 
-/// Probability that a standard normal variable exceeds x, within 1.2 % of the smaller tail. The error widens the standard deviation that a
-/// narrow interval leaves by up to 0.035 of the interval; with an exact tail the filter trusts single readings too much (Börjesson and
+/// Probability that a standard normal variable exceeds x, accurate to 1.2 % of the smaller tail. The error widens the standard deviation
+/// after a narrow interval by up to 0.035 of the interval; with an exact tail the filter trusts single readings too much (Börjesson and
 /// Sundberg, IEEE Trans. Communications 27 (1979) 639).
 fn tail_probability(x: f64, density: f64) -> f64 {
     let size = x.abs();
@@ -74,8 +74,8 @@ fn tail_probability(x: f64, density: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Moments equal sums over many small intervals, up to the tail's error of 1.2 % relative to an interval's probability of a fifth or
-    /// more.
+    /// Moments equal sums over many small intervals. Tolerance: the tail's error of 1.2 % divided by the probability of an interval, which
+    /// is at least a fifth.
     #[test]
     fn truncated_distributions_have_these_moments() {
         for (a, b) in [
@@ -93,7 +93,7 @@ mod tests {
             let mut sums = [0.0; 3];
             for i in 0..n {
                 let x: f64 = a + (b - a) * (f64::from(i) + 0.5) / f64::from(n);
-                // Density relative to its largest value, which may underflow.
+                // Density relative to its largest value: the density itself may underflow.
                 let nearest = 0.0_f64.clamp(a, b);
                 let weight = (-0.5 * (x * x - nearest * nearest)).exp();
                 sums = [sums[0] + weight, sums[1] + weight * x, sums[2] + weight * x * x];
