@@ -1,4 +1,4 @@
-//! Matrices of nalgebra in stored states: their numbers, column by column.
+//! Stores matrices of nalgebra in saved states, as numbers column by column.
 
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -14,7 +14,7 @@ pub(super) fn read<S: Read, const R: usize, const C: usize>(reader: &mut S) -> i
     <[[f64; R]; C]>::deserialize_reader(reader).map(|columns| SMatrix::from_array_storage(ArrayStorage(columns)))
 }
 
-/// Reads a large value in a function of its own, so that the stack holds one of them at a time.
+/// Reads a large value in a function of its own, so that the stack contains only one at a time.
 #[inline(never)]
 pub(super) fn read_boxed<R: Read, T: BorshDeserialize>(reader: &mut R) -> io::Result<Box<T>> {
     let place = Box::new_uninit();

@@ -1,11 +1,11 @@
-//! Closed loop in its four link angles: closure Φ, Jacobian J, its pseudo-inverse, and an orthonormal basis N of its null space.
+//! The closed loop in its four link angles: closure Φ, Jacobian J, its pseudo-inverse, and an orthonormal basis N of its null space.
 //!
 //! ```text
 //! Φ = Σ sᵢ lᵢ ûᵢ − (d, 0)        J = [ sᵢ lᵢ n̂ᵢ ]        s = (+, +, −, −)
 //! J⁺ = Jᵀ(JJᵀ)⁻¹                 I − J⁺J = N Nᵀ
 //! ```
 //!
-//! J has rank 2 in direct and inverse singularities, and loses rank in vertices alone, with all links in line. N thus exists wherever the
+//! J has rank 2 in direct and inverse singularities. It loses rank only in vertices, with all links in line. So N exists wherever the
 //! encoders determine the motion.
 
 use std::f64::consts::TAU;
@@ -54,7 +54,7 @@ impl LinkState {
         self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()))
     }
 
-    /// Signed distance from a direct singularity, s = sin(θ₃ − θ₂), whose sign is the assembly, and its rate, 1/s.
+    /// Signed distance from a direct singularity, s = sin(θ₃ − θ₂), and its rate, 1/s. The sign is the assembly.
     pub(super) fn side(&self) -> Pair {
         let (sine, cosine) = libm::sincos(self.theta[2] - self.theta[1]);
         Pair::new(sine, cosine * (self.omega[2] - self.omega[1]))
@@ -83,7 +83,7 @@ impl Linkage {
         Self { arm, base: geometry.base_distance, length: geometry.links.iter().map(|link| link.length).sum::<f64>() / 4.0 }
     }
 
-    /// Largest distance between two places of the tip, m: twice the reach of the shorter leg.
+    /// Largest distance between two positions of the tip, m: twice the reach of the shorter leg.
     pub(super) fn widest_reach(&self) -> f64 {
         let [left, inner, outer, right] = self.arm.map(f64::abs);
         2.0 * (left + inner).min(outer + right)
@@ -106,7 +106,7 @@ impl Linkage {
         Frame::new(self, self.posture(theta))
     }
 
-    /// Newton iteration to the nearest closed state; `None` where it fails.
+    /// Newton iteration to the nearest closed state; `None` if it fails.
     pub fn closed(&self, state: LinkState) -> Option<(LinkState, Frame)> {
         let LinkState { mut theta, omega } = state;
         for _ in 0..NEWTON_STEPS {
@@ -126,15 +126,15 @@ impl Linkage {
         None
     }
 
-    /// State at an error from another, as by [`Frame::displaced`], closed, whose motors the error has turned, where they determine the posture: closing
-    /// alone moves them by the square of the error as well, which samples contradict.
+    /// Closed state displaced by an error as in [`Frame::displaced`]. If the motors determine the posture, they turn by exactly this error:
+    /// closing alone also moves them by a term quadratic in the error, which samples contradict.
     pub(super) fn displaced(&self, at: &Frame, from: &LinkState, error: [f64; 4]) -> Option<(LinkState, Frame)> {
         let (mut state, mut frame) = self.closed(at.displaced(from, error))?;
         let turned = libm::hypot(error[0], error[1]);
         if turned * turned < LEAST_MISS || turned > LARGEST_CHARTED_ERROR {
             return Some((state, frame));
         }
-        // Lengths that have changed move the motors as well, along J⁺.
+        // Changed lengths move the motors as well, along J⁺.
         let Some((from, _)) = self.closed(*from) else { return Some((state, frame)) };
         let aim = at.displaced(&from, error);
         for _ in 0..NEWTON_STEPS {
@@ -159,12 +159,12 @@ impl Linkage {
         arms.column(0) + arms.column(1)
     }
 
-    /// Whether a state closes the loop, up to the errors of low-accuracy settings and of straight motions through a vertex.
+    /// Whether a state closes the loop, within the errors of low-accuracy settings and of straight motions through a vertex.
     pub fn is_closed(&self, state: &LinkState) -> bool {
         let (at, fastest) = (self.frame(&state.theta), state.fastest());
         let near = at.smallest < NEAR_VERTEX;
         let open = CLOSURE_TOLERANCES[usize::from(near)] * self.length;
-        // Constant rates open the loop next to a vertex by as much as the smallest singular value of J lets through: |ω| ≤ 2 max |ωᵢ|.
+        // Next to a vertex, constant rates open the loop by at most the smallest singular value of J times |ω| ≤ 2 max |ωᵢ|.
         let by_rates = open * (1.0 + fastest) + if near { 2.0 * NEAR_VERTEX * self.length * fastest } else { 0.0 };
         self.gap(&at).iter().all(|x| x.abs() < open) && (at.jacobian() * state.omega).iter().all(|x| x.abs() <= by_rates)
     }
@@ -190,12 +190,12 @@ impl Posture {
         Matrix2x4::from_rows(&[-self.arms.row(1), self.arms.row(0).into_owned()])
     }
 
-    /// −J̇ x for links that turn at ω: Σ sᵢ lᵢ ûᵢ ωᵢ xᵢ.
+    /// −J̇ x for link rates ω: Σ sᵢ lᵢ ûᵢ ωᵢ xᵢ.
     pub(super) fn inward(&self, omega: &Links, x: &Links) -> Pair {
         self.arms * omega.component_mul(x)
     }
 
-    /// Rate at which the closure opens by each meter of length i, 1/s, with links that turn at ω: ∂J/∂lᵢ ω. The base does not turn.
+    /// Rate at which the closure opens per meter of length i, 1/s, for link rates ω: ∂J/∂lᵢ ω. The base does not turn.
     pub(super) fn opened(&self, omega: &Links, i: usize) -> Pair {
         if i == 4 {
             return Pair::zeros();
@@ -204,7 +204,7 @@ impl Posture {
         Pair::new(-direction[1], direction[0]) * (CLOSURE_SIGNS[i] * omega[i])
     }
 
-    /// (JJᵀ)⁻¹, 1/m², and the smallest singular value of J over the mean length `length`, m.
+    /// (JJᵀ)⁻¹, 1/m², and the smallest singular value of J divided by the mean length `length`, m.
     pub(super) fn gram(&self, length: f64) -> (Matrix2<f64>, f64) {
         let (scale, gram) = (length * length, self.jacobian() * self.jacobian().transpose());
         let (xx, xy, yy) = (gram[(0, 0)], gram[(0, 1)], gram[(1, 1)]);
@@ -224,7 +224,7 @@ impl Posture {
         tip
     }
 
-    /// Torques on the links, by rows, per unit of each input (τ₁, τ₂ in N·m, F_x, F_y in N), by columns.
+    /// Torques on the links (rows) per unit of each input (columns): τ₁, τ₂ in N·m, F_x, F_y in N.
     pub fn by_inputs(&self) -> Matrix4<f64> {
         let tip = self.tip_by_links();
         Matrix4::from_columns(&[Links::x(), Links::w(), tip.row(0).transpose(), tip.row(1).transpose()])
@@ -237,7 +237,7 @@ pub struct Frame {
     posture: Posture,
     /// (JJᵀ)⁻¹, 1/m².
     pub(super) inverse_gram: Matrix2<f64>,
-    /// Smallest singular value of J over the mean length: 0 in a vertex.
+    /// Smallest singular value of J divided by the mean length: 0 in a vertex.
     pub smallest: f64,
     /// Tangent basis N: two orthonormal directions of motion of the closed loop.
     pub basis: Matrix4x2<f64>,
@@ -281,7 +281,7 @@ impl Frame {
         other.basis.tr_mul(&self.basis)
     }
 
-    /// State at an error (two angles, rad, two rates, rad/s, on the tangent basis) from another, not closed.
+    /// State displaced by an error on the tangent basis: two angles, rad, and two rates, rad/s. The result is not closed.
     pub fn displaced(&self, from: &LinkState, error: [f64; 4]) -> LinkState {
         let [a, b, c, d] = error;
         LinkState { theta: from.theta + self.basis * Pair::new(a, b), omega: from.omega + self.basis * Pair::new(c, d) }
@@ -293,13 +293,13 @@ impl Frame {
     }
 }
 
-/// Orthonormal basis of the space onto which a matrix of rank 2 projects, by Gram–Schmidt on its columns, the longest first.
+/// Orthonormal basis of the range of a projector of rank 2, by Gram–Schmidt on its columns, longest first.
 fn null_space(projector: &Matrix4<f64>) -> Matrix4x2<f64> {
-    // The squared length of a column equals its diagonal element.
+    // In a projector, the squared length of a column equals its diagonal element.
     let longest = |of: &dyn Fn(usize) -> f64| (1..4).fold(0, |best, k| if of(k) > of(best) { k } else { best });
     let first: Links = projector.column(longest(&|k| projector[(k, k)])).normalize();
     let second: Links = projector.column(longest(&|k| projector[(k, k)] - first[k] * first[k])).into();
-    // Orthogonalised twice, because once leaves the round-off of nearly parallel columns.
+    // Orthogonalised twice: once leaves the round-off of nearly parallel columns.
     let across = |x: Links| x - first * first.dot(&x);
     Matrix4x2::from_columns(&[first, across(across(second)).normalize()])
 }

@@ -1,38 +1,38 @@
-//! Trust in an encoder: whether its samples are used, and what changes that.
+//! Trust in an encoder: whether its samples are used, and which events change this.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-/// Trust in an encoder. Silence is not part of it: an encoder that falls silent keeps its state.
+/// Trust in an encoder. It does not change while the encoder is silent.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Trust {
     /// The last sample was used.
     Good,
-    /// So many samples in a row were rejected, each as an outlier.
+    /// This many samples in a row were rejected, each as an outlier.
     Rejected(u32),
-    /// The reading has jumped away from the estimate, with this innovation, rad; so many samples in a row were rejected.
+    /// The reading jumped away from the estimate: innovation at the jump, rad, and number of samples rejected in a row.
     Away { jump: f64, rejected: u32 },
-    /// The reading repeats while the axis turns; so many samples in a row were rejected.
+    /// The reading repeats although the axis turns; number of samples rejected in a row.
     Stuck { rejected: u32 },
 }
 
-/// What may change the trust in an encoder.
+/// Events that may change the trust in an encoder.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Event {
     /// A sample is used.
     Accepted,
     /// The gate rejects a sample.
     Rejected,
-    /// The gate rejects a sample whose reading has jumped, with this innovation, rad.
+    /// The gate rejects a sample because its reading jumped; innovation, rad.
     Jumped(f64),
-    /// A sample repeats the reading that the axis has left.
+    /// A sample repeats a reading although the axis has left it.
     Froze,
     /// The reading has changed.
     Changed,
-    /// The reading that had jumped has moved again.
+    /// The reading moved again after a jump.
     Returned,
-    /// The encoder is back after so long a silence that it counts as a new one.
+    /// The encoder is back after such a long silence that it counts as new.
     Renewed,
-    /// The first samples show that the encoders are exchanged; innovation, rad.
+    /// The first samples show that the encoders are swapped; innovation, rad.
     Exchanged(f64),
 }
 
@@ -47,7 +47,7 @@ impl Trust {
             (Event::Jumped(jump), _) => Self::Away { jump, rejected: more },
             (Event::Froze, _) => Self::Stuck { rejected: more },
             (Event::Changed, Self::Stuck { .. }) | (Event::Renewed, Self::Away { .. }) => Self::Rejected(rejected),
-            // After a single rejected sample the reading may have been struck rather than have jumped.
+            // If only one sample was rejected, it may have been an outlier and no jump.
             (Event::Returned, Self::Away { .. }) => {
                 if self.is_lasting() {
                     Self::Good
@@ -86,7 +86,7 @@ impl Trust {
 mod tests {
     use super::*;
 
-    /// A single outlier is no failure. A reading that has jumped stays away until it moves again; one that is stuck, until it changes.
+    /// A single outlier is no failure. After a jump a reading stays away until it moves again; a stuck reading stays stuck until it changes.
     #[test]
     fn each_state_has_its_way_out() {
         let good = Trust::Good;
