@@ -1,6 +1,6 @@
-//! The estimate without an encoder that repeats its reading: whether the reading could have stayed.
+//! Estimate without an encoder that repeats its reading: decides whether the reading could have stayed constant.
 //!
-//! Its errors are about the motion of the estimate and move with them; only the samples of the other encoder correct them.
+//! Its errors are relative to the motion of the estimate and follow it; only samples of the other encoder correct them.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::Matrix2;
@@ -11,27 +11,27 @@ use super::error_state::Error;
 use super::propagation::{ProcessNoise, Propagation};
 use super::tuning::{CARRIED_WALK, GATE, LARGEST_CHANCE, LIKELY_MODELS, LONGEST_CHANCE, MODELS, OVERDUE};
 
-/// Errors about the motion of the estimate that an encoder has no part in since its reading last changed.
+/// Errors relative to the motion of the estimate, without the samples of one encoder since its reading last changed.
 #[derive(Clone, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Unaided {
     /// Errors while the reading repeats.
     bank: Option<Bank>,
     /// Duration, s.
     time: f64,
-    /// Size of the unknown force at its begin, N·m.
+    /// Size of the unknown force at the start, N·m.
     force: f64,
-    /// Whether the reading is left out, since the axis has turned.
+    /// Whether samples of the encoder are ignored because the axis has turned.
     doubted: bool,
-    /// Whether the other encoder's reading has changed since: where neither does, the machine may be blocked.
+    /// Whether the other encoder's reading has changed since the start. If neither changes, the machine may be blocked.
     other_changed: bool,
-    /// Whether the estimate had settled on the encoder at its begin.
+    /// Whether the estimate had settled on the encoder at the start.
     settled: bool,
 }
 
 impl Unaided {
-    /// Begins with the estimate at the first repeated reading of an encoder, before that sample corrects it, and ends where the reading changes, or the other
-    /// encoder fails whose reading has changed since. `start`: errors of the estimate, and size of the unknown force, N·m; `models`: prior
-    /// probabilities of the estimate's models.
+    /// Starts at the first repeated reading of an encoder, before this sample corrects the estimate. Ends when the reading changes, or when
+    /// the other encoder fails after its reading has changed. `start` returns the errors of the estimate and the size of the unknown force,
+    /// N·m; `models` are the prior probabilities of the estimate's models.
     pub(super) fn receive(&mut self, [own, other]: [&Encoder; 2], start: impl FnOnce() -> (Bank, f64), models: &[f64; MODELS]) {
         if !own.repeats() || other.fails() && self.other_changed {
             self.bank = None;
@@ -43,9 +43,10 @@ impl Unaided {
         }
     }
 
-    /// Judges a reading that repeats: a fault once the other encoder has changed and the axis has turned by more. Where a force of some model explains it, a
-    /// push may hold the axis for a while by chance; while it would have to cancel a large turn, the reading is left out until it changes. Where the other
-    /// reading repeats as well, the machine may be blocked: a fault if the estimate has settled and no force of any model blocks it so.
+    /// Judges a repeated reading. It is a fault if the other reading has changed and the axis has turned further than the errors allow. If
+    /// a force of some model explains it, a push may hold the axis for a while by chance; if the push would have to cancel a large turn, the
+    /// reading is ignored until it changes. If the other reading repeats as well, the machine may be blocked: it is a fault only if the
+    /// estimate had settled and no force of any model can block the axis like this.
     pub(super) fn judge(&mut self, sample: &Measurement) -> Fault {
         let Some(bank) = &self.bank else { return Fault::None };
         let &Measurement { sigma, quantum, innovation, .. } = sample;
@@ -79,8 +80,8 @@ impl Unaided {
         }
     }
 
-    /// Time update by h seconds, as of the estimate's bank, with an unknown force that changes as in a forecast: one encoder does not tell
-    /// all of it. Ends where the other encoder is absent: nothing says how far the axis turns.
+    /// Time update by h seconds as in the estimate's bank. The unknown force changes as in a forecast, because one encoder does not
+    /// determine it. Ends if the other encoder is absent: then nothing shows how far the axis turns.
     pub(super) fn predict(
         &mut self,
         (step, noise): (&Propagation, &ProcessNoise),
@@ -93,13 +94,13 @@ impl Unaided {
         }
         if let Some(bank) = &mut self.bank {
             self.time += timing.0;
-            // A reading that repeats keeps its error.
+            // A repeated reading keeps its error.
             let noise = ProcessNoise { kept: 1.0, ..*noise };
             bank.predict(&step.f, &noise, [scale, inertia, self.force * CARRIED_WALK.sqrt()], timing, &LIKELY_MODELS);
         }
     }
 
-    /// Errors without the encoder, in place of those of the estimate.
+    /// Errors without the encoder, in place of the errors of the estimate.
     pub(super) fn bank(&self) -> Option<Bank> {
         self.bank
     }

@@ -1,17 +1,17 @@
-//! Witness: a Kalman filter beside the estimate that knows of no fault, and what its innovations say of each.
+//! Witness: a Kalman filter beside the estimate that assumes no fault; its innovations show the evidence for each fault.
 //!
-//! A fault of constant size u shows in its innovations r as a known response G, since the filter is linear (Friedland, IEEE Trans. Automatic
+//! A fault of constant size u adds a known response G u to its innovations r, because the filter is linear (Friedland, IEEE Trans. Automatic
 //! Control 14 (1969) 359; Willsky and Jones, 21 (1976) 108):
 //!
 //! ```text
 //! V ← F V + B      G = H V + D      V ← V − K G      r ~ N(G u, S)
 //! ```
 //!
-//! with B by torques, tip forces, parameters and delays, and D by encoders. Sums of GᵀG/S and G r/S give the evidence of each explanation, its
-//! size integrated over its prior, so that an explanation with more freedom pays for it.
+//! B is the effect of torques, tip forces, parameters and delays, D the effect of encoder faults. Sums of GᵀG/S and G r/S give the
+//! evidence of each explanation, with its size integrated over the prior: an explanation with more degrees of freedom is penalised.
 //!
-//! Samples that are late by a time d show the motion of d seconds ago, which the inputs of then move: B is minus the rate of the accelerations by
-//! the inputs. Where samples begin to be late, V begins with minus the rates and accelerations of the motion.
+//! Samples that are late by d show the motion of d seconds ago, driven by the inputs of that time. So B is minus the rate of the
+//! accelerations due to the inputs. When samples start to be late, V starts with minus the rates and accelerations of the motion.
 
 use std::ops::Range;
 
@@ -41,29 +41,29 @@ pub(super) const FAULTS: usize = PARAMETERS + LOADS;
 
 /// Responses of the errors to faults of unit size, by columns.
 type Responses = SMatrix<f64, ERRORS, FAULTS>;
-/// A number for each fault.
+/// One number for each fault.
 pub(super) type Faults = SVector<f64, FAULTS>;
 
-/// Derivatives of the accelerations of the links by faults that the motion depends on.
+/// Derivatives of the link accelerations by the faults that depend on the motion.
 pub(super) struct ByFaults {
     /// By a delay of the inputs, rad/s³.
     delay: Links,
-    /// By the loads that may be learned.
+    /// By the loads that can be learned.
     loads: SMatrix<f64, 4, LOADS>,
 }
 
 impl ByFaults {
-    /// In a step of h seconds from a motion to another under an unknown force.
+    /// Derivatives in a step of h seconds between two motions under an unknown force.
     pub(super) fn new(scene: &impl Scene, [from, to]: [&LinkState; 2], force: &Links, h: f64) -> Self {
         let alpha = (to.omega - from.omega) / h;
         Self { delay: scene.by_delay(from, force, h), loads: scene.by_loads(from, force, &alpha) }
     }
 }
 
-/// Filter that knows of no fault, and what its innovations say of each.
+/// Filter that assumes no fault, and the evidence of its innovations for each fault.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Witness {
-    /// Mean error about the estimate's motion.
+    /// Mean error relative to the estimate's motion.
     #[borsh(serialize_with = "stored::write", deserialize_with = "stored::read")]
     error: Error,
     /// Covariance of the error.
@@ -85,7 +85,7 @@ pub(super) struct Witness {
 }
 
 impl Witness {
-    /// Begins with a mean error and its covariance.
+    /// Starts with a mean error and its covariance.
     pub(super) fn new(error: Error, covariance: Matrix) -> Self {
         Self {
             error,
@@ -98,7 +98,7 @@ impl Witness {
         }
     }
 
-    /// Whether all numbers are finite, and their sums.
+    /// Whether all numbers and their sums are finite.
     pub(super) fn is_finite(&self) -> bool {
         let Self { error, covariance, responses, information, score, squares, samples } = self;
         let sums = [error.sum(), covariance.sum(), responses.sum(), information.sum(), score.sum(), *squares, *samples];
@@ -110,7 +110,8 @@ impl Witness {
         self.is_finite() && is_covariance(&self.covariance) && [self.squares, self.samples].iter().all(|x| *x >= 0.0)
     }
 
-    /// Samples are late from now on: the motion that they show stands back by its rates, rad/s, or by its accelerations, rad/s², on the tangent basis.
+    /// From now on samples are late: the motion that they show lags behind by its rates, rad/s, or its accelerations, rad/s², on the tangent
+    /// basis.
     pub(super) fn stand_back(&mut self, first: usize, by: &Pair) {
         let mut of = self.responses.fixed_view_mut::<2, 1>(first, DELAY);
         of -= by;
@@ -141,8 +142,8 @@ impl Witness {
         self.samples += 1.0;
     }
 
-    /// Time update by h seconds, with the process noise of a model of the bank; in the `first` step with the accelerations on the tangent basis,
-    /// rad/s².
+    /// Time update by h seconds, with the process noise of a model of the bank. `first`: in the first step, the accelerations on the tangent
+    /// basis, rad/s².
     pub(super) fn predict(
         &mut self,
         step: &Propagation,
@@ -154,7 +155,7 @@ impl Witness {
         let [white, walk] = TAKEN_AS_KNOWN.of_model(model, [scale, inertia, 0.0]);
         move_errors(&step.f, noise.kept, &mut self.error);
         move_covariance(&step.f, noise.kept, &mut self.covariance, |moved| noise.add_to(moved, [white, walk]));
-        // Terms of second order in the error of the rates count as noise.
+        // Second-order terms in the error of the rates count as noise.
         let bend = self.error.fixed_rows::<2>(2).norm_squared() * h;
         for k in 2..4 {
             self.covariance[(k, k)] += bend * bend;
@@ -163,18 +164,18 @@ impl Witness {
             self.stand_back(2, accelerations);
         }
         move_errors(&step.f, noise.kept, &mut self.responses);
-        // Generalised forces of each fault act as the unknown force does, which stays as it is.
+        // The generalised forces of a fault act like the unknown force, which does not change.
         let effects = step.f.fixed_columns::<2>(FORCE) * generalised(&step.from, &step.mass, by);
         let mut acted = self.responses.fixed_rows_mut::<FORCE>(0);
         acted += effects.fixed_rows::<FORCE>(0);
         if first.is_some() {
-            // The unknown force before the first step contains the effect of the masses at its begin.
+            // The unknown force before the first step already contains the effect of the masses at the start of the step.
             let mut contained = self.responses.fixed_view_mut::<2, 4>(FORCE, PARAMETERS + MASSES.start);
             contained -= effects.fixed_view::<2, 4>(FORCE, PARAMETERS + MASSES.start);
         }
     }
 
-    /// By how much faults of these standard deviations lessen the sum of squares, and the logarithm of the determinant that their freedom costs.
+    /// Reduction of the sum of squares by faults with these standard deviations, and the log-determinant that penalises their freedom.
     pub(super) fn explained(&self, sizes: &Faults) -> (f64, f64) {
         let scaled = |x: &Faults| x.component_mul(sizes);
         let mut free = SMatrix::<f64, FAULTS, FAULTS>::identity();
@@ -184,14 +185,14 @@ impl Witness {
             into += column;
         }
         let score = scaled(&self.score);
-        // Round-off alone keeps the matrix from being positive definite.
+        // Only round-off can keep the matrix from being positive definite.
         free.cholesky().map_or((0.0, 0.0), |factor| {
             (score.dot(&factor.solve(&score)), 2.0 * factor.l_dirty().diagonal().iter().map(|x| libm::log(*x)).sum::<f64>())
         })
     }
 }
 
-/// Generalised forces on the tangent basis by faults of unit size, N·m.
+/// Generalised forces on the tangent basis due to faults of unit size, N·m.
 fn generalised(at: &Frame, mass: &Matrix4<f64>, by: &ByFaults) -> SMatrix<f64, 2, FAULTS> {
     let mut forces = SMatrix::<f64, 2, FAULTS>::zeros();
     forces.fixed_columns_mut::<4>(TORQUES.start).copy_from(&at.basis.tr_mul(&at.by_inputs()));
