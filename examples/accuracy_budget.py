@@ -1,7 +1,7 @@
-"""How accurate the tip of a robot will be: a budget in mm, source by source.
+"""Tip accuracy of a robot: an error budget in mm, with one row per source.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/accuracy_budget.py [SCENE [X Y]]
-Put in the figures of your own parts. Each is a standard deviation or, for a step or a play, the full width.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/accuracy_budget.py [SCENE [X Y]]
+Enter the figures of your own parts. Each is a standard deviation or, for a step or a play, the full width.
 """
 
 import sys
@@ -11,12 +11,12 @@ import numpy as np
 
 from fivebar.kinematics import Machine
 
-LENGTH = 0.05e-3  # m, of each link and of the base, after measuring them
-ZERO = 0.3e-3  # rad, of each motor's zero angle, after homing
-STEP = 2 * pi / 2**14  # rad, of an encoder
-PLAY = 0.2e-3  # rad, of a gear, 0 for direct drive
+LENGTH = 0.05e-3  # m, error of each length (links and base) after measuring it
+ZERO = 0.3e-3  # rad, error of each motor's zero angle after homing
+STEP = 2 * pi / 2**14  # rad, resolution of an encoder
+PLAY = 0.2e-3  # rad, play of a gear; 0 for direct drive
 BEARING = 0.01e-3  # m, radial play of each of the five joints
-FORCE = 0.2  # N, at the tip, that the motors do not know of
+FORCE = 0.2  # N, at the tip, unknown to the motors
 STIFFNESS = 20.0  # N.m/rad, of a motor's servo: servo.kp
 
 scene = sys.argv[1] if len(sys.argv) > 1 else "pick_and_place"
@@ -27,15 +27,15 @@ jacobian = machine.jacobian(posture.theta)
 
 
 def moved(sizes: np.ndarray) -> np.ndarray:
-    """The tip, m, of a machine of other sizes at the same motor angles."""
+    """Position of the tip, m, of a machine with other lengths at the same motor angles."""
     other = Machine(float(sizes[0]), tuple(sizes[1:].tolist()))
     return other.forward(posture.motors, str(posture.assembly)).tip
 
 
 sizes = np.array([machine.distance, *machine.lengths])
 by_size = np.stack([(moved(sizes + d) - moved(sizes - d)) / 2e-6 for d in 1e-6 * np.eye(5)], axis=1)
-# A step, or a play of full width w, has the standard deviation w/√12.
-# A joint's play acts along the distal link of its leg, as an error of that length; the joint of the tip belongs to both legs.
+# An encoder step, or a play of full width w, has the standard deviation w/√12.
+# Play of a joint acts along the distal link of its leg, like an error of its length; the joint at the tip belongs to both legs.
 sources = {
     f"lengths, {1e3 * LENGTH:g} mm": LENGTH * by_size,
     f"zero angles, {1e3 * ZERO:g} mrad": ZERO * jacobian,

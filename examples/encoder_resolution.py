@@ -1,8 +1,8 @@
-"""Which encoder is fine enough: error of the estimated tip by resolution and by rate of the samples.
+"""How fine an encoder must be: error of the estimated tip for each resolution and sampling rate.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/encoder_resolution.py
-The machine carries 20 g of which the twin knows nothing, there and back by soft servos. Errors are the root of the mean square, in mm,
-from 0.1 s on; the last column is the reading itself, without a twin.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/encoder_resolution.py
+Soft servos move the machine there and back with a payload of 20 g that the twin does not know. Errors are root mean squares
+in mm from 0.1 s on. The last column is the error of the reading itself, without a twin.
 """
 
 from math import pi
@@ -16,14 +16,14 @@ MACHINE = {"base.distance": 0.1, "gravity.enabled": False, "init.theta[1]": 2.75
 MACHINE |= {"servo.enabled": True, "servo.kp[1]": 5.0, "servo.kp[2]": 5.0, "servo.kd[1]": 0.1, "servo.kd[2]": 0.1}
 PAYLOAD = {"payload.enabled": True, "payload.mass": 0.02}
 EXACT = {f"estimator.sigma0.{name}": 0.0 for name in ("length", "offset", "eccentricity")}
-"""Lengths and mounting angles are exact: the table shows the encoders alone."""
+"""Lengths and mounting angles are exact, so the table shows only the effect of the encoders."""
 GEOMETRY = Machine(0.1, (0.21, 0.21, 0.21, 0.21))
 STEP, END = 1e-3, 1.2
 BITS, RATES = (10, 12, 14, 16, 18), (100, 250, 1000)
 
 
 def swing(time: float) -> list[float]:
-    """References of both servos, rad: there and back."""
+    """References of both servos, rad: a swing there and back."""
     turn = 0.48 * (1 - np.cos(2 * pi * time / END))
     return [2.7567 - turn, 1.345 - turn]
 
@@ -38,7 +38,7 @@ tips = np.array([tip for _, tip in truth])
 
 
 def error(found: np.ndarray) -> float:
-    """mm."""
+    """Root mean square error of the tip, mm."""
     return 1e3 * float(np.sqrt(np.mean(np.sum((found - tips)[100:] ** 2, axis=1))))
 
 

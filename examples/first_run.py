@@ -1,4 +1,4 @@
-"""The shortest way: FMPy, a start, a torque, and where the tip is after one second."""
+"""The shortest example: FMPy, start values, a torque, and the position of the tip after one second."""
 
 from fmpy import simulate_fmu
 

@@ -1,13 +1,13 @@
-"""A strictly fixed step of 1 ms, as real time needs it: the conserving method through a fall with singularities, its work bounded.
+"""A strictly fixed step of 1 ms for real time: the conserving method with bounded work, in a fall through singularities.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/fixed_step.py
-docs/conserving.md says how long a step takes, and what becomes of one whose work is bounded.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/fixed_step.py
+See docs/conserving.md for the time that a step takes, and for the effect of the bound.
 """
 
 from fivebar import Unit
 
 STEP = 1e-3
-"""s."""
+"""Step length, s."""
 
 with Unit(**{"solver.method": "i3alpConserving", "solver.maxWork": 40, "init.theta[2]": 2.0944}) as unit:
     worst = largest = before = 0.0

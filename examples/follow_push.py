@@ -1,7 +1,7 @@
-"""Estimate, truth, bands and alarm over a pick with an unknown payload, and a push on the tip that the twin is not told of.
+"""Estimate, truth, bands and alarm while a robot moves an unknown payload and its tip is pushed; the twin does not know the push.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/follow_push.py
-It writes target/follow_push.svg. Encoders of 16 bits measure the machine every 1 ms.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/follow_push.py
+The picture is target/follow_push.svg. Encoders of 16 bits measure the machine every 1 ms.
 """
 
 from math import pi, sqrt
@@ -19,13 +19,13 @@ PAYLOAD = {"payload.enabled": True, "payload.mass": 0.02}
 ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator.quantum[2]": COUNT}
 ENCODERS |= {"estimator.sigma0.theta": 0.01, "estimator.sigma0.length": 0.0}
 ENCODERS |= {"estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
-"""The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
+"""This machine has exact lengths and encoder mounting angles, and the twin is configured accordingly."""
 PUSH, FROM, TO = 0.5, 0.75, 0.85
 GEOMETRY = Machine(0.1, (0.21, 0.21, 0.21, 0.21))
 
 
 def reference(time: float) -> dict[str, float]:
-    """There and back by minimum jerk."""
+    """Servo references of a motion there and back with minimum jerk."""
 
     def jerk(begin: float) -> tuple[float, float]:
         s = min(max((time - begin) / 0.5, 0.0), 1.0)
@@ -48,7 +48,7 @@ with Unit(**MACHINE, **PAYLOAD) as machine, Unit(**MACHINE, **ENCODERS) as twin:
         machine.step(STEP), twin.step(STEP)
         tip = ("tip.x", "tip.y")
         names = (*tip, "estimated.tip.cov[3]", "estimated.tau[1]", "estimated.tau.sigma[1]", "estimated.alarm")
-        # By virtual work the push is a torque of d tip.y / d theta[1] times its force.
+        # By virtual work, the push acts like a torque of d tip.y / d theta[1] times its force.
         lever = GEOMETRY.jacobian(GEOMETRY.forward(machine["theta"]).theta)[1, 0]
         rows.append((machine.time, *machine.get(*tip), *twin.get(*names), force * lever))
 

@@ -1,27 +1,27 @@
-"""Looking ahead: a stored state, 0.5 s of prediction for each of some torques, and back as if nothing had happened.
+"""Looking ahead: store the state, predict 0.5 s for each of several torques, and return as if nothing had happened.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/look_ahead.py
-What a stored state costs: rows `fmi2GetFMUstate` and `fmi2SetFMUstate` of `cargo xtask bench`.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/look_ahead.py
+For the cost of storing a state, see the rows `fmi2GetFMUstate` and `fmi2SetFMUstate` of `cargo xtask bench`.
 """
 
 from fivebar import Unit
 
 TORQUES = [0.0, 0.05, 0.1, 0.15]
-"""On the left motor, N·m."""
+"""Candidate torques of the left motor, N·m."""
 
 
 def predicted(twin: Unit, torque: float) -> float:
-    """Height of the tip in 0.5 s under a constant torque, m. The twin is left where it was."""
+    """Height of the tip, m, after 0.5 s of constant torque. The state of the twin does not change."""
     now = twin.state()
     twin["tau[1]"] = torque
-    # One communication step, however long: the unit divides it by itself.
+    # A single long communication step: the unit divides it into smaller steps.
     twin.step(0.5)
     height = twin["tip.y"]
     twin.restore(now)
     return height
 
 
-# The method automatic chooses its steps by solver.errorTolerance alone: docs/automatic.md.
+# The method `automatic` chooses its steps only by solver.errorTolerance: see docs/automatic.md.
 with Unit(**{"solver.method": "automatic", "init.theta[2]": 2.0944, "viscous.enabled": True}) as twin:
     for _ in range(4):
         heights = {torque: predicted(twin, torque) for torque in TORQUES}

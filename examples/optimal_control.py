@@ -1,11 +1,11 @@
-"""Optimal control through model exchange: CasADi takes the unit's equations and their derivatives, IPOPT finds a swing.
+"""Optimal control by model exchange: CasADi uses the equations of the unit and their derivatives, IPOPT finds a swing-up.
 
-From hanging at rest to rest in a raised posture within 1.2 s by the least torque, and never more than a sixth of what it would
-take to hold it there: the machine swings up. Multiple shooting: the states at 25 points and the torques held between them are
-unknowns. Then the torques are played back through the co-simulation side.
+The machine moves from hanging at rest to rest in a raised posture within 1.2 s with the least torque. The torque is limited
+to a sixth of the torque that holds this posture, so the machine has to swing up. Multiple shooting: the unknowns are the
+states at 25 points and the constant torques between them. Finally, the torques are played back in co-simulation.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/optimal_control.py
-It needs CasADi: pip install casadi. The picture is target/optimal_control.svg.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/optimal_control.py
+This needs CasADi: pip install casadi. The picture is target/optimal_control.svg.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ START = {"init.theta[1]": REST[0], "init.theta[2]": REST[1], "init.assembly": 2}
 
 
 def piece(f: ca.Function) -> ca.Function:
-    """From a state over one piece with a torque held: Runge-Kutta's method of order 4."""
+    """State after one piece with constant torque, as a function: classical Runge-Kutta method of order 4."""
     start, tau = ca.MX.sym("x", 4), ca.MX.sym("tau", 2)
     rate = lambda x: f(x, ca.vertcat(tau, ca.DM.zeros(6)))[0]
     x, h = start, SECONDS / PIECES / SUBSTEPS
@@ -37,7 +37,7 @@ def piece(f: ca.Function) -> ca.Function:
 
 
 def swing(after: ca.Function) -> tuple[np.ndarray, np.ndarray]:
-    """States and torques of the best way. First derivatives are the unit's; those of second order are learnt on the way."""
+    """Optimal states and torques. The unit provides first derivatives; IPOPT approximates the Hessian."""
     problem = ca.Opti()
     x, tau = problem.variable(4, PIECES + 1), problem.variable(2, PIECES)
     problem.minimize(1e4 * SECONDS / PIECES * ca.sumsqr(tau))
@@ -52,7 +52,7 @@ def swing(after: ca.Function) -> tuple[np.ndarray, np.ndarray]:
 
 
 def played_back(tau: np.ndarray) -> np.ndarray:
-    """The states that co-simulation comes to by these torques."""
+    """States that co-simulation reaches with these torques."""
     with Unit(**START) as unit:
         states = [unit.get(*STATES)]
         for torques in tau.T:

@@ -1,7 +1,7 @@
-"""A scene of one's own in FMPy: a small machine, springs that carry it, and a push on its tip.
+"""A custom scene in FMPy: a small machine, springs that carry its weight, and a push on its tip.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/own_scene.py
-The same as a scene's file, for `fivebar run`, takes no code: see docs/scenes.md.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/own_scene.py
+A scene file for `fivebar run` does the same without code: see docs/scenes.md.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ import fivebar
 
 FMU = str(fivebar.unit())
 
-# The machine: links of 10 cm and 12 cm, uniform rods of 15 g and 18 g, motors 8 cm apart.
+# The machine: uniform rods as links (10 cm, 15 g and 12 cm, 18 g), and motors 8 cm apart.
 start = {"base.distance": 0.08}
 for link, length, mass in ((1, 0.10, 0.015), (2, 0.12, 0.018), (3, 0.12, 0.018), (4, 0.10, 0.015)):
     start |= {
@@ -21,16 +21,16 @@ for link, length, mass in ((1, 0.10, 0.015), (2, 0.12, 0.018), (3, 0.12, 0.018),
         f"link[{link}].inertia": mass * length**2 / 12,
     }
 
-# The start: elbows apart, the tip above them (`plus`); an enumeration goes by its number.
+# The start: elbows apart and the tip above them (`plus`). FMPy takes enumerations by number.
 start |= {"init.theta[1]": 2.2, "init.theta[2]": 0.94, "init.assembly": 1}
 
-# The effects: gravity is on; springs that are stiff enough to carry the machine, and a bit of friction.
+# The effects: gravity, springs stiff enough to carry the machine, and some friction.
 start |= {"spring.enabled": True, "viscous.enabled": True}
 for side, relaxed in ((1, 2.2), (2, 0.94)):
     start |= {f"spring.k[{side}]": 0.5, f"spring.theta0[{side}]": relaxed}
 
-# The push: 0.5 N to the right, rising and falling over 0.2 s. Between two rows FMPy interpolates; the unit holds what it is
-# given over a communication step (here 1 ms). The table has all inputs, the others at 0, for FMPy warns of each that is missing.
+# The push: 0.5 N to the right, rising and falling over 0.2 s. FMPy interpolates between two rows; the unit keeps inputs constant
+# during a communication step (here 1 ms). The table lists all inputs, unused ones at 0, because FMPy warns of each missing one.
 time = np.linspace(0, 2, 201)
 inputs = [variable.name for variable in read_model_description(FMU).modelVariables if variable.causality == "input"]
 push = np.zeros(len(time), dtype=[(name, float) for name in ("time", *inputs)])

@@ -1,7 +1,8 @@
-"""A real machine in the place of the stand-in: this loop publishes what its encoders say, and the twin follows it.
+"""A real machine instead of the stand-in: this loop publishes its encoder readings, and the twin follows them.
 
-Start the rest first, `fivebar twin --machine none ...`, which prints host and port; docs/pipeline.md has the message's rules.
-Where `fivebar[twin]` is installed (in a checkout `target/venv`): python examples/publish_machine.py HOST PORT
+First start the other processes with `fivebar twin --machine none ...`, which prints host and port. docs/pipeline.md
+describes the message.
+Run with `fivebar[twin]` installed (in a checkout: `target/venv`): python examples/publish_machine.py HOST PORT
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""A run that goes on in another process: the state as bytes in a file, to the same bits.
+"""A run that continues in another process, bit for bit: the state is stored as bytes in a file.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/resume.py
-The script calls itself for the second half, with the file. The bytes belong to this FMU (they hold its GUID and a
-checksum), not to a machine or a process.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/resume.py
+The script calls itself for the second half and passes the file. The bytes belong to this FMU, because they contain its GUID
+and a checksum; they do not depend on the computer or the process.
 """
 
 import subprocess
@@ -17,7 +17,7 @@ OUTPUTS = ["theta[1]", "theta[2]", "tip.x", "tip.y", "energy.dissipated"]
 
 
 def second_half(unit: Unit) -> str:
-    """Steps to 1 s; the outputs there, every digit."""
+    """Steps to 1 s and returns the outputs with all digits."""
     for _ in range(500):
         unit.step(1e-3)
     return ", ".join(f"{name} = {value!r}" for name, value in zip(OUTPUTS, unit.get(*OUTPUTS)))

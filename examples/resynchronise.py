@@ -1,8 +1,8 @@
-"""Following a real machine: its encoders correct the twin, which looks 0.5 s ahead, rolls back, goes on.
+"""Following a real machine: its encoders correct the twin, which predicts 0.5 s ahead, rolls back and continues.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/resynchronise.py
-Here the machine is a second unit that carries a payload of which the twin knows nothing; encoders of 16 bits measure it every 1 ms.
-The twin finds the forces that it does not know of and keeps them while it looks ahead; the bands are two standard deviations.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/resynchronise.py
+Here the machine is a second unit with a payload that the twin does not know; encoders of 16 bits measure it every 1 ms.
+The twin estimates the unknown forces and keeps them constant while it predicts; the bands are two standard deviations.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ MACHINE = {
     "init.theta[2]": 1.6,
 }
 MACHINE |= {"servo.kp[1]": 1.0, "servo.kp[2]": 1.0, "servo.kd[1]": 0.01, "servo.kd[2]": 0.01}
-"""Soft servos that swing to another posture."""
+"""Soft servos that move to another posture."""
 
 INTERVAL, AHEAD, SAMPLE = 0.1, 0.5, 1e-3
 COUNT = 2 * pi / 2**16
 ENCODERS = {"estimator.enabled": True, "estimator.quantum[1]": COUNT, "estimator.quantum[2]": COUNT}
 ENCODERS |= {"estimator.sigma0.length": 0.0, "estimator.sigma0.offset": 0.0, "estimator.sigma0.eccentricity": 0.0}
-"""The lengths of this machine and the mounting angles of its encoders are exact, and the twin is told so."""
+"""This machine has exact lengths and encoder mounting angles, and the twin is configured accordingly."""
 
 
 def measured(machine: Unit) -> dict[str, Sequence[float]]:
-    """Samples of the motors' encoders with their times."""
+    """Samples of the motor encoders with their times."""
     angles = [round(angle / COUNT) * COUNT for angle in machine["theta"]]
     return {"measured.theta": angles, "measured.time": (machine.time, machine.time)}
 

@@ -1,10 +1,11 @@
-"""A serial arm as a five-bar: recordings of a double pendulum become a record and a scene for `fivebar validate`.
+"""A serial arm as a five-bar: converts recordings of a double pendulum to a record and a scene for `fivebar validate`.
 
     python examples/serial_arm.py dfki_double_pendulum out
     fivebar validate out/record.csv --scene out/scene.json
 
-The folder has the CSV files and `model_parameters.yml` of data/experiment_records/design_C.1/sys_id/20230629 in the repository
-dfki-ric-underactuated-lab/double_pendulum. Links 1 and 2 are the arm's; links 3 and 4 weigh nearly nothing and are never in line.
+The folder contains the CSV files and `model_parameters.yml` from data/experiment_records/design_C.1/sys_id/20230629 of the
+repository dfki-ric-underactuated-lab/double_pendulum. Links 1 and 2 are the arm; links 3 and 4 weigh nearly nothing and are never
+in line.
 """
 
 import json
@@ -17,21 +18,21 @@ from fivebar import table
 
 RIGHT = 3.0 + 0.35j  # axis of the right motor, m, from the shoulder; x is horizontal
 LINK_3, LINK_4 = 3.0, 0.7  # m
-TURNED = np.angle(RIGHT)  # rad: the unit's x axis goes through both motors
+TURNED = np.angle(RIGHT)  # rad: the x axis of the unit passes through both motors
 LIGHT = 1e-5  # kg
-STEP = 2 * np.pi / 2**14  # rad: of the arm's encoders
-SMALLEST = 0.02  # of b: near a direct singularity no torque of the right motor is the elbow's
+STEP = 2 * np.pi / 2**14  # rad: resolution of the arm's encoders
+SMALLEST = 0.02  # smallest |b|: near a direct singularity the right motor cannot replace the elbow motor
 
 
 def columns(file, arm):
-    """Columns of a run. The arm's angles are 0 hanging down, and its elbow's is relative."""
+    """Columns of a run. The arm measures angles from hanging down, and its elbow angle relative to link 1."""
     given = np.genfromtxt(file, delimiter=",", names=True)
     theta1 = given["pos_meas1"] - np.pi / 2 - TURNED
     theta2 = theta1 + given["pos_meas2"]
     tip = arm["l1"] * np.exp(1j * theta1) + arm["l2"] * np.exp(1j * theta2) - abs(RIGHT)
     theta4 = np.unwrap(np.angle(tip) - np.arccos((LINK_4**2 + abs(tip) ** 2 - LINK_3**2) / (2 * LINK_4 * abs(tip))))
     theta3 = np.angle(tip - LINK_4 * np.exp(1j * theta4))
-    # Rates obey theta4' = a theta1' + b theta2'; both pairs of motors have the same power. The arm's elbow motor turns with link 1.
+    # Rates obey theta4' = a theta1' + b theta2'. Both pairs of motors have equal power. The arm's elbow motor turns with link 1.
     a = arm["l1"] * np.sin(theta3 - theta1) / (LINK_4 * np.sin(theta3 - theta4))
     b = arm["l2"] * np.sin(theta3 - theta2) / (LINK_4 * np.sin(theta3 - theta4))
     shoulder, elbow = given["tau_meas1"], given["tau_meas2"]
@@ -41,7 +42,7 @@ def columns(file, arm):
 
 
 def scene(arm, first):
-    """The arm, beginning with the first readings."""
+    """Scene of the arm, starting at the first readings."""
     values = {
         "description": "A serial arm with two joints as a five-bar.",
         "experiment": {"stopTime": 10, "stepSize": 0.002},
@@ -57,7 +58,7 @@ def scene(arm, first):
         "viscous.enabled": True,
         "friction.enabled": True,
         "estimator.quantum[1]": STEP,
-        "estimator.quantum[2]": 0,  # computed of both encoders
+        "estimator.quantum[2]": 0,  # computed from both encoders
         "estimator.sigma[2]": STEP / 2,
     }
     links = [
@@ -67,7 +68,7 @@ def scene(arm, first):
     for i, link in enumerate(links, 1):
         values |= zip((f"link[{i}].{name}" for name in ("length", "mass", "com", "inertia")), link, strict=True)
     for joint in range(1, 6):
-        # The authors' law cf arctan(100 w) is at most pi/2 cf.
+        # The authors' friction law cf arctan(100 w) has the limit pi/2 cf.
         dry = np.pi / 2 * arm.get(f"cf{joint}", 0.0)
         values |= {f"friction.coulomb[{joint}]": dry, f"friction.breakaway[{joint}]": dry}
         values[f"viscous.b[{joint}]"] = arm.get(f"b{joint}", 0.0)
@@ -80,7 +81,7 @@ if __name__ == "__main__":
     arm = {name: float(value) for name, value in (line.split(":") for line in lines if ":" in line)}
     runs = [columns(file, arm) for file in sorted(source.glob("*.csv"))]
     out.mkdir(parents=True, exist_ok=True)
-    # The clock of each run begins at 0: each becomes a series of its own.
+    # The time of each run starts at 0, so each run becomes a separate series.
     table.write_columns(out / "record.csv", {name: np.concatenate([run[name] for run in runs]) for name in runs[0]})
     first = {name: float(column[0]) for name, column in runs[0].items()}
     (out / "scene.json").write_text(json.dumps(scene(arm, first), indent=2) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
-"""Effects on and off: what each does to the same fall, and a parameter that is changed during the run.
+"""Effects on and off: how each changes the same fall, and how a parameter changes during a run.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/switch_effects.py
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/switch_effects.py
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import fivebar
 
 FMU = str(fivebar.unit())
 START = {"init.theta[2]": 2.0944}
-"""The fall of scenes/fall_90_120.json. Gravity is the only effect that is on from the beginning."""
+"""The fall of scenes/fall_90_120.json. At first, gravity is the only effect."""
 
 OUTPUT = ["theta[1]", "tip.y", "energy.dissipated", "energy.error"]
 
@@ -30,7 +30,7 @@ EFFECTS = {
 
 
 def fall(effects: dict[str, float | bool], **more: object) -> np.ndarray:
-    """One second of the fall with some effects."""
+    """One second of the fall with these effects."""
     return simulate_fmu(FMU, stop_time=1, output_interval=1e-3, start_values=START | effects, output=OUTPUT, **more)
 
 
@@ -40,8 +40,8 @@ for name, effects in EFFECTS.items():
     print(f"{name:>20}  {end['theta[1]']:14.4f}  {end['tip.y']:9.4f}", end="")
     print(f"  {1e3 * end['energy.dissipated']:15.3f}  {end['energy.error']:11.1e}")
 
-# A tunable parameter may change during the run, and acts from the next step on; FMPy takes it in its table of inputs, which has
-# them all, for it warns of each that is missing. What the change adds to the stored energy counts as energy.input.
+# A tunable parameter may change during the run and acts from the next step on. FMPy takes it from its table of inputs. The table
+# lists all inputs, because FMPy warns of each missing one. Energy that the change adds to a spring counts as energy.input.
 inputs = [variable.name for variable in read_model_description(FMU).modelVariables if variable.causality == "input"]
 stiffen = np.zeros(4, dtype=[(name, float) for name in ("time", "spring.k[1]", *inputs)])
 stiffen["time"], stiffen["spring.k[1]"] = (0.0, 0.5, 0.5, 1.0), (0.05, 0.05, 0.5, 0.5)

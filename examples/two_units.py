@@ -1,18 +1,18 @@
-"""Two units in one co-simulation: an operator moves a leader, a servo-driven follower copies it and feels a wall for him.
+"""Two units in one co-simulation: an operator moves a leader; a servo-driven follower copies it and feeds back the force of a wall.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/two_units.py
-Every millisecond the follower gets the leader's angles and rates as references, and the leader's tip gets part of the force of the
-wall that the follower touches, one step late, as in any co-simulation whose units step at the same time.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/two_units.py
+Every millisecond the follower gets the leader's angles and rates as references. The tip of the leader gets a part of the force
+of the wall that the follower touches, one step late, as in any co-simulation with units that step at the same time.
 """
 
 from fivebar import Unit
 
 STEP, SCALE = 1e-3, 0.2
-"""Communication step, s; how much of the wall's force the operator feels."""
+"""Communication step, s; share of the wall's force that the operator feels."""
 
 SHARED = {"gravity.enabled": False, "viscous.enabled": True, "init.theta[1]": 1.7, "init.theta[2]": 1.9}
 DAMPED = {f"viscous.b[{joint}]": 0.02 for joint in (1, 5)}
-"""The operator's arm damps the leader's motors."""
+"""Damping of the leader's motors by the operator's arm."""
 
 WALL = {
     "contact.enabled": True,
@@ -22,7 +22,7 @@ WALL = {
     "contact.k": 2e4,
     "contact.mu": 0.0,
 }
-"""Free is what lies left of x = 0.26 m."""
+"""A wall at x = 0.26 m; the space left of it is free."""
 
 SERVO = {"servo.enabled": True} | {
     f"servo.{name}[{i}]": x for i in (1, 2) for name, x in (("kp", 200.0), ("kd", 2.0), ("limit", 20.0))

@@ -1,7 +1,7 @@
-"""Reach of a machine: motor angles for places of the tip, condition number there, and maps of its workspace.
+"""Workspace of a machine: motor angles for positions of the tip, the condition number there, and maps.
 
-Where `fivebar` is installed (in a checkout `target/venv`): python examples/workspace.py
-Pictures and tables go to target/workspace/. docs/kinematics.md has conventions and formulas.
+Run with `fivebar` installed (in a checkout: `target/venv`): python examples/workspace.py
+Pictures and tables go to target/workspace/. See docs/kinematics.md for conventions and formulas.
 """
 
 import numpy as np
@@ -22,19 +22,19 @@ print(f"condition number {machine.condition(posture.theta):.4f}, assembly {postu
 velocity = machine.velocity_ellipse(posture.theta)
 print(f"1 rad/s of the motors moves the tip at {velocity.axes[1]:.4f} to {velocity.axes[0]:.4f} m/s")
 
-# A line of a hundred places at once: the largest joint rates along it at 0.5 m/s.
+# A hundred positions on a line at once: the largest joint rates along it at 0.5 m/s.
 line = np.linspace((-0.06, 0.24), (0.16, 0.24), 100)
 along = machine.inverse(line)
 rates = machine.motor_rates(along.theta, (0.5, 0.0))
 print(f"along y = 0.24 m at 0.5 m/s: motor rates up to {np.abs(rates).max():.3f} rad/s")
 
-# A place out of reach raises ValueError, whose sentence has the figure.
+# A position out of reach raises ValueError; its message contains the distances.
 try:
     machine.inverse((0.5, 0.2))
 except ValueError as sentence:
     print(sentence)
 
-# The map of each working mode, with the scene's motion and the force that its servos' limits allow.
+# Maps of each working mode, with the motion of the scene and the tip force within the limits of its servos.
 robot = scene.read("pick_and_place")
 survey = workspace.compute(robot, path=workspace.follow(robot))
 print("\n".join(workspace.summary(survey)))
