@@ -38,7 +38,7 @@ use super::tuning::{
 };
 use crate::copies::clone_by_fields;
 
-/// Covariance of the errors of motion and force with those of the parameters.
+/// Covariance between the errors of motion and force and the errors of the parameters.
 type Cross = SMatrix<f64, ERRORS, LEARNED>;
 /// Derivatives Ψ of the errors of the motion by the parameters.
 type Moving = SMatrix<f64, FORCE, LEARNED>;
@@ -588,7 +588,7 @@ mod tests {
         }
     }
 
-    /// After a cautious update, covariances equal those of a joint filter with the same gains, (I − K H) P (I − K H)ᵀ + K R Kᵀ. R is the
+    /// After a cautious update, a joint filter with the same gains has equal covariances, (I − K H) P (I − K H)ᵀ + K R Kᵀ. R is the
     /// noise of the sample; only the gain of lengths and mounting angles assumes a larger noise.
     #[test]
     fn cautious_updates_keep_true_covariances() {

@@ -22,7 +22,7 @@ impl Prediction {
         let (mut to, mut told) = (mean, rounding);
         if sigma < WIDEST_SIGMA * quantum && mean.abs() < LARGEST_INNOVATION * quantum {
             let (shift, left) = truncated_normal((mean - quantum / 2.0) / sigma, (mean + quantum / 2.0) / sigma);
-            // Sums of information, P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y, equal those of the truncated distribution.
+            // Sums of information, P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y, equal the sums for the truncated distribution.
             let less = 1.0 - left;
             told = if variance * left < less * LARGEST_VARIANCE * rounding {
                 to = sigma * shift / less;

@@ -29,7 +29,7 @@ pub type Pair = Vector2<f64>;
 
 /// Signs of the links in the closure.
 pub(super) const CLOSURE_SIGNS: [f64; 4] = [1.0, 1.0, -1.0, -1.0];
-/// Links whose angles the encoders measure.
+/// Links with encoders.
 pub const MEASURED: [usize; 2] = [0, 3];
 
 /// Angles and rates of all links.
