@@ -35,7 +35,7 @@ pub(super) const LEARNT: Intensities =
 /// 16 bits, eight standard deviations; with 10, 0.02 % (table `learning`).
 pub(super) const LEARNING_PERSISTENCES: [f64; 2] = [300.0, 10.0];
 /// Prior probabilities of the models before any sample, without samples, and next to a direct singularity. There, a push assumed too
-/// readily pulls the estimate back from the line of the distal links. With other priors the ellipses half a second ahead of
+/// readily pulls the estimate back from the line of the distal links. Without these priors the ellipses half a second ahead of
 /// `pick_and_place` were 72 mm wide for errors of 0.1 mm. A model with probability 0 is not used.
 pub(super) const LIKELY_MODELS: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
 /// Prior probabilities under white encoder noise, when a large innovation may be noise. The torque of the benchmark at 1° is 1.3 to
@@ -170,7 +170,7 @@ pub(super) const OVERDUE: [f64; 3] = [2.0, 4.0, 4.0];
 /// `--part 30 --seeds 940000000`).
 pub(super) const LONGEST_CHANCE: f64 = 0.1;
 /// Stuck encoder: turn of the axis, in quantisation intervals, that a push may cancel by chance. Encoders that freeze in a fall, at 16 bits
-/// with the unit's start values: 11 of 400 stay silent without this limit, none with 20. At 0.1° with exact geometry: with 40, two of 200.
+/// with the unit's start values: 11 of 400 stay silent without this limit, none of 400 with 20. At 0.1° with exact geometry: with 40, two of 200.
 /// Pushes at 0.1° with the start values: with 10 eight of 60 are missed in place of four (tables `faults`, `--part 10 --seeds` 1280000000
 /// and 1300000000, and `detection`, `--seeds 8020000000`).
 pub(super) const LARGEST_CHANCE: f64 = 20.0;
@@ -379,5 +379,5 @@ pub(super) struct Sizes {
     /// Logarithm of the factor of dry friction.
     pub(super) friction: f64,
 }
-/// Sizes of faults that are just large enough to raise an alarm. With masses of 0.1 as many are named.
+/// Sizes of faults, of the order that raises an alarm. With 0.1 for masses as many causes are named.
 pub(super) const SIZES: Sizes = Sizes { torque: 1.0, jump: 0.1, delay: 5e-3, mass: 0.05, rate: 10.0, friction: 1.0 };
