@@ -86,3 +86,19 @@ def test_an_input_and_a_value_in_one_call_are_refused(fmu: Path) -> None:
         FiveBarError, match=r"^'tau\[1\]' is given a signal and a value, but only one of them can hold$"
     ):
         fivebar.run("swing", inputs={"tau[1]": 0.1}, **{"tau[1]": 0.2})
+
+
+def test_inputs_of_a_scene_are_known_to_its_end_only() -> None:
+    """A longer run would hold the last value of a ramp; a constant goes on."""
+    given = read("flat_table").replace(stop_time=1.0, inputs={"tau[1]": ([0.0, 2.0], [0.0, 0.02]), "tau[2]": 0.01})
+    assert given.replace(stop_time=0.5).signals["tau[1]"][-1] == pytest.approx(0.005)
+    with pytest.raises(
+        FiveBarError, match=r"the input 'tau\[1\]' is known up to 1 s: a run of 2 s needs `inputs` again"
+    ):
+        given.replace(stop_time=2.0)
+    assert given.replace(stop_time=2.0, inputs={"tau[1]": 0.0}).signals["tau[2]"][-1] == 0.01
+
+
+def test_times_are_finite() -> None:
+    with pytest.raises(FiveBarError, match=r"the times of input 'tau\[1\]' must be finite"):
+        read("swing").replace(inputs={"tau[1]": ([np.nan], [1.0])})

@@ -309,3 +309,17 @@ def test_both_sides_of_a_fork_go_on() -> None:
         unit.step(0.1)
         assert process.exitcode == 0 and there == bits(unit)
         assert Path(unit.library.directory).is_dir()
+
+
+def test_values_of_a_reset_replace_those_of_the_start() -> None:
+    with Unit(**{"init.theta": (1.3, 2.0), "init.theta[1]": 1.2}) as unit:
+        unit.reset(**{"init.theta": (1.4, 2.1)})
+        assert unit["theta"].tolist() == [1.4, 2.1]
+
+
+@pytest.mark.parametrize("given", [{2.0, 1.0}, {1.0: "a", 2.0: "b"}, "12"])
+def test_arrays_are_sequences(given: object) -> None:
+    with Unit() as unit, pytest.raises(FiveBarError, match="'tau' has 2 elements"):
+        unit["tau"] = given
+    with Unit() as unit, pytest.raises(FiveBarError, match=r"tau\[1\]"):
+        unit["tau[1]"] = np.array([1.0, 2.0])

@@ -89,6 +89,8 @@ def _joined(name: str, times: Any, values: Any, points: Floats) -> Floats:
         raise FiveBarError(
             f"the input '{name}' has {at.size} times and {course.size} values: the numbers must be equal"
         )
+    if not np.all(np.isfinite(at)):
+        raise FiveBarError(f"the times of input '{name}' must be finite")
     for row in np.flatnonzero(~(np.diff(at) > 0)):
         raise FiveBarError(f"the times of input '{name}' must increase, but {at[row + 1]} s follows {at[row]} s")
     return np.interp(points, at, course)

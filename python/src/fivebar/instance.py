@@ -14,6 +14,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from ctypes import CDLL, byref, c_double, c_size_t, c_void_p, create_string_buffer
 from pathlib import Path
 from types import TracebackType
@@ -468,7 +469,7 @@ class Unit(Instance):
         ...     unit.time, unit["theta"]
         (5.0, array([1.2, 2. ]))
         """
-        given = {**self._given, **values}
+        given = {name: value for name, value in self._given.items() if name not in values} | values
         if self._scene is not None:
             given = self._of_scene(self._scene, given)
         with self._lock:
@@ -623,7 +624,7 @@ def _numbers(name: str, elements: Sequence[Variable], given: Any) -> list[Value]
     """The numbers for a variable or the elements of an array, from a given value."""
     if len(elements) == 1 and elements[0].name == name:
         return [elements[0].number(given)]
-    values = None if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    values = None if isinstance(given, (str, AbstractSet, Mapping)) or not isinstance(given, Iterable) else list(given)
     if values is None or len(values) != len(elements):
         found = "one" if values is None else len(values)
         raise FiveBarError(

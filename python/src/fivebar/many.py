@@ -15,6 +15,7 @@ from fivebar.progress import Line
 from fivebar.result import Result
 from fivebar.scene import Scene
 from fivebar.simulate import OnFailure
+from fivebar.variables import shown
 
 MOST_PROCESSES = 61
 """Largest number of processes in a pool on Windows."""
@@ -71,6 +72,9 @@ def _scenes(
         raise FiveBarError(
             f"there are {len(bases)} scenes and {len(told)} dicts of values: one scene, or one for each dict, is needed"
         )
+    for number, own in enumerate(told):
+        if not isinstance(own, Mapping):
+            raise FiveBarError(f"'values' must be a list of dicts, and has {shown(own)} for run {number}")
     ready = []
     for number, (base, own) in enumerate(zip(bases, told)):
         try:

@@ -152,7 +152,6 @@ class Scene:
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)
         points = communication_points(stop, step)
         moved = sampled(inputs, points, self.variables)
-        signals = {name: self._signal(name, points) for name in self.signals if name not in moved} | moved
         before = self._unplaced(self.values)
         own = {name: value for name, value in before.items() if name not in moved} | new
         runs = [(scene_file.method(own, self.variables), own)]
@@ -160,14 +159,16 @@ class Scene:
             kept = {name: value for name, value in self._unplaced(overlay.values).items() if before.get(name) != value}
             runs.append((overlay.label, own | {name: value for name, value in kept.items() if name not in moved}))
         scene_file.check_labels([label for label, _ in runs])
-        scene_file.check_signals([each for _, each in runs], signals)
         variants, commands = _resolved(runs, self.tip, self.start, points)
+        kept_signals = [name for name in self.signals if name not in moved and name not in commands]
+        signals = commands | moved | {name: self._signal(name, points) for name in kept_signals}
+        scene_file.check_signals([each for _, each in runs], signals)
         return replace(
             self,
             stop_time=stop,
             step_size=step,
             variants=variants,
-            signals=signals | commands | moved,
+            signals=signals,
             knots={name: signal for name, signal in self.knots.items() if name not in moved},
             assumed={
                 what: note
@@ -198,13 +199,18 @@ class Scene:
         return self.variables.settable(name)
 
     def _signal(self, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A signal at other communication points; without knots each sample holds until the next."""
+        """A signal at other communication points; without knots each sample holds until the next. Refuses points after the last sample."""
         if np.array_equal(points, self.time):
             return self.signals[name]
         if name in self.knots:
             return np.array([self.knots[name].at(time) for time in points.tolist()])
+        known = self.signals[name]
+        if points[-1] > self.stop_time * (1 + 1e-9) and np.any(known != known[0]):
+            raise FiveBarError(
+                f"the input '{name}' is known up to {self.stop_time:g} s: a run of {points[-1]:g} s needs `inputs` again"
+            )
         rows = np.searchsorted(self.time, points + 1e-9 * self.step_size, side="right") - 1
-        return self.signals[name][rows]
+        return known[rows]
 
     def _unplaced(self, values: Values) -> Values:
         """The values of a run without a start that follows from the tip's place."""

@@ -85,7 +85,7 @@ class Variable:
 
     def number(self, given: Any) -> Value:
         """Converts a value of Python or NumPy to a value for calls. An enumeration may be a number; the unit checks bounds of Reals."""
-        plain = given.item() if hasattr(given, "item") else given
+        plain = given.item() if hasattr(given, "item") and getattr(given, "size", 1) == 1 else given
         if self.type == "Real" and isinstance(plain, (int, float)) and not isinstance(plain, bool):
             return float(plain)
         if self.type == "Enumeration" and plain in self.items.values() and not isinstance(plain, bool):

@@ -332,6 +332,7 @@ def calibrate(
     """`fivebar.calibrate`, which describes the arguments; `names` are its `parameters`."""
     record = Path(record) if isinstance(record, str) else record
     library = shared(Path(fmu) if fmu else None)
+    names = (names,) if isinstance(names, str) else names
     return prepare(record, scene, names, library, begin, seconds, unit).solve(commands, longest, patience, log.info)
 
 

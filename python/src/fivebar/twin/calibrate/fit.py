@@ -44,6 +44,9 @@ from the guessed start."""
 FEWEST: Final = 20
 """Minimum number of samples in a piece."""
 
+ALIKE: Final = 1e-3
+"""Median residual, rad, below which an assembly fits, however well the other one does."""
+
 UNSOUND: Final = 30.0
 """Ratio of a piece's residuals to the median over all pieces, above which the start of the piece counts as not found."""
 
@@ -165,7 +168,8 @@ class Fitter:
                 motion, end = self.machine.run(piece.path, x, piece.start)
                 gap = samples.angles - self.machine.seen(piece.path, motion, x)
                 costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))) if motion[-1, 0] < LOST else math.inf, end
-            assembly = side if costs[side][0] <= 2 * costs[3 - side][0] else 3 - side
+            # At rest both assemblies fit, and their residuals are noise.
+            assembly = side if costs[side][0] <= max(2 * costs[3 - side][0], ALIKE) else 3 - side
             # A start may be refused near stretched or folded links, where angle errors matter most; the other pieces suffice.
             if math.isfinite(costs[assembly][0]):
                 side = costs[assembly][1]

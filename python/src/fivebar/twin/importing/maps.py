@@ -135,6 +135,9 @@ def parse(content: Any) -> Map:
     for i, name in enumerate(PASSIVE):
         if name in entries and entries[name].relative and MEASURED[i] not in entries:
             raise FiveBarError(f"'{name}.relative' needs {MEASURED[i]}, from which it counts")
+    for name, entry in entries.items():
+        if entry.column == time.column:
+            raise FiveBarError(f"'{name}.column' is {entry.column:.60}, the column of the time: it must be another one")
     return Map(time, entries)
 
 
