@@ -188,7 +188,7 @@ def test_the_canvas_fills_its_card(browser: object) -> None:
 def test_the_path_of_the_tip_stays(browser: object) -> None:
     """At the end of 2 s the strong trail of 1.5 s has left the first 0.4 s of the path; the path is still there."""
     share = browser.execute_script(
-        """seek(duration);
+        """seek(main.time[main.time.length - 1]);
            const [, end] = locate(main, 0.4), ratio = devicePixelRatio;
            // Read once: the browser complains of many small reads.
            const { data: red, width } = pen.getImageData(0, 0, canvas.width, canvas.height), at = (x, y) => red[4 * (y * width + x)];

@@ -171,6 +171,7 @@ def test_a_plot_shows_itself(stopped: Result, monkeypatch: pytest.MonkeyPatch) -
     """A notebook asks for a PNG; a script opens a window, through pyplot, which keeps no figure that is not shown."""
     import matplotlib.pyplot as plt
 
+    plt.close("all")
     plot = stopped.plot("tip.x", "tip.y")
     assert plot._repr_png_().startswith(b"\x89PNG") and plt.get_fignums() == []
     shown: list[list[int]] = []

@@ -88,7 +88,7 @@ def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
     blocks = re.findall(
         r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    package, plain = blocks
+    package, live, plain = blocks
 
     def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
         command = [sys.executable, *arguments]
@@ -96,6 +96,9 @@ def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
 
     done = run("-c", package)
     assert re.fullmatch(r"-?0\.\d+ m\n", done.stdout) and (tmp_path / "tip.png").is_file(), done.stderr
+    done = run("-c", f"import fivebar\n{live}")
+    # The PD controller holds the start.
+    assert re.fullmatch(r"\(-0\.0\d+, 0\.2\d+\) m\n", done.stdout), done.stdout + done.stderr
     tips = []
     for arguments in (["-c", plain], [str(REPOSITORY / "examples" / "first_run.py")]):
         done = run(*arguments)

@@ -774,5 +774,5 @@ def test_trials_go_on_where_they_were(tmp_path: Path) -> None:
     unknown = trials.inside([{"off": [1.9, -2.0], "sigma": [1.0, 1.0], "identified": [True, False]}])
     assert unknown[0, 0] == 1.0 and math.isnan(unknown[0, 1])
     file.write_text("{}", encoding="utf-8")
-    with pytest.raises(TwinError, match="delete it to begin anew"):
+    with pytest.raises(TwinError, match="delete it to start again"):
         trials.done(file, "a")

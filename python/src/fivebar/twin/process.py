@@ -142,6 +142,8 @@ def set_up_log() -> None:
     handler.setFormatter(formatter)
     log.addHandler(handler)
     log.setLevel(logging.INFO)
+    # Processes publish the unit's messages where they matter; forecasts would repeat its warnings.
+    logging.getLogger("fivebar.unit").propagate = False
 
 
 class Stop:

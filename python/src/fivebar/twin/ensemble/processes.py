@@ -81,6 +81,9 @@ class Processes:
 
     def close(self) -> None:
         """Ends the processes."""
+        # A process that was killed may hold the lock of the queue through which the others learn of the end.
+        for process in [*(self.pool._processes or {}).values()]:
+            process.terminate()
         self.pool.shutdown(cancel_futures=True)
         self.folder.cleanup()
 
