@@ -446,6 +446,10 @@ def test_a_guess_needs_both_encoders(tmp_path: Path, capsys: pytest.CaptureFixtu
         ('{"measured.theta[1]": {"column": "q", "offset": "90 degrees"}}', "'measured.theta[1].offset' must be a number in rad, or a text such as"),
         ('{"measured.theta[1]": {"column": "q", "offset": []}}', "'measured.theta[1].offset' must be a number, not []"),
         ('{"measured.theta[2]": {"column": "q"}, "passive.theta[1]": {"column": "p", "relative": true}}', "'passive.theta[1].relative' needs measured.theta[1]"),
+        (
+            '{"time": {"column": "t"}, "measured.theta[1]": {"column": "t"}}',
+            "'measured.theta[1].column' is t, the column of the time",
+        ),
         ('{"time": {"column": "t", "sign": 1}, "measured.theta[1]": {"column": "q"}}', "'time' has no key 'sign'"),
     ],
 )  # fmt: skip

@@ -18,6 +18,7 @@ from fmpy import fmi2, simulate_fmu
 from fmpy.model_description import ModelDescription, read_model_description
 
 from conftest import Unit
+from fivebar.errors import FiveBarError
 from fivebar.own_unit import write_unit
 from fivebar.scene import Scene, Variant
 from fivebar.slave import Log, get_values
@@ -556,3 +557,8 @@ def test_without_a_library_for_this_machine_the_start_is_not_tried(
     assert written.notes[0].startswith(
         "The start was not tried: MyMachine has no library for this machine, linux riscv64; it has "
     )
+
+
+def test_other_namings_are_refused(fmu: Path, tmp_path: Path) -> None:
+    with pytest.raises(FiveBarError, match="naming is 'foo': it must be structured or flat"):
+        write_unit(tmp_path, naming="foo", plain=fmu)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import uuid
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 from xml.etree import ElementTree
 
 import fmpy
@@ -73,6 +73,8 @@ def write_unit(
     Raises FiveBarError, with one sentence, if a name or value is not allowed, the unit refuses its start, or a file cannot be
     written. Then no file is left in `folder`.
     """
+    if naming not in get_args(Naming):
+        raise FiveBarError(f"naming is {naming!r:.40}: it must be {' or '.join(get_args(Naming))}")
     plain = shipped.unit() if plain is None else plain
     is_own = scene is not None or name is not None
     name = name if name is not None else _camel(scene.name) if scene is not None else PLAIN

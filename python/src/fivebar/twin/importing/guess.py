@@ -18,6 +18,8 @@ def lines(found: Recording, used: Map, given: str) -> list[str]:
     """Lines about the map of a recording of the scene's machine, with a proposed map."""
     if missing := [name for name in MEASURED if name not in used.entries]:
         raise FiveBarError(f"the map has no {missing[0]}; a guess needs both encoders")
+    if not np.any(np.all(np.isfinite([found.columns[name] for name in MEASURED]), axis=0)):
+        raise FiveBarError("no row has a reading of both encoders; a guess needs both")
     scene = scenes.read(given)
     relative = [name in used.entries and used.entries[name].relative for name in PASSIVE]
     verdict = redundancy.weigh(found, scene, (relative[0], relative[1]))
