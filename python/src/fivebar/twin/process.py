@@ -143,7 +143,7 @@ def set_up_log() -> None:
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     # Processes publish the unit's messages where they matter; forecasts would repeat its warnings.
-    logging.getLogger("fivebar.unit").propagate = False
+    logging.getLogger("fivebar.unit").setLevel(logging.ERROR)
 
 
 class Stop:
