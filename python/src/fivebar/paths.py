@@ -373,7 +373,9 @@ def write_scene(made: Plan, file: FilePath, name: str) -> None:
         for i, axis in enumerate("xy")
     }
     try:
-        scenes.write(file, text, values, float(made.time[-1]), made.scene.step_size, of_unit(), knots, made.working)
+        stop, step = float(made.time[-1]), made.scene.step_size
+        content = scenes.content(text, values, stop, step, of_unit(), knots, made.working)
+        scenes.write_content(file, content)
     except FiveBarError as error:
         raise FiveBarError(
             f"{error}; a higher speed, or a larger experiment.stepSize of the machine's scene, makes it smaller"

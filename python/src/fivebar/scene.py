@@ -332,20 +332,6 @@ def _resolved(
     return variants, tip.commands(variants[0].values, unit, points)
 
 
-def write(
-    file: Path,
-    text: str,
-    values: Mapping[str, Value],
-    stop_time: float,
-    step_size: float,
-    variables: Variables,
-    signals: Mapping[str, Any] | None = None,
-    working: Working | None = None,
-) -> None:
-    """Writes a scene with every value that differs from the unit's own; arguments as of `content`."""
-    write_content(file, content(text, values, stop_time, step_size, variables, signals, working))
-
-
 def content(
     text: str,
     values: Mapping[str, Value],

@@ -12,8 +12,7 @@ import numpy as np
 
 from fivebar import shipped
 from fivebar.library import Library
-from fivebar.scene import write as write_scene
-from fivebar.scene import write_content
+from fivebar.scene import content, write_content
 from fivebar.twin.calibrate import scenes
 from fivebar.twin.calibrate.calibration import SMALL, Problem, prepare
 from fivebar.twin.calibrate.fit import GivenUp
@@ -121,7 +120,7 @@ def _write_proposal(
         f"A motion that would tell {scenes.series([sought[k].name for k in told])}: motors on sines of {motion.amplitude:g} rad and "
         f"{motion.frequency:g} Hz, about the posture in which it begins."
     )
-    write_scene(file, text, motion.values, SECONDS, 1e-3, library.known, motion.signals())
+    write_content(file, content(text, motion.values, SECONDS, 1e-3, library.known, motion.signals()))
     command = ["fivebar", "twin", "--scene", str(file), "--seconds", f"{SECONDS + 1:g}"]
     if not fmu.samefile(shipped.unit()):
         command += ["--fmu", str(fmu)]
