@@ -4,8 +4,8 @@ use nalgebra::{Matrix2, SMatrix, Vector4};
 
 use super::belief::{Bank, Belief, Member};
 use super::error_state::{FORCE, GEOMETRY};
+use super::filter::Known;
 use super::hypotheses::Alternative;
-use super::learning::Learning;
 use super::tangent::{Frame, LinkState, Links, Pair, wrapped};
 use super::tuning::{LEAST_SIGMA, LEAST_TORQUE_DETERMINANT, MODELS};
 use super::{Estimator, Machine};
@@ -30,19 +30,17 @@ impl Estimator {
     /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4 about a motion. While the assembly of the start is in
     /// doubt, both assemblies have equal weight.
     pub fn sigmas(&self, machine: &Machine, motion: &LinkState) -> [Links; 2] {
-        let own = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>, points: Option<[Links; 2]>| {
+        let own = |motion: &LinkState, known: Known, points: Option<[Links; 2]>| {
             let frame = machine.linkage.frame(&motion.theta);
-            let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, belief));
-            let added = mixed(
-                &belief.bank,
-                &by_geometry(machine, (motion, &frame), (belief, learning), (&frame.basis, &frame.links_by_geometry())),
-            );
+            let [angles, rates] = points.unwrap_or_else(|| sigmas(&frame, known.belief));
+            let added = by_geometry(machine, (motion, &frame), known, (&frame.basis, &frame.links_by_geometry()));
+            let added = mixed(&known.belief.bank, &added);
             [Links::from_fn(|i, _| (angles[i] * angles[i] + added[(i, i)]).max(0.0).sqrt()), rates]
         };
-        let known = own(motion, &self.belief, self.learning.as_deref(), self.forecast.sigmas(motion));
+        let known = own(motion, self.filter.known(), self.forecast.sigmas(motion));
         let Some(other) = self.doubt.other() else { return known };
         let off = [(other.motion.theta - motion.theta).map(wrapped), other.motion.omega - motion.omega];
-        let beside = own(&other.motion, &other.belief, None, None);
+        let beside = own(&other.motion, Known::of(&other.belief), None);
         let of_both = |known: f64, beside: f64, off: f64| ((known * known + beside * beside + off * off) / 2.0).sqrt();
         [0, 1].map(|k| Links::from_fn(|i, _| of_both(known[k][i], beside[k][i], off[k][i])))
     }
@@ -53,43 +51,44 @@ impl Estimator {
         let angles = frame.basis.tr_mul(&(truth.theta - motion.theta).map(wrapped));
         let rates = frame.basis.tr_mul(&(truth.omega - motion.omega));
         let error = Vector4::new(angles[0], angles[1], rates[0], rates[1]);
-        let covariance = self.belief.bank.covariance().fixed_view::<4, 4>(0, 0).into_owned();
+        let covariance = self.filter.belief.bank.covariance().fixed_view::<4, 4>(0, 0).into_owned();
         covariance.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
     }
 
     /// Covariance of the tip about the tip of a motion, m². While the assembly of the start is in doubt, both assemblies have equal weight.
     pub fn tip_covariance(&self, machine: &Machine, motion: &LinkState) -> Matrix2<f64> {
-        let of_models = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| -> Matrix2<f64> {
-            tip_of_models(machine, motion, belief, learning).iter().map(|(weight, about)| about * *weight).sum()
+        let of_models = |motion: &LinkState, known: Known| -> Matrix2<f64> {
+            tip_of_models(machine, motion, known).iter().map(|(weight, about)| about * *weight).sum()
         };
-        let by_models = || of_models(motion, &self.belief, self.learning.as_deref());
+        let by_models = || of_models(motion, self.filter.known());
         let by_points = self.forecast.tip_covariance(motion, &machine.linkage).map(|about| {
             let frame = machine.linkage.frame(&motion.theta);
-            let added = tip_by_geometry(machine, (motion, &frame), (&self.belief, self.learning.as_deref()));
-            about + mixed(&self.belief.bank, &added)
+            let added = tip_by_geometry(machine, (motion, &frame), self.filter.known());
+            about + mixed(&self.filter.belief.bank, &added)
         });
         // Together with learned geometry, sigma points may give a covariance that is not positive definite.
         let known = by_points.filter(|about| about.trace() > 0.0 && about.determinant() > 0.0).unwrap_or_else(by_models);
         let Some(other) = self.doubt.other() else { return known };
         let apart = tip_apart(machine, motion, &other.motion);
-        (known + of_models(&other.motion, &other.belief, None) + apart * apart.transpose()) / 2.0
+        (known + of_models(&other.motion, Known::of(&other.belief)) + apart * apart.transpose()) / 2.0
     }
 
     /// Radius of a circle about the tip, m, that contains the true tip with a probability of 95 %: the quantile of a mixture of normal
     /// distributions, one per model. While the assembly of the start is in doubt, the circle contains the tip in either assembly. The
     /// radius is at most the diameter of the tip's reach.
     pub fn tip_radius(&self, machine: &Machine, motion: &LinkState) -> f64 {
-        let radius = |motion: &LinkState, belief: &Belief, learning: Option<&Learning>| {
-            let models = tip_of_models(machine, motion, belief, learning).map(|(weight, about)| {
+        let radius = |motion: &LinkState, known: Known| {
+            let models = tip_of_models(machine, motion, known).map(|(weight, about)| {
                 let (mean, half) = ((about[(0, 0)] + about[(1, 1)]) / 2.0, (about[(0, 0)] - about[(1, 1)]) / 2.0);
                 let apart = (half * half + about[(0, 1)] * about[(0, 1)]).sqrt();
                 (weight, Pair::new(mean + apart, (mean - apart).max(0.0)))
             });
             radius_of_95_percent(&models)
         };
-        let beside =
-            |other: &Alternative| tip_apart(machine, motion, &other.motion).norm() + radius(&other.motion, &other.belief, None);
-        let own = radius(motion, &self.belief, self.learning.as_deref());
+        let beside = |other: &Alternative| {
+            tip_apart(machine, motion, &other.motion).norm() + radius(&other.motion, Known::of(&other.belief))
+        };
+        let own = radius(motion, self.filter.known());
         own.max(self.doubt.other().map_or(0.0, beside)).min(machine.linkage.widest_reach())
     }
 
@@ -100,9 +99,9 @@ impl Estimator {
         // Torques τ of the motors have the effect N_Mᵀ τ on the tangent basis.
         let effect = frame.motors().transpose();
         let inverse = effect.try_inverse().filter(|_| effect.determinant().abs() >= LEAST_TORQUE_DETERMINANT)?;
-        let covariance = inverse * self.belief.bank.covariance().fixed_view::<2, 2>(FORCE, FORCE) * inverse.transpose();
+        let covariance = inverse * self.filter.belief.bank.covariance().fixed_view::<2, 2>(FORCE, FORCE) * inverse.transpose();
         let sigma = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
-        Some(((inverse * self.belief.tangent_force(&frame)).into(), sigma.into()))
+        Some(((inverse * self.filter.belief.tangent_force(&frame)).into(), sigma.into()))
     }
 }
 
@@ -127,11 +126,11 @@ fn mixed<const R: usize>(bank: &Bank, moments: &[SMatrix<f64, R, R>; MODELS]) ->
 fn by_geometry<const R: usize>(
     machine: &Machine,
     (motion, frame): (&LinkState, &Frame),
-    (belief, learning): (&Belief, Option<&Learning>),
+    known: Known,
     (by_error, by_parameters): (&SMatrix<f64, R, 2>, &SMatrix<f64, R, GEOMETRY>),
 ) -> [SMatrix<f64, R, R>; MODELS] {
     let parameters = &machine.parameters;
-    if learning.is_none() && parameters.has_exact_geometry() {
+    if known.learning.is_none() && parameters.has_exact_geometry() {
         return [SMatrix::zeros(); MODELS];
     }
     let by_encoders = by_error * frame.holding();
@@ -139,34 +138,23 @@ fn by_geometry<const R: usize>(
     let while_held = by_parameters + by_error * frame.held_by_geometry();
     let moved = while_held * SMatrix::from_diagonal(&machine.unlearned_geometry());
     let further = by_encoders * variances * by_encoders.transpose() + moved * moved.transpose();
-    let added = learning.map_or([SMatrix::zeros(); MODELS], |learning| {
-        learning.added_moments(&belief.bank, by_error, [by_parameters, &while_held])
-    });
-    added.map(|added| added + further)
+    known.added_moments(by_error, [by_parameters, &while_held]).map(|added| added + further)
 }
 
 /// Extra second moments of the tip due to errors of lengths and encoders, for each model, m².
-fn tip_by_geometry(
-    machine: &Machine,
-    (motion, frame): (&LinkState, &Frame),
-    belief: (&Belief, Option<&Learning>),
-) -> [Matrix2<f64>; MODELS] {
-    by_geometry(machine, (motion, frame), belief, (&frame.tip(), &frame.tip_by_geometry()))
+fn tip_by_geometry(machine: &Machine, at: (&LinkState, &Frame), known: Known) -> [Matrix2<f64>; MODELS] {
+    let frame = at.1;
+    by_geometry(machine, at, known, (&frame.tip(), &frame.tip_by_geometry()))
 }
 
 /// Probability of each model, and second moments of its tip about the tip of the motion, m².
-fn tip_of_models(
-    machine: &Machine,
-    motion: &LinkState,
-    belief: &Belief,
-    learning: Option<&Learning>,
-) -> [(f64, Matrix2<f64>); MODELS] {
+fn tip_of_models(machine: &Machine, motion: &LinkState, known: Known) -> [(f64, Matrix2<f64>); MODELS] {
     let frame = machine.linkage.frame(&motion.theta);
-    let (tip, added) = (frame.tip(), tip_by_geometry(machine, (motion, &frame), (belief, learning)));
+    let (tip, added) = (frame.tip(), tip_by_geometry(machine, (motion, &frame), known));
     // If exact links lie folded onto each other, the tip is on the motors' axis at any motor angle, and its variance would be 0.
     let least = Matrix2::from_diagonal_element((LEAST_SIGMA * machine.linkage.length).powi(2));
     std::array::from_fn(|j| {
-        let Member { weight, error, covariance } = &belief.bank.members[j];
+        let Member { weight, error, covariance } = &known.belief.bank.members[j];
         let off: Pair = tip * error.fixed_rows::<2>(0);
         (*weight, tip * covariance.fixed_view::<2, 2>(0, 0) * tip.transpose() + off * off.transpose() + added[j] + least)
     })

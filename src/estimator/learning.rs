@@ -60,6 +60,16 @@ pub(super) struct ReadingErrors {
     pub(super) further: [f64; 2],
 }
 
+/// Errors of a reading that a sample contains again and again.
+pub(super) struct Persistent {
+    /// Standard deviation of the errors that are never learned, rad.
+    pub(super) unlearned: f64,
+    /// Standard deviation of all errors of the reading, lengths and mounting angles included, rad.
+    pub(super) shown: f64,
+    /// Number of samples in which the errors count once.
+    pub(super) samples: f64,
+}
+
 /// Mean and covariance of the parameter errors in one model of the estimate's bank.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Moments {
@@ -103,7 +113,7 @@ impl Learning {
     }
 
     /// Restarts all parameters. Bounds already reported stay reported.
-    pub(super) fn begin_all_anew(&mut self, prior: &Prior) {
+    pub(super) fn restart_all(&mut self, prior: &Prior) {
         *self = Self { at_bound: self.at_bound & self.told, told: self.told, within_for: self.within_for, ..Self::new(prior) };
     }
 
@@ -181,7 +191,7 @@ impl Learning {
     }
 
     /// Errors of motion and force, with all errors of both readings as persistent encoder errors.
-    fn shown(&self, own: &Bank, errors: &ReadingErrors) -> Bank {
+    pub(super) fn shown(&self, own: &Bank, errors: &ReadingErrors) -> Bank {
         let mut bank = *own;
         if !self.geometry {
             return bank;
@@ -267,7 +277,7 @@ impl Learning {
     }
 
     /// Restarts one parameter.
-    pub(super) fn begin_anew(&mut self, prior: &Prior, which: usize) {
+    pub(super) fn restart(&mut self, prior: &Prior, which: usize) {
         let before = self.carried();
         self.values[which] = prior.values[which];
         for model in &mut self.models {
@@ -357,7 +367,7 @@ impl Learning {
     /// If the axis `rests`, parameters keep their values and their uncertainty (Schmidt 1966).
     ///
     /// Learning would explain unmodelled errors by parameters. So for lengths and mounting angles a sample has extra noise of variance R. It
-    /// represents two errors, each counted once in n = `samples`: an error of standard deviation `persistent`, rad, that is never learned, and
+    /// represents two errors, each counted once in n = `samples`: an error of standard deviation `unlearned`, rad, that is never learned, and
     /// the product of mass errors and reading errors due to lengths and mounting angles, `shown`, rad, which a linear filter neglects. If c is
     /// the covariance with the innovation, the gain is c/(S + R) = (1 − r) c/S. The covariance of lengths and mounting angles decreases by
     /// (1 − r²) c cᵀ/S (Joseph form), all other covariances as without R. Lengths and mounting angles explain part of an innovation, with
@@ -367,15 +377,15 @@ impl Learning {
         &mut self,
         expected: &mut Prediction,
         columns: &[Learned; MODELS],
-        ([persistent, shown], samples): ([f64; 2], f64),
+        &Persistent { unlearned, shown, samples }: &Persistent,
         rests: bool,
     ) {
         // The quietest model comes first.
         let quietest = &self.models[0];
         let products = PRODUCTS * PRODUCTS * shown * shown * quietest.mass_variance();
-        let further = (persistent * persistent + products) * samples;
+        let further = (unlearned * unlearned + products) * samples;
         let left_of = |variance: f64| further / (variance + further);
-        if persistent > 0.0 && !rests && expected.weights[0] > 0.0 {
+        if unlearned > 0.0 && !rests && expected.weights[0] > 0.0 {
             let (_, variance, _) = expected.each[0];
             let explained = explained(&columns[0], &quietest.covariance).min(variance);
             expected.lasting = explained * samples * left_of(variance);
@@ -529,11 +539,6 @@ fn carried(values: &Learned, covariance: &Square) -> Learned {
     })
 }
 
-/// Errors of the estimate's bank for filters without parameters: see [`Learning::shown`].
-pub(super) fn without_parameters(learning: Option<&Learning>, own: &Bank, errors: Option<&ReadingErrors>) -> Bank {
-    learning.zip(errors).map_or(*own, |(learning, errors)| learning.shown(own, errors))
-}
-
 /// Variance of the part of an innovation that lengths and mounting angles explain, from their covariances with it, as if they were
 /// independent of each other.
 fn explained(column: &Learned, covariance: &Square) -> f64 {
@@ -583,7 +588,7 @@ mod tests {
         assert!(off(&learning, &prior) < 1e-15, "{}", learning.sigma(&bank));
         for which in [MASSES.start, PAYLOAD, DRY] {
             (prior.values[which], prior.sigma[which]) = (0.3, 0.2);
-            learning.begin_anew(&prior, which);
+            learning.restart(&prior, which);
             assert!(off(&learning, &prior) < 1e-15, "{which}: {}", learning.sigma(&bank));
         }
     }
@@ -609,7 +614,7 @@ mod tests {
         let sample = Innovation { residual: 1.3, row, noise };
         let mut expected = bank.prediction(&sample);
         let columns = learning.expect(&mut expected, (0, &sample), &shown);
-        learning.update(&mut expected, &columns, ([persistent, shown_by_readings], samples), false);
+        learning.update(&mut expected, &columns, &Persistent { unlearned: persistent, shown: shown_by_readings, samples }, false);
         bank.update(&expected);
 
         let h = SVector::<f64, ALL>::from_fn(|i, _| match i {

@@ -6,6 +6,7 @@
 //! | `tangent.rs`, `error_state.rs` | the closed loop: J, N, closure; errors on N and their covariance |
 //! | `flow.rs`, `propagation.rs` | motion and transition by a scene's equations; process noise |
 //! | `belief.rs` | unknown force; Kalman filter of each model, and their mixture |
+//! | `filter.rs` | the joint filter: motion and force in `belief.rs`, parameters in `learning.rs` |
 //! | `learning.rs` | masses, friction, lengths and mounting angles: parameters that follow the errors |
 //! | `encoder.rs`, `trust.rs`, `quantiser.rs`, `history.rs` | samples: validity, trust, noise, intervals, delay |
 //! | `hypotheses.rs` | the open question about the branch, and the motions that are its possible answers |
@@ -29,6 +30,7 @@ mod cause;
 mod doubt;
 mod encoder;
 pub mod error_state;
+mod filter;
 pub mod flow;
 mod forecast;
 mod geometry;
@@ -46,7 +48,6 @@ mod unaided;
 mod witness;
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::Matrix2;
 
 use alarm::Alarm;
 pub use belief::Belief;
@@ -56,14 +57,15 @@ use cause::Causes;
 use doubt::Doubt;
 pub use encoder::{Encoder, Fault, Measured};
 use encoder::{GateConditions, Measurement};
-use error_state::{Error, GEOMETRY, LEARNED, LOADS, Learned, OFFSETS, READINGS};
+use error_state::{LEARNED, Learned};
+use filter::{Correction, Estimated, Filter};
 use flow::{Flow, flow};
 pub use flow::{Linearised, Scene};
 use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 use hypotheses::{Hypotheses, started_by_motors};
-use learning::{Learning, ReadingErrors, without_parameters};
+use learning::{Persistent, ReadingErrors};
 pub use machine::{Bands, Machine, Parameters, Prior, set_lengths};
 use propagation::Propagation;
 pub use tangent::{Frame, LinkState, Linkage, Links, MEASURED, Pair, wrapped};
@@ -98,7 +100,7 @@ pub enum Status {
 /// State of the estimator, with its largest parts boxed. Its errors refer to the motion, which the simulation owns.
 #[derive(Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
-    belief: Belief,
+    filter: Filter,
     /// Whether the last macro step came too close to a vertex to know the branch.
     held: bool,
     /// Whether no samples were used before the last macro step.
@@ -109,8 +111,6 @@ pub struct Estimator {
     doubt: Box<Doubt>,
     #[borsh(deserialize_with = "stored::read_boxed")]
     unaided: Box<[Unaided; 2]>,
-    /// Learning of parameters; boxed, so that it costs no space if nothing is learned.
-    learning: Option<Box<Learning>>,
     encoders: [Encoder; 2],
     #[borsh(deserialize_with = "stored::read_boxed")]
     history: Box<History>,
@@ -127,13 +127,12 @@ pub struct Estimator {
 }
 
 clone_by_fields!(Estimator {
-    belief,
+    filter,
     held,
     coasts,
     hypotheses,
     doubt,
     unaided,
-    learning,
     encoders,
     history,
     forecast,
@@ -148,13 +147,12 @@ impl Estimator {
     /// Initial estimate of a scene.
     pub fn new(machine: &Machine) -> Self {
         Self {
-            belief: Belief::new(machine.start_variances()),
+            filter: Filter::new(machine),
             held: false,
             coasts: true,
             hypotheses: Box::default(),
             doubt: Box::new(Doubt::Pending),
             unaided: Box::default(),
-            learning: machine.prior.as_ref().map(|prior| Box::new(Learning::new(prior))),
             encoders: [Encoder::NEW; 2],
             history: Box::default(),
             forecast: Forecast::default(),
@@ -168,7 +166,7 @@ impl Estimator {
 
     /// Unknown force and errors.
     pub fn belief(&self) -> &Belief {
-        &self.belief
+        &self.filter.belief
     }
 
     /// Measurement update of a motion by the samples that are new at time `now`, s on the encoders' clock. Returns the corrected motion;
@@ -187,7 +185,7 @@ impl Estimator {
 
     /// Stages of a measurement update. The returned motion closes the loop unless learning has restarted.
     fn corrected(&mut self, machine: &mut Machine, motion: &LinkState, measured: &Measured, now: f64) -> Option<LinkState> {
-        let mut estimate = self.estimated(machine, motion);
+        let mut estimate = self.filter.estimated(machine, motion);
         let mut measurements = self.receive(machine, &estimate, (measured, now));
         if motion.fastest() >= HOPELESS_RATE {
             self.reset(machine, &Reset::Runaway);
@@ -216,14 +214,6 @@ impl Estimator {
         Some(estimate.motion)
     }
 
-    /// The estimate about a motion.
-    fn estimated(&self, machine: &Machine, motion: &LinkState) -> Estimated {
-        let frame = machine.linkage.frame(&motion.theta);
-        let errors = self.errors_beside_learned(machine, motion, &frame);
-        let [sigma, offset] = self.systematic_errors(machine, (motion, &frame), errors.as_ref());
-        Estimated { motion: *motion, frame, errors, sigma, offset }
-    }
-
     /// New and valid samples, about the estimate.
     fn receive(
         &mut self,
@@ -245,47 +235,25 @@ impl Estimator {
     /// If several hypotheses are open after a vertex, the first samples may select one before any of them is corrected. Returns whether a
     /// hypothesis replaces the estimate.
     fn switch_branch(&mut self, machine: &Machine, estimate: &mut Estimated, measurements: &mut [Option<Measurement>; 2]) -> bool {
-        let Some(other) = self.hypotheses.favoured(&machine.linkage, &self.belief, measurements) else { return false };
+        let Some(other) = self.hypotheses.favoured(&machine.linkage, &self.filter.belief, measurements) else { return false };
         self.take_over(other, machine, estimate);
         let Estimated { motion, frame, errors, .. } = estimate;
-        *errors = self.errors_beside_learned(machine, motion, frame);
+        *errors = self.filter.reading_errors(machine, motion, frame);
         for (i, measurement) in measurements.iter_mut().enumerate() {
             *measurement = measurement.map(|measurement| measurement.about(i, motion, frame));
         }
         true
     }
 
-    /// Adds the mean errors to the motion and to the learned values; the bank then refers to the corrected motion and values.
-    fn inject(&mut self, machine: &mut Machine, Estimated { motion, frame, errors, sigma, .. }: &mut Estimated) {
-        let learned = self.learning.as_mut().map(|learning| {
-            let before = learning.values();
-            let values = learning.corrected(&mut self.belief.bank, machine);
-            machine.learn(&values);
-            (values, values - before)
-        });
-        let Some((mut error, turn, corrected)) = self.belief.inject_error(&machine.linkage, frame, motion) else {
+    /// Corrects the estimate by its mean errors, and everything that refers to its motion.
+    fn inject(&mut self, machine: &mut Machine, estimate: &mut Estimated) {
+        let Some(Correction { error, turn }) = self.filter.correct(machine, estimate) else {
             return self.reset(machine, &Reset::Unclosed);
         };
-        if let Some(((_, change), errors)) = learned.as_ref().zip(errors.as_ref()) {
-            // The change of the learned values changes the persistent errors of the readings.
-            for i in 0..2 {
-                error[READINGS + i] = errors.rows[i].dot(&change.fixed_rows::<GEOMETRY>(LOADS)) / sigma[i];
-            }
-        }
-        *frame = corrected;
-        self.follow(&Correction { error, turn, values: learned.map(|(values, _)| values) });
-    }
-
-    /// Applies a correction to everything that refers to the motion of the estimate.
-    fn follow(&mut self, correction: &Correction) {
-        let Correction { error, turn, values } = correction;
-        self.history.correct(error, turn);
-        self.unaided.iter_mut().for_each(|unaided| unaided.correct(error, turn));
-        self.causes.correct(error, turn);
-        self.doubt.follow(error, turn);
-        if let Some((learning, values)) = self.learning.as_mut().zip(*values) {
-            learning.correct(&self.belief.bank, turn, values);
-        }
+        self.history.correct(&error, &turn);
+        self.unaided.iter_mut().for_each(|unaided| unaided.correct(&error, &turn));
+        self.causes.correct(&error, &turn);
+        self.doubt.follow(&error, &turn);
     }
 
     /// Compares the other motions, if any are followed, with the samples that were used. The first samples of both encoders open the doubt
@@ -324,34 +292,7 @@ impl Estimator {
         let nis = || residuals.iter().filter_map(Residual::accepted).map(|accepted| accepted.nis);
         let squares = (nis().fold(0.0, |sum, nis| sum + nis), nis().count());
         let exceed_masses = || self.causes.exceed_masses(machine);
-        self.alarm.receive(&self.belief, &estimate.frame, machine.torque_scale(), squares, exceed_masses);
-    }
-
-    /// Errors of both readings in addition to the errors of the motion; `None` if nothing is learned.
-    fn errors_beside_learned(&self, machine: &Machine, motion: &LinkState, frame: &Frame) -> Option<ReadingErrors> {
-        self.learning.is_some().then(|| {
-            let by_lengths = frame.motors_by_lengths(machine.unlearned[0]);
-            let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
-            let further = [0, 1].map(|i| (by_lengths[i] + by_encoders[i]).sqrt());
-            ReadingErrors { rows: frame.readings_by_geometry(), further }
-        })
-    }
-
-    /// Standard deviations and known parts of the persistent errors of both encoders, rad.
-    fn systematic_errors(
-        &self,
-        machine: &Machine,
-        (motion, frame): (&LinkState, &Frame),
-        errors: Option<&ReadingErrors>,
-    ) -> [[f64; 2]; 2] {
-        if let Some((learning, errors)) = self.learning.as_ref().zip(errors) {
-            let sigma = learning.sigma_of_readings(&self.belief.bank, errors);
-            return [sigma, [0, 1].map(|i| learning.values()[OFFSETS.start + i])];
-        }
-        let [length, offset] = machine.unlearned;
-        let by_lengths = frame.motors_by_lengths(length);
-        let by_encoders = machine.parameters.variances_of_encoders(&motion.theta);
-        [[0, 1].map(|i| (by_lengths[i] + offset * offset + by_encoders[i]).sqrt()), [0.0; 2]]
+        self.alarm.receive(&self.filter.belief, &estimate.frame, machine.torque_scale(), squares, exceed_masses);
     }
 
     /// Measurement update of the bank, one sample after the other.
@@ -362,7 +303,7 @@ impl Estimator {
             }
         }
         let models = self.models(machine, &estimate.motion);
-        let learns = self.learning.as_ref().is_some_and(|learning| learning.learns_geometry());
+        let learns = self.filter.learns_geometry();
         let (mut nis, mut residuals) = (0.0, [Residual::None, Residual::None]);
         for (i, measurement) in measurements.iter().enumerate() {
             if let Some(measurement) = measurement {
@@ -390,12 +331,8 @@ impl Estimator {
         let learned = errors.filter(|_| learns).map(|errors| measurement.learned(i, errors.further[i]));
         let used = learned.as_ref().unwrap_or(measurement);
         // Prediction.
-        let mut prediction = self.belief.bank.prediction(&used.innovation);
-        let columns = self
-            .learning
-            .as_ref()
-            .zip(errors)
-            .map(|(learning, errors)| learning.expect(&mut prediction, (i, &used.innovation), &errors.rows[i]));
+        let mut prediction = self.filter.belief.bank.prediction(&used.innovation);
+        let columns = self.filter.expect(&mut prediction, (i, &used.innovation), errors);
         let nis = prediction.nis();
         self.watch(machine, (motion, frame), (i, measurement), nis, errors);
         self.begin_unaided(i, frame, models, errors);
@@ -407,19 +344,20 @@ impl Estimator {
             repetition = self.unaided[i].judge(measurement);
             repetition
         };
-        let admitted = self.encoders[i].admit(&self.belief.bank, (&prediction, used), conditions, judge);
+        let admitted = self.encoders[i].admit(&self.filter.belief.bank, (&prediction, used), conditions, judge);
         let Some(mut confined) = admitted else {
             if repetition != Fault::None {
                 self.reset(machine, &Reset::Repetition(i, repetition));
             }
             return Residual::Rejected { nis };
         };
-        // Gain and covariance, of the learned parameters and of the motion.
-        if let (Some(learning), Some(columns)) = (&mut self.learning, &columns) {
-            let persistent = ([used.persistent, measurement.persistent], self.encoders[i].samples_of_persistent_error());
-            learning.update(&mut confined, columns, persistent, used.rests());
-        }
-        self.belief.bank.update(&confined);
+        // Gain and covariance.
+        let persistent = Persistent {
+            unlearned: used.persistent,
+            shown: measurement.persistent,
+            samples: self.encoders[i].samples_of_persistent_error(),
+        };
+        self.filter.update(&mut confined, columns.as_ref(), &persistent, used.rests());
         self.unaided[1 - i].update(&self.encoders[i], measurement);
         if let Some(seen) = self.seen(i, measurement) {
             self.doubt.receive(i, &seen.innovation);
@@ -445,7 +383,7 @@ impl Estimator {
         errors: Option<&ReadingErrors>,
     ) {
         let before = || {
-            let belief = Belief { bank: without_parameters(self.learning.as_deref(), &self.belief.bank, errors), ..self.belief };
+            let belief = Belief { bank: self.filter.without_parameters(errors), ..self.filter.belief };
             belief.with_force(&(self.alarm.reference_force(frame) - belief.tangent_force(frame)))
         };
         self.causes.begin_where_surprised(machine, (nis, self.alarm.is_on()), || (frame.basis.tr_mul(&motion.omega), before()));
@@ -459,8 +397,11 @@ impl Estimator {
     /// Starts the estimate without encoder i if the reading repeats, and ends it if the reading changes.
     fn begin_unaided(&mut self, i: usize, frame: &Frame, models: &[f64; MODELS], errors: Option<&ReadingErrors>) {
         let encoders = [&self.encoders[i], &self.encoders[1 - i]];
-        let bank = || without_parameters(self.learning.as_deref(), &self.belief.bank, errors);
-        self.unaided[i].receive(encoders, || (bank(), self.belief.tangent_force(frame).norm()), models);
+        self.unaided[i].receive(
+            encoders,
+            || (self.filter.without_parameters(errors), self.filter.belief.tangent_force(frame).norm()),
+            models,
+        );
     }
 
     /// Whether the encoders are exchanged: their first samples are far from the estimate, but fit it if they are exchanged. Later samples
@@ -472,7 +413,8 @@ impl Estimator {
         {
             return false;
         }
-        let nis = |both: [Innovation; 2]| both.iter().map(|innovation| self.belief.bank.prediction(innovation).nis()).sum::<f64>();
+        let nis =
+            |both: [Innovation; 2]| both.iter().map(|innovation| self.filter.belief.bank.prediction(innovation).nis()).sum::<f64>();
         let exchanged = [left.about(1, motion, frame), right.about(0, motion, frame)].map(|sample| sample.innovation);
         nis([left.innovation, right.innovation]) > GATE && nis(exchanged) <= GATE
     }
@@ -513,13 +455,12 @@ impl Estimator {
     fn reset(&mut self, machine: &Machine, kind: &Reset) {
         use Reset::{Adrift, Assembly, Branch, Repetition, Runaway, Samples, Unclosed};
         let Self {
-            belief,
+            filter,
             held,
             coasts: _,
             hypotheses,
             doubt,
             unaided,
-            learning,
             encoders,
             history,
             forecast,
@@ -529,14 +470,13 @@ impl Estimator {
             restarted,
             nis: _,
         } = self;
-        if let (Some(learning), Some(prior)) = (learning, &machine.prior) {
-            match kind {
-                Branch => learning.pause(&belief.bank),
-                Repetition(_, fault) if *fault != Fault::Stuck => learning.pause(&belief.bank),
-                // The estimate or the accepted samples were wrong, so the learned values are not trusted.
-                Repetition(..) | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => learning.begin_all_anew(prior),
-            }
+        match kind {
+            Branch => filter.pause(),
+            Repetition(_, fault) if *fault != Fault::Stuck => filter.pause(),
+            // The estimate or the accepted samples were wrong, so the learned values are not trusted.
+            Repetition(..) | Assembly(_) | Samples { .. } | Unclosed | Runaway | Adrift => filter.restart_parameters(machine),
         }
+        let belief = &mut filter.belief;
         match kind {
             // The hypothesis brings its own belief.
             Branch => (),
@@ -588,37 +528,35 @@ impl Estimator {
 
     /// Restarts the learning of parameters that the master has changed; `tuned` is the prior with the new values.
     pub fn begin_anew_where_tuned(&mut self, machine: &Machine, tuned: Option<&Prior>) {
-        if let (Some(learning), Some(before), Some(tuned)) = (&mut self.learning, &machine.prior, tuned) {
-            for i in (0..LEARNED).filter(|i| before.values[*i] != tuned.values[*i]) {
-                learning.begin_anew(tuned, i);
-            }
+        if let (Some(before), Some(tuned)) = (&machine.prior, tuned) {
+            self.filter.restart_where_changed([before, tuned]);
         }
     }
 
     /// Values of the learned parameters; `None` if nothing is learned.
     pub fn learned(&self) -> Option<Learned> {
-        self.learning.as_ref().map(|learning| learning.values())
+        self.filter.learned()
     }
 
     /// Standard deviations of the learned parameters; 0 for parameters that are not learned.
     pub fn learned_sigma(&self) -> Learned {
-        self.learning.as_ref().map_or_else(Learned::zeros, |learning| learning.sigma(&self.belief.bank))
+        self.filter.learned_sigma()
     }
 
     /// Learned parameters that have been moved to a bound since the last call, and their bounds.
     pub fn take_bounds(&mut self, machine: &Machine) -> impl Iterator<Item = (usize, [f64; 2])> {
-        self.learning.iter_mut().flat_map(|learning| learning.take_bounds(machine))
+        self.filter.take_bounds(machine)
     }
 
     /// Normalised error squared, against true values, of the parameters among `which` that are being learned, and their number.
     pub fn learned_nees(&self, truth: &Learned, which: std::ops::Range<usize>) -> Option<(f64, usize)> {
-        self.learning.as_ref().map(|learning| learning.nees(&self.belief.bank, truth, which))
+        self.filter.learned_nees(truth, which)
     }
 
     /// Replaces the estimate by a hypothesis.
     fn take_over(&mut self, other: usize, machine: &Machine, estimate: &mut Estimated) {
         self.reset(machine, &Reset::Branch);
-        self.hypotheses.take_over(other, machine, (&mut estimate.motion, &mut self.belief));
+        self.hypotheses.take_over(other, machine, (&mut estimate.motion, &mut self.filter.belief));
         estimate.frame = machine.linkage.frame(&estimate.motion.theta);
     }
 
@@ -629,7 +567,7 @@ impl Estimator {
         let is_gone = |encoder: &Encoder| encoder.has_received() && !encoder.is_believed() && !encoder.is_settled();
         let [left, right] = &self.encoders;
         let alone = is_used(left) && is_gone(right) || is_used(right) && is_gone(left);
-        if alone && !self.adrift && bands::sigmas(frame, &self.belief)[0].max() > LARGEST_SIGMA_ALONE {
+        if alone && !self.adrift && bands::sigmas(frame, &self.filter.belief)[0].max() > LARGEST_SIGMA_ALONE {
             self.reset(machine, &Reset::Adrift);
         }
     }
@@ -660,70 +598,64 @@ impl Estimator {
         let coasts = self.is_coasting();
         let models = self.models(machine, from);
         if coasts && !self.coasts {
-            self.belief.bank.reset_priors(&models);
+            self.filter.belief.bank.reset_priors(&models);
         }
         self.coasts = coasts;
         let (mass, ahead) = (scene.mass(&from.theta), linkage.frame(&to.theta));
-        let (step, learned) = if self.learning.is_some() {
-            let flow: Flow<LEARNED> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
-            (Propagation::along(&flow, mass, &frame, (to, &ahead), h), Some(flow))
-        } else {
-            let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.belief.force, (h, 1));
-            (Propagation::along(&flow, mass, &frame, (to, &ahead), h), None)
+        let learned: Option<Flow<LEARNED>> =
+            self.filter.learns().then(|| flow(linkage, scene, (from, &frame), &self.filter.belief.force, (h, 1)));
+        let step = match &learned {
+            Some(flow) => Propagation::along(flow, mass, &frame, (to, &ahead), h),
+            None => {
+                let flow: Flow<0> = flow(linkage, scene, (from, &frame), &self.filter.belief.force, (h, 1));
+                Propagation::along(&flow, mass, &frame, (to, &ahead), h)
+            }
         };
         let inertia = step.inertia_torque(&((to.omega - from.omega) / h));
         let scale = machine.torque_scale();
         if coasts && !self.adrift && parameters.forecast == Bands::SigmaPoints {
-            self.forecast.step(machine, (from, &self.belief), scene, (h, [scale, inertia]));
+            self.forecast.step(machine, (from, &self.filter.belief), scene, (h, [scale, inertia]));
         }
-        self.hypotheses.open_after_vertex(machine, (from, &self.belief), scene, &step, to);
+        self.hypotheses.open_after_vertex(machine, (from, &self.filter.belief), scene, &step, to);
         self.history.step((from, &frame), &step.f, h, parameters.max_delay);
         // Mass errors are observable through quantisation intervals, which confine the angles; white noise hides them.
         let observable = if self.has_intervals(parameters) { inertia } else { 0.0 };
         // Without samples the models are not mixed, because a quantile of their mixture shows more than a covariance. The unknown force
         // changes as the machine moves, and mass errors act that no sample has revealed yet.
-        let force = self.belief.tangent_force(&frame);
-        let unrevealed = if self.learning.is_some() { 0.0 } else { inertia };
+        let force = self.filter.belief.tangent_force(&frame);
+        let unrevealed = if self.filter.learns() { 0.0 } else { inertia };
         let (further, lasting) = if coasts {
             ((force.norm_squared() * CARRIED_WALK + unrevealed * unrevealed * FORECAST_MASS_WALK).sqrt(), f64::INFINITY)
         } else {
-            let longer = match self.learning {
-                Some(_) => LEARNING_PERSISTENCES[usize::from(scene.has_abrupt_forces())],
-                None => 1.0,
+            let longer = match self.filter.learns() {
+                true => LEARNING_PERSISTENCES[usize::from(scene.has_abrupt_forces())],
+                false => 1.0,
             };
             (0.0, parameters.switch_time * longer)
         };
         let (noise, scales, timing) = (step.noise(h), [scale, observable, further], (h, lasting));
         // Nothing is learned while the branch after a singularity or the assembly is unknown.
         let known = !step.held && !self.hypotheses.are_open() && !self.hypotheses.are_quiet() && !self.doubt.is_open();
-        match (&mut self.learning, &learned) {
-            // The covariance already covers any position.
-            _ if self.adrift => (),
-            (Some(learning), Some(flow)) if known => {
-                learning.begin_geometry(&mut self.belief.bank, &frame);
-                learning.predict(&mut self.belief.bank, (&step, flow), &noise, (scales, timing), &models);
-            }
-            (learning, _) => {
-                learning.iter_mut().for_each(|learning| learning.pause(&self.belief.bank));
-                self.belief.bank.predict(&step.f, &noise, scales, timing, &models);
-            }
+        // While adrift, the covariance already covers any position.
+        if !self.adrift {
+            self.filter.predict((&frame, &step), learned.as_ref().filter(|_| known), &noise, (scales, timing), &models);
         }
         for (i, unaided) in self.unaided.iter_mut().enumerate() {
             unaided.predict((&step, &noise), [scale, observable], timing, &self.encoders[1 - i]);
         }
         let wrong = self.alarm.is_on() || self.encoders.iter().any(Encoder::fails);
-        let by = || ByFaults::new(scene, [from, to], &self.belief.force, h);
+        let by = || ByFaults::new(scene, [from, to], &self.filter.belief.force, h);
         let accelerations = || frame.basis.tr_mul(&(to.omega - from.omega)) / h;
         self.causes.predict(&step, (&noise, [scale, observable]), (wrong, h), accelerations, by);
         if wrong && let Some(i) = self.encoders.iter().position(|encoder| encoder.fault == Fault::Stuck) {
             self.causes.know(Cause::Encoder(i));
         }
         self.held = step.held;
-        let about = (&step, [from, to], &self.belief.force);
+        let about = (&step, [from, to], &self.filter.belief.force);
         if let Some(odds) = self.doubt.step(machine, scene, about, (observable > 0.0, h)) {
             self.hypotheses.doubt_side(odds);
         }
-        self.hypotheses.step(machine, (to, &self.belief), scene, (&step, coasts), h);
+        self.hypotheses.step(machine, (to, &self.filter.belief), scene, (&step, coasts), h);
         self.encoders.iter_mut().for_each(|encoder| encoder.step(h));
         self.alarm.step(h, inertia);
     }
@@ -800,7 +732,7 @@ impl Estimator {
 
     /// Whether the estimator needs the derivatives with respect to masses and friction.
     pub fn asks_for_parameters(&self) -> bool {
-        self.learning.is_some() || self.causes.are_judged() || self.doubt.is_open()
+        self.filter.learns() || self.causes.are_judged() || self.doubt.is_open()
     }
 
     /// Most probable cause of the last alarm or fault, and its probability, which is 1 if the samples of an encoder themselves show it.
@@ -821,13 +753,13 @@ impl Estimator {
     /// Probability of a direct singularity within the horizon under the constant inputs of `scene`, which include the unknown force. It is
     /// the fraction of 13 motions, 12 sigma points and their mean, that meet a singularity.
     pub fn singularity_probability(&self, machine: &Machine, motion: &LinkState, scene: &impl Scene, step: f64) -> f64 {
-        self.forecast.singularity_probability(machine, (motion, &self.belief), scene, step)
+        self.forecast.singularity_probability(machine, (motion, &self.filter.belief), scene, step)
     }
 
     /// Refuses a stored estimator that is not possible for this mechanism and motion.
     pub fn check(&self, machine: &Machine, motion: &LinkState) -> Result<(), &'static str> {
         let linkage = &machine.linkage;
-        if !self.belief.is_sound(linkage, motion)
+        if !self.filter.is_sound(machine, motion)
             || !self.hypotheses.is_sound(linkage)
             || !self.doubt.is_sound(linkage)
             || !self.unaided.iter().all(Unaided::is_sound)
@@ -839,11 +771,6 @@ impl Estimator {
         }
         if !self.nis.is_finite() || !self.alarm.is_sound() || !self.causes.is_sound() {
             return Err("a number of its estimator is not finite");
-        }
-        if self.learning.is_some() != machine.prior.is_some()
-            || !self.learning.iter().all(|learning| learning.is_sound(&self.belief.bank, machine))
-        {
-            return Err("what its estimator has learned is not valid");
         }
         Ok(())
     }
@@ -866,34 +793,6 @@ enum Reset<'a> {
     Adrift,
     /// The reading of an encoder repeats, with this fault: the estimate without this encoder replaces the estimate by both.
     Repetition(usize, Fault),
-}
-
-/// Working copy of the simulation's motion, which a measurement update changes.
-struct Estimated {
-    motion: LinkState,
-    frame: Frame,
-    /// Errors of the readings in addition to the errors of the motion; `None` if nothing is learned.
-    errors: Option<ReadingErrors>,
-    /// Standard deviations of the persistent errors of both encoders, rad.
-    sigma: [f64; 2],
-    /// Learned mounting angles of both encoders, rad.
-    offset: [f64; 2],
-}
-
-impl Estimated {
-    fn move_to(&mut self, linkage: &Linkage, motion: &LinkState) {
-        (self.motion, self.frame) = (*motion, linkage.frame(&motion.theta));
-    }
-}
-
-/// Correction of the estimate by a measurement update.
-struct Correction {
-    /// Error by which motion, force and readings were corrected.
-    error: Error,
-    /// Map between the tangent bases before and after.
-    turn: Matrix2<f64>,
-    /// New values of the learned parameters.
-    values: Option<Learned>,
 }
 
 /// Outcome of the measurement update by a sample.
