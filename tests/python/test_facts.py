@@ -12,6 +12,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 from conftest import REPOSITORY
 from fivebar import singularities, summary
 from fivebar.drive import Progress, drive
+from fivebar.library import shared
 from fivebar.scene import read
 from fivebar.variables import unit
 
@@ -88,10 +89,10 @@ def test_sources_have_the_start_values_of_effects(model: ModelDescription, effec
         assert fits, f"{number} {shown} is no start value of {effect}"
 
 
-def test_readme_prints_what_a_run_prints(model: ModelDescription, directory: str, scenes: Path) -> None:
+def test_readme_prints_what_a_run_prints(fmu: Path, scenes: Path) -> None:
     """All lines of the summary but the times."""
     scene = read(scenes / "paper_free_fall.json")
-    run = drive(model, directory, scene, scene.variants[0], Progress("", scene.stop_time, io.StringIO()))
+    run = drive(shared(fmu), scene, scene.variants[0], Progress("", scene.stop_time, io.StringIO()))
     (block,) = re.findall(r"^```text\n(  tip at the end.*?)^```$", text("README.md"), re.MULTILINE | re.DOTALL)
 
     def lasting(lines: list[str]) -> list[str]:

@@ -43,5 +43,5 @@ def test_prices_by_one_method(fmu: Path, tmp_path: Path, monkeypatch: pytest.Mon
         [row] = csv.DictReader(file)
     # Steps past communication points; the default method makes one and more per ms.
     assert float(row["substeps_per_step"]) < 0.5
-    with pytest.raises(SystemExit, match="solver.method has no item newton, but i3alp, "):
+    with pytest.raises(SystemExit, match=r"^'solver\.method' must be one of i3alp, "):
         prices.main([*command, "newton"])

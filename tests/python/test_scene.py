@@ -13,6 +13,7 @@ import fivebar
 from fivebar import scene, shipped
 from fivebar.drive import Run, drive
 from fivebar.errors import FiveBarError, MachineWarning
+from fivebar.library import shared
 from fivebar.variables import Variables
 from made_scene import METHODS, made_scene, write
 
@@ -71,16 +72,16 @@ def test_coarser(step: float, stop: float, expected: tuple[float, float, list[in
     assert (coarse.step_size, coarse.stop_time, coarse.signals["tau[1]"].tolist()) == expected
 
 
-def run(ready: scene.Scene, model: ModelDescription, directory: str) -> Run:
+def run(ready: scene.Scene, fmu: Path) -> Run:
     """A run of a scene."""
-    return drive(model, directory, ready, ready.variants[0])
+    return drive(shared(fmu), ready, ready.variants[0])
 
 
-def test_a_signal_is_held_from_each_communication_point(model: ModelDescription, directory: str) -> None:
+def test_a_signal_is_held_from_each_communication_point(fmu: Path) -> None:
     """A ramp sampled at 0, 10, 20, ... ms is a flight of stairs that begins at 0."""
     ramp = np.linspace(0, 1e-3, 11)
     rest = made_scene({"gravity.enabled": False, "solver.stepSize": 1e-3}, 0.1, 0.01)
-    signalled = run(replace(rest, signals={"tau[1]": ramp}), model, directory)
+    signalled = run(replace(rest, signals={"tau[1]": ramp}), fmu)
     assert signalled["tau[1]"].tolist() == ramp.tolist()
     # The first step is made with the value at 0, which is none: the rest stays one, but for round-off.
     assert abs(signalled["omega[1]"][1]) < 1e-15 and 1e-4 < signalled["omega[1]"][2]
@@ -89,10 +90,10 @@ def test_a_signal_is_held_from_each_communication_point(model: ModelDescription,
     assert signalled["energy.input"][-1] == pytest.approx(work, rel=1e-6)
 
 
-def test_the_start_has_the_signals_first_values(model: ModelDescription, directory: str) -> None:
+def test_the_start_has_the_signals_first_values(fmu: Path) -> None:
     push = replace(made_scene({"gravity.enabled": False}, 0.01), signals={"tau[1]": np.linspace(0.1, 0.2, 11)})
-    held = run(made_scene({"gravity.enabled": False, "tau[1]": 0.1}, 0.01), model, directory)
-    assert run(push, model, directory)["alpha[1]"][0] == held["alpha[1]"][0] != 0.0
+    held = run(made_scene({"gravity.enabled": False, "tau[1]": 0.1}, 0.01), fmu)
+    assert run(push, fmu)["alpha[1]"][0] == held["alpha[1]"][0] != 0.0
 
 
 @pytest.mark.parametrize(

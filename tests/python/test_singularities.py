@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy.model_description import ModelDescription
 
 from fivebar import singularities
 from fivebar.drive import Progress, Run, drive
+from fivebar.library import shared
 from fivebar.scene import communication_points
 from fivebar.singularities import Event
 from made_scene import made_scene
@@ -153,13 +153,13 @@ def test_a_start_with_all_links_in_line() -> None:
     assert outlines(run) == ["constraint start: folded folded stretched"]
 
 
-def test_kinds_are_those_of_the_fmu(model: ModelDescription, directory: str) -> None:
+def test_kinds_are_those_of_the_fmu(fmu: Path) -> None:
     """While singular.type says combined or constraint, no pair of links has an event of its own.
 
     The run starts with all links in line: a motion that only comes near that would depend on the last bit.
     """
     ready = made_scene({"init.theta[1]": 0.0, "init.theta[2]": 0.0}, 0.3)
-    run = drive(model, directory, ready, ready.variants[0], Progress("", ready.stop_time, StringIO()))
+    run = drive(shared(fmu), ready, ready.variants[0], Progress("", ready.stop_time, StringIO()))
     items = run.items["singular.type"]
     assert tuple(items.values()) == ("none", *singularities.KINDS)
     events = singularities.find(run)

@@ -4,9 +4,7 @@ python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after
 """
 
 import argparse
-import contextlib
 import io
-import shutil
 import sys
 import time
 from collections import Counter
@@ -15,11 +13,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
-import fmpy
 import numpy as np
-from fmpy.model_description import ModelDescription
 
 from fivebar.drive import Progress, Run, StartRefused, drive
+from fivebar.library import Library
 from fivebar.scene import Scene, Variant, read
 from fivebar.summary import tip_distance
 from fivebar.variables import Values, Variables
@@ -47,14 +44,6 @@ class Verdict(StrEnum):
     ROUND_OFF = "round-off"
     CHAOTIC = "chaotic"
     BROKEN = "NOT round-off"
-
-
-@dataclass(frozen=True)
-class Build:
-    """An extracted unit."""
-
-    model: ModelDescription
-    directory: str
 
 
 @dataclass(frozen=True)
@@ -89,19 +78,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     options = parser.parse_args(arguments)
     begin = time.perf_counter()
-    with _extracted(options.before) as before, _extracted(options.after) as after:
-        verdicts: Counter[Verdict] = Counter()
-        known = Variables(after.model)
-        for path in sorted(options.scenes.glob("*.json")):
-            scene = read(path, known).coarser(COARSEST, LONGEST)
-            unknown = {*scene.variants[0].values, *scene.signals} - {v.name for v in before.model.modelVariables}
-            if unknown:
-                print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")
-                continue
-            for variant in _by_every_method(before.model, after.model, scene.variants[0].values):
-                judged, words = _judge(before, after, scene, variant)
-                print(f"{scene.name:20} {variant.label:18} {words}", flush=True)
-                verdicts[judged] += 1
+    before, after = Library(options.before), Library(options.after)
+    verdicts: Counter[Verdict] = Counter()
+    for path in sorted(options.scenes.glob("*.json")):
+        scene = read(path, after.known).coarser(COARSEST, LONGEST)
+        unknown = {*scene.variants[0].values, *scene.signals} - set(before.known)
+        if unknown:
+            print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")
+            continue
+        for variant in _by_every_method(before.known, after.known, scene.variants[0].values):
+            judged, words = _judge(before, after, scene, variant)
+            print(f"{scene.name:20} {variant.label:18} {words}", flush=True)
+            verdicts[judged] += 1
     print(f"\n{_total(verdicts)} ({time.perf_counter() - begin:.0f} s)")
     return 1 if verdicts[Verdict.BROKEN] else 0
 
@@ -136,7 +124,7 @@ def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
     return Verdict.BROKEN if all(other.small for other in nudged) else Verdict.CHAOTIC
 
 
-def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple[Verdict, str]:
+def _judge(before: Library, after: Library, scene: Scene, variant: Variant) -> tuple[Verdict, str]:
     """The verdict and its text; the changed starts run only if needed."""
     old = _run(before, scene, variant)
     found = difference(old, _run(after, scene, variant))
@@ -145,32 +133,31 @@ def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple
         return judged, str(judged)
     if judged is Verdict.ROUND_OFF:
         return judged, f"{found} ({judged})"
-    nudged = [difference(old, _run(before, scene, other)) for other in _nudged(variant, before.model)]
+    nudged = [difference(old, _run(before, scene, other)) for other in _nudged(variant, before.known)]
     judged = verdict(found, nudged)
     moved = max(other.tip for other in nudged)
     return judged, f"{found} ({judged}: {NUDGES[0]:g} rad at the start move the old build's tip by {moved:.1e} m)"
 
 
-def _nudged(variant: Variant, model: ModelDescription) -> Iterator[Variant]:
+def _nudged(variant: Variant, known: Variables) -> Iterator[Variant]:
     angle = "init.theta[1]"
-    (start,) = (float(v.start) for v in model.modelVariables if v.name == angle)
     for nudge in NUDGES:
-        yield replace(variant, values=variant.values | {angle: variant.values.get(angle, start) + nudge})
+        yield replace(variant, values=variant.values | {angle: variant.values.get(angle, known.start[angle]) + nudge})
 
 
-def _run(build: Build, scene: Scene, variant: Variant) -> Run:
+def _run(build: Library, scene: Scene, variant: Variant) -> Run:
     """One run; if the start is refused, a run without rows."""
     try:
-        return drive(build.model, build.directory, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
+        return drive(build, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
     except StartRefused as sentence:
         nothing = {name: np.empty(0) for name in ("time", "tip.x", "tip.y")}
         return Run(variant.label, scene.stop_time, scene.step_size, {}, nothing, {}, failure=str(sentence))
 
 
-def _by_every_method(before: ModelDescription, after: ModelDescription, values: Values) -> Iterator[Variant]:
+def _by_every_method(before: Variables, after: Variables, values: Values) -> Iterator[Variant]:
     """A scene by each method that both builds have and that accepts it; `i3alp` also with a fixed step."""
     sticks = 2 in (values.get("friction.law"), values.get("contact.law"))
-    old, new = (_methods(model) for model in (before, after))
+    old, new = (known["solver.method"].items for known in (before, after))
     for name, number in old.items():
         if name not in new:
             continue
@@ -181,11 +168,6 @@ def _by_every_method(before: ModelDescription, after: ModelDescription, values: 
         yield Variant(name, values | {"solver.method": number, "solver.adaptive": True})
         if name == "i3alp" and not sticks:
             yield Variant("i3alp, fixed step", values | {"solver.method": number, "solver.adaptive": False})
-
-
-def _methods(model: ModelDescription) -> dict[str, int]:
-    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
-    return {item.name: int(item.value) for item in method.declaredType.items}
 
 
 def _end(run: Run) -> str:
@@ -200,15 +182,6 @@ def _total(verdicts: Counter[Verdict]) -> str:
         f"{verdicts[Verdict.ROUND_OFF]} differ by round-off, "
         f"{verdicts[Verdict.CHAOTIC]} are chaotic before {EARLY:g} s, {verdicts[Verdict.BROKEN]} differ by more than round-off"
     )
-
-
-@contextlib.contextmanager
-def _extracted(fmu: Path) -> Iterator[Build]:
-    directory = fmpy.extract(str(fmu))
-    try:
-        yield Build(fmpy.read_model_description(directory, validate=False), directory)
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -4,24 +4,21 @@ python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out docs/
 """
 
 import argparse
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-import fmpy
 import matplotlib
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
-from fmpy.model_description import ModelDescription
 from matplotlib.axes import Axes
 
 from fivebar.colours import LEFT, TIP
 from fivebar.drawing import FAINT, INK, plane, thinned
 from fivebar.drive import Progress, Run, drive
+from fivebar.library import Library
 from fivebar.scene import Scene, Variant, read
-from fivebar.variables import Variables
 
 LAWS = {"smooth": 1, "stick": 2}
 """The items of `friction.law`."""
@@ -45,27 +42,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scenes", type=Path, required=True, help="the folder scenes/")
     parser.add_argument("--out", type=Path, required=True, help="the SVG file to write")
     options = parser.parse_args(arguments)
-    directory = fmpy.extract(str(options.fmu))
-    try:
-        model = fmpy.read_model_description(directory, validate=False)
-        known = Variables(model)
-        figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
-        draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json", known)))
-        draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json", known)))
-        draw_hold(
-            hold, [run(model, directory, held(read(options.scenes / "stick_slip.json", known), law)) for law in LAWS]
-        )
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+    library = Library(options.fmu)
+    known = library.known
+    figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+    draw_stick_and_slip(slip, run(library, read(options.scenes / "stick_slip.json", known)))
+    draw_bounce(bounce, run(library, read(options.scenes / "bounce.json", known)))
+    draw_hold(hold, [run(library, held(read(options.scenes / "stick_slip.json", known), law)) for law in LAWS])
     options.out.parent.mkdir(parents=True, exist_ok=True)
     matplotlib.rcParams["svg.hashsalt"] = "kinks"
     figure.savefig(options.out, metadata={"Date": None})
     return 0
 
 
-def run(model: ModelDescription, directory: str, scene: Scene) -> Run:
+def run(library: Library, scene: Scene) -> Run:
     """Runs a scene."""
-    return drive(model, directory, scene, scene.variants[0], Progress(scene.name, scene.stop_time))
+    return drive(library, scene, scene.variants[0], Progress(scene.name, scene.stop_time))
 
 
 def draw_stick_and_slip(axes: Axes, found: Run) -> None:

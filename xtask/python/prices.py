@@ -6,17 +6,15 @@ python prices.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out target/run/p
 import argparse
 import csv
 import io
-import shutil
 import sys
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-import fmpy
-from fmpy.model_description import ModelDescription
-
 from fivebar.drive import Progress, Run, drive
+from fivebar.errors import FiveBarError
+from fivebar.library import Library
 from fivebar.scene import Scene, Variant, read
-from fivebar.variables import Values, Variables
+from fivebar.variables import Values
 
 STEP = 0.02
 """Communication step, s. 20 macro steps share one call, so that the call's own cost, some microseconds in Python, is negligible."""
@@ -50,14 +48,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--method", help="an item of solver.method for all scenes [default: the method of each]")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     options = parser.parse_args(arguments)
-    directory = fmpy.extract(str(options.fmu))
+    library = Library(options.fmu)
     try:
-        model = fmpy.read_model_description(directory, validate=False)
-        known = Variables(model)
-        method = {"solver.method": _number(model, options.method)} if options.method else {}
-        prices = [_price(model, directory, read(path, known), method) for path in sorted(options.scenes.glob("*.json"))]
-    finally:
-        shutil.rmtree(directory, ignore_errors=True)
+        method = {"solver.method": library.known["solver.method"].value(options.method)} if options.method else {}
+    except FiveBarError as error:
+        raise SystemExit(str(error)) from None
+    prices = [_price(library, read(path, library.known), method) for path in sorted(options.scenes.glob("*.json"))]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     with options.out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -81,31 +77,22 @@ def table(prices: list[Price]) -> str:
     return "\n".join(lines)
 
 
-def _number(model: ModelDescription, method: str) -> int:
-    """Number of a method in solver.method."""
-    [variable] = [v for v in model.modelVariables if v.name == "solver.method"]
-    items = {item.name: int(item.value) for item in variable.declaredType.items}
-    if method not in items:
-        raise SystemExit(f"solver.method has no item {method}, but {', '.join(items)}")
-    return items[method]
-
-
-def _price(model: ModelDescription, directory: str, scene: Scene, method: Values) -> Price:
+def _price(library: Library, scene: Scene, method: Values) -> Price:
     scene = scene.coarser(STEP)
     own = Variant(scene.variants[0].label, scene.variants[0].values | method)
-    switches = {v.name: v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
+    switches = {name: start for name, start in library.known.start.items() if name.endswith(".enabled")}
     active = [name for name, start in switches.items() if own.values.get(name, start)]
     off = {name: False for name in active if name != "gravity.enabled"}
     variants = [own, Variant("bare", own.values | off)] if off else [own]
     # Alternating, so that other load on the machine affects both.
-    runs = [[_run(model, directory, scene, variant) for variant in variants] for _ in range(REPEATS)]
+    runs = [[_run(library, scene, variant) for variant in variants] for _ in range(REPEATS)]
     numbers = [_numbers(list(same)) for same in zip(*runs)]
     effects = ", ".join(name.removesuffix(".enabled") for name in active) or "none"
     return Price(scene.name, effects, *numbers[0], *numbers[-1])
 
 
-def _run(model: ModelDescription, directory: str, scene: Scene, variant: Variant) -> Run:
-    run = drive(model, directory, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
+def _run(library: Library, scene: Scene, variant: Variant) -> Run:
+    run = drive(library, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
     if run.failed:
         raise SystemExit(f"{scene.name} ({variant.label}) ended early: {run.failure}")
     return run

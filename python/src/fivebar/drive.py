@@ -1,23 +1,19 @@
-"""Drives one run of the FMU through FMPy and records what it computes at every communication point."""
+"""Drives one run of the unit and records what it computes at every communication point."""
 
 import math
 import time
 from collections.abc import Collection
-from ctypes import c_double, c_int
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import TextIO
 
 import numpy as np
 from fmpy import fmi2
-from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, UnitError
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.progress import Line
 from fivebar.scene import Scene, Variant, communication_points
-from fivebar.slave import Log, computed, get_values, instantiate, set_values
-from fivebar.variables import unit
 
 
 @dataclass
@@ -70,35 +66,25 @@ class StartRefused(FiveBarError):
 
 
 class _Recorder:
-    """Reads variables at once into two tables, one of numbers and one of integers."""
+    """Reads variables at communication points into one table for each type."""
 
-    def __init__(self, slave: fmi2.FMU2Slave, variables: list[ScalarVariable], rows: int):
-        self.slave = slave
-        self.rows = 0
-        self.reals = [v for v in variables if v.type == "Real"]
-        self.integers = [v for v in variables if v.type in ("Integer", "Enumeration")]
-        self.real_table = np.empty((rows, len(self.reals)))
-        self.integer_table = np.empty((rows, len(self.integers)), dtype=np.int64)
-        self.real_references = (fmi2.fmi2ValueReference * len(self.reals))(*(v.valueReference for v in self.reals))
-        self.integer_references = (fmi2.fmi2ValueReference * len(self.integers))(
-            *(v.valueReference for v in self.integers)
-        )
-        self.real_values = (c_double * len(self.reals))()
-        self.integer_values = (c_int * len(self.integers))()
+    def __init__(self, unit: Unit, names: tuple[str, ...], rows: int):
+        self.unit, self.names, self.rows = unit, names, 0
+        self.blocks = unit.library.blocks(names)
+        self.tables = [
+            np.empty((rows, len(block.places)), dtype=np.float64 if block.getter == "fmi2GetReal" else np.int64)
+            for block in self.blocks
+        ]
 
     def record(self) -> None:
-        slave, reals, integers = self.slave, len(self.reals), len(self.integers)
-        slave.fmi2GetReal(slave.component, self.real_references, reals, self.real_values)
-        slave.fmi2GetInteger(slave.component, self.integer_references, integers, self.integer_values)
-        self.real_table[self.rows] = self.real_values
-        self.integer_table[self.rows] = self.integer_values
+        for block, table in zip(self.blocks, self.tables, strict=True):
+            table[self.rows] = self.unit.read(block)
         self.rows += 1
 
     def columns(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        n = self.rows
-        columns = {"time": points[:n]}
-        columns |= {v.name: self.real_table[:n, i] for i, v in enumerate(self.reals)}
-        columns |= {v.name: self.integer_table[:n, i] for i, v in enumerate(self.integers)}
+        columns = {"time": points[: self.rows]}
+        for block, table in zip(self.blocks, self.tables, strict=True):
+            columns |= {self.names[place]: table[: self.rows, i] for i, place in enumerate(block.places)}
         return columns
 
 
@@ -133,98 +119,81 @@ class Progress(Line):
 class _Signals:
     """The scene's signals: each is set at the communication point and held over the step that follows."""
 
-    def __init__(self, slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene):
-        self.slave = slave
-        references = {v.name: v.valueReference for v in model.modelVariables}
-        self.references = [references[name] for name in scene.signals]
+    def __init__(self, unit: Unit, scene: Scene):
+        self.unit = unit
+        self.block = unit.library.reals(tuple(scene.signals))
         self.rows = np.column_stack(list(scene.signals.values())).tolist() if scene.signals else []
 
     def hold(self, row: int) -> None:
-        if self.rows:
-            self.slave.setReal(self.references, self.rows[row])
+        if self.block is not None:
+            self.unit.write(self.block, self.rows[row])
 
 
 def drive(
-    model: ModelDescription,
-    directory: str,
+    library: Library,
     scene: Scene,
     variant: Variant,
     progress: Progress | None = None,
     outputs: Collection[str] | None = None,
 ) -> Run:
-    """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program.
+    """Runs `variant` of `scene`. A step that fails ends the run, not the program.
 
     `outputs` are names of variables; only they are read, for reading all that the unit computes takes several times as long as a step.
     """
     begin = time.perf_counter()
-    variables = [v for v in computed(model) if outputs is None or v.name in outputs]
+    known = library.known
+    names = tuple(name for name in known.computed if outputs is None or name in outputs)
     points = communication_points(scene.stop_time, scene.step_size)
-    log = Log()
-    slave = instantiate(model, directory, log, name=scene.name)
     try:
-        signals = _Signals(slave, model, scene)
-        _initialise(slave, model, scene, variant, signals, log)
-        recorder = _Recorder(slave, variables, len(points))
-        recorder.record()
-        parameters = get_values(slave, model, [v.name for v in model.modelVariables if v.causality == "parameter"])
-        call_seconds, failure = _step(slave, points, signals, recorder, progress, log)
-        if failure is None:
-            slave.terminate()
+        with Unit.of(library, scene.name) as unit:
+            try:
+                unit.reset(**variant.values | {name: float(course[0]) for name, course in scene.signals.items()})
+            except UnitError as refusal:
+                raise StartRefused(str(refusal)) from None
+            recorder = _Recorder(unit, names, len(points))
+            recorder.record()
+            settings = tuple(v.name for v in known.values() if v.causality == "parameter")
+            numbers = unit.numbers(settings)
+            call_seconds, failure = _step(unit, points, _Signals(unit, scene), recorder, progress)
+            warnings = [message.text for message in unit.log if message.status == fmi2.fmi2Warning]
     finally:
-        slave.freeInstance()
         if progress is not None:
             progress.finish()
     return Run(
         label=variant.label,
         stop_time=scene.stop_time,
         step_size=scene.step_size,
-        units={"time": "s"} | {v.name: unit(v) for v in model.modelVariables},
+        units={"time": "s"} | {v.name: v.unit for v in known.values()},
         columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in scene.signals.items()},
-        parameters=parameters,
+        parameters=dict(zip(settings, numbers, strict=True)),
         items={
-            v.name: {int(i.value): i.name for i in v.declaredType.items} for v in variables if v.type == "Enumeration"
+            name: {number: item for item, number in known[name].items.items()}
+            for name in names
+            if known[name].type == "Enumeration"
         },
         call_seconds=call_seconds,
         wall_seconds=time.perf_counter() - begin,
         failure=failure,
-        warnings=log.warnings(),
-        descriptions={"time": "Time since the start"} | {v.name: v.description or "" for v in model.modelVariables},
+        warnings=warnings,
+        descriptions={"time": "Time since the start"} | {v.name: v.description for v in known.values()},
     )
 
 
-def _initialise(
-    slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, variant: Variant, signals: _Signals, log: Log
-) -> None:
-    try:
-        set_values(slave, model, variant.values)
-        signals.hold(0)
-        slave.setupExperiment(startTime=0.0, stopTime=scene.stop_time)
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-    except FMICallException as error:
-        raise StartRefused(log.last() or str(error)) from None
-
-
 def _step(
-    slave: fmi2.FMU2Slave,
-    points: np.ndarray,
-    signals: _Signals,
-    recorder: _Recorder,
-    progress: Progress | None,
-    log: Log,
+    unit: Unit, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress | None
 ) -> tuple[list[float], str | None]:
-    """Steps through `points`; seconds that each fmi2DoStep took, and the FMU's sentence if a call failed."""
+    """Steps through `points`; seconds that each step took, and the unit's sentence if a call failed."""
     clock = time.perf_counter
     seconds: list[float] = []
-    for row, (now, then) in enumerate(pairwise(points.tolist())):
+    for row, then in enumerate(points[1:].tolist()):
         try:
             signals.hold(row)
             before = clock()
-            slave.doStep(now, then - now)
+            unit.step_to(then)
             seconds.append(clock() - before)
             recorder.record()
-        except FMICallException as error:
-            return seconds, log.last() or str(error)
+        except UnitError as error:
+            return seconds, str(error)
         if progress is not None:
             progress.update(then)
     return seconds, None

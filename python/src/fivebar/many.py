@@ -2,15 +2,18 @@
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from fivebar import scene as scenes
-from fivebar import shipped, simulate
+from fivebar import simulate
 from fivebar.errors import FiveBarError, StepFailed
+from fivebar.library import shared
 from fivebar.progress import Line
 from fivebar.result import Result
 from fivebar.scene import Scene
@@ -45,9 +48,9 @@ def run_many(
     found: list[Any] = [None] * len(ready)
     line, count = Line(), min(processes or _processors(), len(ready), MOST_PROCESSES)
     try:
-        with simulate.extracted(shipped.unit()) as directory:
-            tasks = [(number, directory, scene, columns, reduce) for number, scene in enumerate(ready)]
-            outcomes = map(_run, tasks) if count <= 1 else _in_processes(tasks, count)
+        tasks = [(number, scene, columns, reduce) for number, scene in enumerate(ready)]
+        # Closed at once: an error that a notebook keeps would keep the processes.
+        with closing((_run(task) for task in tasks) if count <= 1 else _in_processes(tasks, count)) as outcomes:
             for done, (number, failure, result) in enumerate(outcomes, 1):
                 if failure is not None and on_failure == "raise":
                     raise failure
@@ -84,11 +87,11 @@ def _scenes(
     return ready
 
 
-def _run(task: tuple[int, str, Scene, list[str], Reduce | None]) -> Outcome:
+def _run(task: tuple[int, Scene, list[str], Reduce | None]) -> Outcome:
     """Runs one task, in this process or in a worker."""
-    number, directory, scene, outputs, reduce = task
+    number, scene, outputs, reduce = task
     try:
-        result = simulate.run_in(directory, scene, outputs=outputs)
+        result = simulate.run_by(shared(), scene, outputs=outputs)
     except FiveBarError as error:
         return number, FiveBarError(f"run {number}: {error}"), None
     if (failure := simulate.failed(result)) is not None:
@@ -96,9 +99,16 @@ def _run(task: tuple[int, str, Scene, list[str], Reduce | None]) -> Outcome:
     return number, None, result if reduce is None else reduce(result)
 
 
-def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]], count: int) -> Iterator[Outcome]:
+def _in_processes(
+    tasks: list[tuple[int, Scene, list[str], Reduce | None]], count: int
+) -> Generator[Outcome, None, None]:
     """Outcomes in order of completion. Processes are spawned: a fork would not copy the threads of other libraries."""
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    # On Windows the library of a process that was killed may still be locked.
+    with (
+        tempfile.TemporaryDirectory(prefix="fivebar-", ignore_cleanup_errors=True) as folder,
+        ProcessPoolExecutor(count, context, initializer=_begin, initargs=(folder,)) as pool,
+    ):
         try:
             for future in as_completed([pool.submit(_run, task) for task in tasks]):
                 yield future.result()
@@ -109,6 +119,11 @@ def _in_processes(tasks: list[tuple[int, str, Scene, list[str], Reduce | None]],
             ) from None
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _begin(folder: str) -> None:
+    """Starts a worker. It extracts the unit into a folder of its parent, which removes it also after a worker that was killed."""
+    tempfile.tempdir = folder
 
 
 def _processors() -> int:

@@ -134,6 +134,11 @@ class Variables(Mapping[str, Variable]):
         """Start values of all settable variables by name."""
         return {v.name: v.start for v in self.values() if v.can_be_set and v.start is not None}
 
+    @cached_property
+    def computed(self) -> tuple[str, ...]:
+        """Names of computed variables: outputs and local variables, without `der(...)`, which are aliases."""
+        return tuple(v.name for v in self.values() if not v.can_be_set and not v.name.startswith("der("))
+
     def settable(self, name: str, others: Iterable[str] = ()) -> Variable:
         """The parameter or input of this name; `others` are further suggestions for a misspelt name."""
         if (found := self.get(name)) is None:
