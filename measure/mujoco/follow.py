@@ -5,12 +5,10 @@ python follow.py --fmu target/fmu/FiveBar.fmu --minutes 20 --seed 1 --out target
 
 import argparse
 import json
-import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
 
-import fmpy
 import matplotlib
 
 matplotlib.use("svg")
@@ -20,7 +18,8 @@ import numpy as np
 import calibrate
 import machine
 from fivebar.drawing import STYLE
-from fivebar.slave import Log, get_values, instantiate, set_values
+from fivebar.instance import Unit
+from fivebar.library import Library
 
 STEP = 1e-3
 """Step of the unit and communication interval, s."""
@@ -61,23 +60,14 @@ QUANTILE = 1.96
 """95 % of a normal variable are within this many standard deviations."""
 
 
-class Unit:
-    """The unit with a user's settings for this machine; with `learn` it learns masses, viscous friction, lengths and mounting angles.
+class Follower:
+    """A unit with a user's settings for this machine; with `learn` it learns masses, viscous friction, lengths and mounting angles.
 
     Learning requires samples without delay. A unit that learns therefore lags behind the machine by the delay of the bus and treats each sample as current.
     """
 
     def __init__(self, fmu: Path, learn: bool = False):
         self.learns = learn
-        self.model = fmpy.read_model_description(str(fmu))
-        self.folder = fmpy.extract(str(fmu))
-        self.log = Log()
-        self.slave = instantiate(self.model, self.folder, self.log)
-        self.reference = {v.name: v.valueReference for v in self.model.modelVariables}
-        (method,) = [
-            int(item.value) for item in self.variable("solver.method").declaredType.items if item.name == "automatic"
-        ]
-        self.status_names = {int(item.value): item.name for item in self.variable(STATUS).declaredType.items}
         values = {
             name: value for name, value in machine.believed().items() if name not in ("description", "experiment")
         }
@@ -91,41 +81,21 @@ class Unit:
             "estimator.sigma0.offset": 2e-3,
             "estimator.sigma0.theta": 0.01,
             "estimator.sigma0.omega": 0.1,
-            "solver.method": method,
+            "solver.method": "automatic",
             "solver.errorTolerance": 1e-7,
             "estimator.learn.enabled": learn,
             "viscous.enabled": learn,
         }
         values |= {f"viscous.b[{i}]": 0 for i in range(1, 6)}
-        set_values(self.slave, self.model, values)
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-        self.time = 0.0
-
-    def variable(self, name: str):
-        """A variable of the model description."""
-        return next(v for v in self.model.modelVariables if v.name == name)
-
-    def set(self, names: tuple[str, ...], values) -> None:
-        """Sets inputs."""
-        self.slave.setReal([self.reference[name] for name in names], [float(value) for value in values])
-
-    def step(self, ticks: int = 1) -> None:
-        """Steps to the communication point `ticks` steps ahead."""
-        self.slave.doStep(self.time, ticks * STEP)
-        self.time += ticks * STEP
-
-    def read(self, names: tuple[str, ...]) -> list[float]:
-        """Reads Reals."""
-        return self.slave.getReal([self.reference[name] for name in names])
+        self.unit = Unit.of(Library(fmu))
+        self.unit.reset(**values)
 
     def learned(self, truth: machine.Truth) -> dict[str, dict[str, float]]:
         """Learned values and half-widths of their 95 % bands, with the true values."""
         true = calibrate.true_values(truth)
         told = {}
         for name, variable in LEARNED.items():
-            found, sigma = self.read((variable, variable.replace("[", ".sigma[")))
+            found, sigma = self.unit.get(variable, variable.replace("[", ".sigma["))
             told[name] = {
                 "true": true[name],
                 "found": found,
@@ -134,47 +104,40 @@ class Unit:
             }
         return told
 
-    def end(self) -> None:
-        """Frees the instance and its folder."""
-        self.slave.terminate()
-        self.slave.freeInstance()
-        shutil.rmtree(self.folder)
-
 
 ORDERS = ("servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]")
 MEASURED = ("measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]")
 
 
-def follow(unit: Unit, rows: np.ndarray, progress) -> tuple[np.ndarray, list[int], dict[float, np.ndarray]]:
-    """Outputs of the unit at each sample (`ESTIMATE`), its status, and for each horizon the forecasts with the index of the sample at their end.
+def follow(follower: Follower, rows: np.ndarray, progress) -> tuple[np.ndarray, list[str], dict[float, np.ndarray]]:
+    """Outputs of the unit at each sample (`ESTIMATE`), the name of its status, and for each horizon the forecasts with the index of the sample at their end.
 
     A sample arrives `machine.DELAY` after it was taken.
     """
-    wait = 0 if unit.learns else round(machine.DELAY / STEP)
+    unit = follower.unit
+    wait = 0 if follower.learns else round(machine.DELAY / STEP)
     said, statuses = [], []
     ahead = {horizon: [] for horizon in HORIZONS}
     often = round(EVERY / machine.SAMPLE)
     for index, (stamp, *shown, p, q, v, w, _fx, _fy) in enumerate(rows):
-        said.append(unit.read(ESTIMATE))
-        statuses.append(get_values(unit.slave, unit.model, [STATUS])[STATUS])
-        unit.set(ORDERS, (p, q, v, w))
+        said.append(unit.numbers(ESTIMATE))
+        statuses.append(unit[STATUS])
+        unit.update(dict(zip(ORDERS, (p, q, v, w))))
         for _ in range(wait):
-            unit.step()
-        taken = unit.time if unit.learns else stamp
-        unit.set(MEASURED, (*shown, taken, taken))
+            unit.step(STEP)
+        taken = unit.time if follower.learns else stamp
+        unit.update(dict(zip(MEASURED, (*shown, taken, taken))))
         for _ in range(TICKS - wait):
-            unit.step()
+            unit.step(STEP)
         if (index + 1) % often == 0 and index + 1 + round(max(HORIZONS) / machine.SAMPLE) < len(rows):
-            state, time = unit.slave.getFMUState(), unit.time
+            state = unit.state()
             for later in range(1, round(max(HORIZONS) / machine.SAMPLE) + 1):
-                unit.set(ORDERS, rows[index + later][3:7])
-                unit.step(TICKS)
+                unit.update(dict(zip(ORDERS, rows[index + later][3:7])))
+                unit.step(TICKS * STEP)
                 for horizon in HORIZONS:
                     if later == round(horizon / machine.SAMPLE):
-                        ahead[horizon].append([index + 1 + later, *unit.read(ESTIMATE[:5])])
-            unit.slave.setFMUState(state)
-            unit.slave.freeFMUState(state)
-            unit.time = time
+                        ahead[horizon].append([index + 1 + later, *unit.numbers(ESTIMATE[:5])])
+            unit.restore(state)
         progress(index * machine.SAMPLE)
     return np.array(said), statuses, {horizon: np.array(found) for horizon, found in ahead.items()}
 
@@ -187,7 +150,7 @@ def judge(said: np.ndarray, tips: np.ndarray) -> dict[str, np.ndarray]:
     return {"error": np.hypot(dx, dy), "half": np.sqrt(INSIDE * (middle + radius)), "inside": inside}
 
 
-def figures(rows, true, kinds, names, said, statuses, ahead) -> dict[str, object]:
+def figures(rows, true, kinds, said, statuses, ahead) -> dict[str, object]:
     """Figures of a run, in mm, %, s."""
     settled = round(2 / machine.SAMPLE)
     found = judge(said, true[:, 3:5])
@@ -207,7 +170,7 @@ def figures(rows, true, kinds, names, said, statuses, ahead) -> dict[str, object
     told["lost, % of samples"] = round(100 * float(lost[settled:].mean()), 3)
     counts = np.unique(np.array(statuses)[settled:], return_counts=True)
     told["status, % of samples"] = {
-        names[int(k)]: round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)
+        str(k): round(100 * int(n) / (len(rows) - settled), 2) for k, n in zip(*counts, strict=True)
     }
     alarm = said[:, 5] > 0.5
     onsets = [i for i in range(1, len(rows)) if pushed[i] and not pushed[i - 1]]
@@ -330,17 +293,12 @@ def main() -> None:
 
     truth, rows, true, kinds = machine.record(60 * asked.minutes, asked.seed, progress("MuJoCo moves the machine"))
     write(asked.out, truth, rows, true)
-    unit = Unit(asked.fmu)
-    said, statuses, ahead = follow(unit, rows, progress("the unit follows"))
+    said, statuses, ahead = follow(Follower(asked.fmu), rows, progress("the unit follows"))
     print(file=sys.stderr)
-    told = figures(rows, true, kinds, unit.status_names, said, statuses, ahead)
-    unit.end()
-    learner = Unit(asked.fmu, learn=True)
-    told["learning"] = figures(
-        rows, true, kinds, learner.status_names, *follow(learner, rows, progress("a unit that learns follows"))
-    )
+    told = figures(rows, true, kinds, said, statuses, ahead)
+    learner = Follower(asked.fmu, learn=True)
+    told["learning"] = figures(rows, true, kinds, *follow(learner, rows, progress("a unit that learns follows")))
     told["learning"]["learned"] = learner.learned(truth)
-    learner.end()
     print(file=sys.stderr)
     told["calibration"] = calibrate.calibrate(asked.out, asked.fmu, rows, kinds, truth)
     (asked.out / "figures.json").write_text(json.dumps(told, indent=1) + "\n")

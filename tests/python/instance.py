@@ -1,15 +1,81 @@
-"""An instance of the FMU under test, addressed by variable names."""
+"""An instance of the FMU under test in FMPy, addressed by variable names. Unlike `fivebar.Unit` it may make illegal calls."""
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
+from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fivebar.slave import Log, computed, get_values, instantiate, set_values
+from fivebar import shipped
+from fivebar.log import Message, callbacks
 
 Values = dict[str, float | int | bool]
+
+CALLS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
+"""Ends of the names of calls that set and read variables, by type."""
+
+
+@dataclass
+class Log:
+    """All log messages of an instance."""
+
+    messages: list[Message] = field(default_factory=list)
+
+    def callbacks(self) -> fmi2.fmi2CallbackFunctions:
+        """Callbacks that append to this log. FMPy keeps them alive as long as the instance."""
+        return callbacks(self.messages.append)
+
+    def last(self) -> str:
+        """The last warning or error, or "" if there is none."""
+        return next((m.text for m in reversed(self.messages) if m.status > fmi2.fmi2OK), "")
+
+    def warnings(self) -> list[str]:
+        """All warnings."""
+        return [m.text for m in self.messages if m.status == fmi2.fmi2Warning]
+
+
+def instantiate(
+    model: ModelDescription,
+    directory: str,
+    log: Log,
+    name: str = "fivebar",
+    logging_on: bool = False,
+    guid: str | None = None,
+) -> fmi2.FMU2Slave:
+    """A new instance of the FMU extracted to `directory`; its messages go to `log`. `guid` replaces the model's GUID."""
+    identifier = model.coSimulation.modelIdentifier
+    slave = fmi2.FMU2Slave(
+        guid=model.guid if guid is None else guid,
+        unzipDirectory=directory,
+        modelIdentifier=identifier,
+        instanceName=name,
+        libraryPath=shipped.library(directory, identifier),
+    )
+    slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
+    return slave
+
+
+def computed(model: ModelDescription) -> list[ScalarVariable]:
+    """Computed variables: outputs, then local variables, without derivatives, which are aliases."""
+    return [v for v in model.modelVariables if v.causality in ("output", "local") and v.derivative is None]
+
+
+def set_values(slave: fmi2.FMU2Slave, model: ModelDescription, values: Values) -> None:
+    """Sets variables by name."""
+    variables = {v.name: v for v in model.modelVariables}
+    for name, value in values.items():
+        getattr(slave, f"set{CALLS[variables[name].type]}")([variables[name].valueReference], [value])
+
+
+def get_values(slave: fmi2.FMU2Slave, model: ModelDescription, names: list[str]) -> Values:
+    """Reads variables by name."""
+    variables = {v.name: v for v in model.modelVariables}
+    return {
+        name: getattr(slave, f"get{CALLS[variables[name].type]}")([variables[name].valueReference])[0] for name in names
+    }
 
 
 class Instance:

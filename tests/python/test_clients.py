@@ -18,8 +18,7 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 from conftest import Unit
-from fivebar.slave import Log, computed, get_values, instantiate, set_values
-from instance import Instance, Values
+from instance import Instance, Log, Values, computed, get_values, instantiate, set_values
 
 New = Callable[..., Instance]
 

@@ -8,8 +8,7 @@ import pytest
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription
 
-from fivebar.slave import Log, instantiate
-from instance import Instance, Values
+from instance import Instance, Log, Values, instantiate
 
 New = Callable[..., Instance]
 

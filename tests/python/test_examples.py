@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from conftest import REPOSITORY
-from fivebar.slave import Log, get_values, instantiate, set_values
+from instance import Log, get_values, instantiate, set_values
 
 
 def output(fmu: Path, folder: Path, name: str) -> str:

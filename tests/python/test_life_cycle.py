@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 from fmpy.model_description import ModelDescription
 
-from fivebar.slave import Log, instantiate
-from instance import Instance
+from instance import Instance, Log, instantiate
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 New = Callable[..., Instance]

@@ -14,8 +14,8 @@ from fmpy.model_description import ModelDescription
 
 from conftest import REPOSITORY
 from fivebar.scene import read
-from fivebar.slave import Log, instantiate, set_values
 from fivebar.variables import Variables
+from instance import Log, instantiate, set_values
 
 pytestmark = pytest.mark.page
 

@@ -21,8 +21,7 @@ from conftest import Unit
 from fivebar.errors import FiveBarError
 from fivebar.own_unit import write_unit
 from fivebar.scene import Scene, Variant
-from fivebar.slave import Log, get_values
-from instance import Instance, Values
+from instance import Instance, Log, Values, get_values
 
 New = Callable[..., Instance]
 

@@ -20,8 +20,8 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from conftest import REPOSITORY, Unit
 from fivebar.scene import communication_points, read
-from fivebar.slave import computed
 from fivebar.variables import Values
+from instance import computed
 
 pytestmark = pytest.mark.platforms
 

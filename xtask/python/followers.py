@@ -25,9 +25,9 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
+from fmpy.simulation import instantiate_fmu
 
 from fivebar.drawing import STYLE
-from fivebar.slave import Log, instantiate
 
 STEP = 1e-3
 """Sampling interval, s."""
@@ -70,7 +70,8 @@ class Unit:
         (self.method,) = [
             int(item.value) for item in self.variables["solver.method"].declaredType.items if item.name == "dop853"
         ]
-        self.slave = instantiate(model, directory, Log())
+        # Without a logger FMPy prints refused starts between the rows of the table.
+        self.slave = instantiate_fmu(directory, model, "CoSimulation", logger=lambda *_: None)
 
     def initialise(self, values: dict[str, float], inputs: np.ndarray, assembly: int = 1) -> None:
         """Restarts the instance."""

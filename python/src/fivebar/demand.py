@@ -4,21 +4,18 @@ Servos, stops and the estimator of the scene are off; all other effects count. F
 torque depends on the state alone.
 """
 
-import shutil
-from ctypes import c_double
+from ctypes import byref, c_double
 from typing import Self
 
-import fmpy
 import numpy as np
 from fmpy import fmi2
-from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from fivebar import shipped
 from fivebar.drive import StartRefused
-from fivebar.errors import FiveBarError
+from fivebar.errors import FiveBarError, UnitError
+from fivebar.instance import Instance
+from fivebar.library import shared
 from fivebar.scene import Scene
-from fivebar.slave import Log, load, set_values
 
 Floats = NDArray[np.float64]
 
@@ -40,31 +37,22 @@ class Demand:
         start = {"init.theta[1]": float(theta[0]), "init.theta[2]": float(theta[3]), "init.assembly": 1 if plus else 2}
         still = {name: 0.0 for name in ("init.omega[1]", "init.omega[2]", "tau[1]", "tau[2]")}
         smooth = {"friction.law": SMOOTH, "contact.law": SMOOTH}
-        self._folder = fmpy.extract(str(shipped.unit()))
-        self._log = Log()
+        self._unit = Instance(shared(), "demand", exchange=True)
+        (self._tau,) = self._unit.library.blocks(("tau[1]", "tau[2]"))
         try:
-            model = fmpy.read_model_description(self._folder, validate=False)
-            self._tau = [
-                v.valueReference for name in ("tau[1]", "tau[2]") for v in model.modelVariables if v.name == name
-            ]
-            self._unit = load(fmi2.FMU2Model, model, self._folder, "demand")
-            self._unit.instantiate(callbacks=self._log.callbacks())
-            set_values(self._unit, model, dict(scene.values) | dict.fromkeys(OFF, False) | smooth | start | still)
-            self._unit.setupExperiment(startTime=0.0)
-            self._unit.enterInitializationMode()
-            self._unit.exitInitializationMode()
-            self._unit.newDiscreteStates()
-            self._unit.enterContinuousTimeMode()
-        except FMICallException as error:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            raise StartRefused(self._log.last() or str(error)) from None
+            self._unit.update(dict(scene.values) | dict.fromkeys(OFF, False) | smooth | start | still)
+            self._unit.initialise(0.0)
+            self._unit.call("fmi2NewDiscreteStates", byref(fmi2.fmi2EventInfo()))
+            self._unit.call("fmi2EnterContinuousTimeMode")
+        except UnitError as refusal:
+            self._unit.close()
+            raise StartRefused(str(refusal)) from None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._unit.freeInstance()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._unit.close()
 
     def torques(self, theta: Floats, omega: Floats, alpha: Floats) -> Floats:
         """Motor torques, N·m, (n, 2), for accelerations `alpha` (n, 2), rad/s2, at postures (n, 4) and rates (n, 2), rad/s."""
@@ -80,14 +68,12 @@ class Demand:
         """Motor accelerations with zero torque, with 1 N·m left and with 1 N·m right: they are affine in the torques."""
         unit, derivatives = self._unit, (c_double * 4)()
         try:
-            unit.fmi2SetContinuousStates(unit.component, (c_double * 4)(*states), 4)
+            unit.call("fmi2SetContinuousStates", (c_double * 4)(*states), 4)
             found = []
             for torques in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
-                unit.setReal(self._tau, torques)
-                unit.fmi2GetDerivatives(unit.component, derivatives, 4)
+                unit.write(self._tau, torques)
+                unit.call("fmi2GetDerivatives", derivatives, 4)
                 found.append((derivatives[2], derivatives[3]))
             return found
-        except FMICallException as error:
-            raise FiveBarError(
-                f"the torques that the motion needs cannot be computed: {self._log.last() or error}"
-            ) from None
+        except UnitError as error:
+            raise FiveBarError(f"the torques that the motion needs cannot be computed: {error}") from None

@@ -94,13 +94,16 @@ class Library:
         path = shipped.library(self.directory, identifier)
         # FMPy changes the working directory of the process while it loads a library, so only one thread may load at a time.
         with _LOADING:
-            loaded = kind(
-                guid=self.guid,
-                unzipDirectory=self.directory,
-                modelIdentifier=identifier,
-                instanceName="",
-                libraryPath=path,
-            )
+            try:
+                loaded = kind(
+                    guid=self.guid,
+                    unzipDirectory=self.directory,
+                    modelIdentifier=identifier,
+                    instanceName="",
+                    libraryPath=path,
+                )
+            except Exception as error:  # noqa: BLE001 -- FMPy raises this class itself
+                raise FiveBarError(f"the unit's library cannot be loaded: {error}") from None
         self.loaded.append(loaded)
         functions: CDLL = loaded.dll
         return functions

@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Literal, get_args
 from xml.etree import ElementTree
 
-import fmpy
-
 from fivebar import shipped
 from fivebar.errors import FiveBarError
+from fivebar.instance import Unit
+from fivebar.library import Library
 from fivebar.scene import Scene
-from fivebar.slave import Log, instantiate
 from fivebar.variables import Value, Variable, Variables, of_unit
 
 Naming = Literal["structured", "flat"]
@@ -337,24 +336,14 @@ def _try_start(fmu: Path) -> list[str]:
 
     Raises FiveBarError with the unit's sentence if it refuses. Returns a sentence if it has no library for this platform.
     """
-    log = Log()
-    # If instantiation fails, the library stays loaded, and Windows cannot remove its file.
-    with tempfile.TemporaryDirectory(prefix="fivebar-", ignore_cleanup_errors=True) as directory:
-        fmpy.extract(str(fmu), unzipdir=directory)
-        model = fmpy.read_model_description(directory, validate=False)
-        try:
-            shipped.library(directory, model.coSimulation.modelIdentifier)
-        except FiveBarError as sentence:
-            return [f"The start was not tried: {sentence}."]
-        slave = None
-        try:
-            slave = instantiate(model, directory, log)
-            slave.setupExperiment()
-            slave.enterInitializationMode()
-            slave.exitInitializationMode()
-        except Exception as error:  # noqa: BLE001 -- FMPy raises this class itself if there is no instance
-            raise FiveBarError(f"the start is refused: {(log.last() or str(error)).removesuffix('.')}") from None
-        finally:
-            if slave is not None:
-                slave.freeInstance()
+    library = Library(fmu)
+    try:
+        shipped.library(library.directory, library.model.coSimulation.modelIdentifier)
+    except FiveBarError as sentence:
+        return [f"The start was not tried: {sentence}."]
+    try:
+        with Unit.of(library) as unit:
+            unit.reset()
+    except FiveBarError as error:
+        raise FiveBarError(f"the start is refused: {str(error).removesuffix('.')}") from None
     return []

@@ -4,16 +4,15 @@ import math
 from functools import partial
 from pathlib import Path
 
-import fmpy
 import numpy as np
-from fmpy.fmi1 import FMICallException
 
 import ahead
 import machine
-from fivebar.slave import Log, get_values, instantiate, set_values
+from fivebar.instance import Unit
+from fivebar.library import Library
 from machine import Peer, Setting
 
-STATE = [
+STATE = (
     "theta[1]",
     "passive.theta[1]",
     "passive.theta[2]",
@@ -22,7 +21,7 @@ STATE = [
     "passive.omega[1]",
     "passive.omega[2]",
     "omega[2]",
-]
+)
 
 # Name in the report, then the method in the model description; a method that this .fmu lacks is skipped.
 RUNS = {
@@ -39,21 +38,16 @@ RUNS = {
 
 
 def peers(fmu: Path) -> list[Peer]:
-    directory = fmpy.extract(str(fmu))
-    model = fmpy.read_model_description(directory, validate=False)
-    method = next(v for v in model.modelVariables if v.name == "solver.method")
-    numbers = {item.name: int(item.value) for item in method.declaredType.items}
-    assembly = next(v for v in model.modelVariables if v.name == "init.assembly")
-    sides = {item.name: int(item.value) for item in assembly.declaredType.items}
-    version = model.version or "this .fmu"
+    library = Library(fmu)
+    version = library.model.version or "this .fmu"
     return [
         Peer(
             f"{ahead.OURS}{name}",
             version,
-            [_setting(model, directory, sides, run | {"solver.method": numbers[method]}) for run in runs],
+            [_setting(library, run | {"solver.method": method}) for run in runs],
         )
         for name, (method, runs) in RUNS.items()
-        if method in numbers
+        if method in library.known["solver.method"].items
     ]
 
 
@@ -70,32 +64,19 @@ LOADED = {"servo.enabled": True, "viscous.enabled": True, "friction.enabled": Tr
 }
 
 
-def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, float | bool]) -> Setting:
+def _setting(library: Library, settings: dict[str, float | bool | str]) -> Setting:
     text = ", ".join(f"{name} = {value}" for name, value in settings.items() if name != "solver.method")
 
     def begin(start, loads=None):
-        log = Log()
-        slave = instantiate(model, directory, log)
+        unit = Unit.of(library)
         # Equal distal links: the tip is on the right if the turn from the left one to the right one is clockwise.
-        side = sides["plus" if math.sin(start[2] - start[1]) >= 0 else "minus"]
-        set_values(
-            slave,
-            model,
-            {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | (loads or {}) | settings,
-        )
-        slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        now = 0.0
+        side = "plus" if math.sin(start[2] - start[1]) >= 0 else "minus"
+        place = {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side}
+        unit.reset(**place | (loads or {}) | settings)
 
         def advance(until):
-            nonlocal now
-            try:
-                slave.doStep(now, until - now)
-            except FMICallException as error:
-                raise RuntimeError(log.last() or str(error)) from None
-            now = until
-            return np.array(list(get_values(slave, model, STATE).values()))
+            unit.step_to(until)
+            return np.array(unit.numbers(STATE))
 
         return advance
 
