@@ -71,7 +71,7 @@ def test_what_cannot_be_run_is_one_sentence() -> None:
         FiveBarError, match=r"^there are 2 scenes and 3 dicts of values: one scene, or one for each dict, is needed$"
     ):
         fivebar.run_many(["swing", "bounce"], MASSES)
-    with pytest.raises(FiveBarError, match=r"^'processes' is 0; at least 1 is needed$"):
+    with pytest.raises(FiveBarError, match=r"^'processes' must be a whole number of at least 1, not 0$"):
         fivebar.run_many("swing", MASSES, processes=0)
     assert fivebar.run_many([]) == [] == fivebar.run_many("swing", [])
 

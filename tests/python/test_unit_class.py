@@ -77,6 +77,16 @@ def test_a_scene_and_values_are_start_values() -> None:
         **{"solver.method": 6, "viscous.enabled": np.bool_(True), "viscous.b": np.full(5, 2e-3, np.float32)}
     ) as unit:
         assert unit["solver.method"] == "automatic" and unit["viscous.b"].shape == (5,)
+    # As `run` does, and its method is that of its changed values.
+    with Unit("swing") as unit:
+        assert unit["solver.method"] == "automatic"
+        for time in (run := fivebar.run("swing", stop_time=0.1)).time[1:].tolist():
+            unit.step_to(time)
+        assert unit["theta"].tolist() == [run["theta[1]"][-1], run["theta[2]"][-1]]
+        unit.reset(**{"solver.adaptive": False})
+        assert unit["solver.method"] == "i3alp"
+    with Unit() as unit:
+        assert unit["solver.method"] == "i3alp"
     with Unit(str(Path(__file__).resolve().parents[2] / "scenes" / "swing.json")) as unit:
         assert unit.time == 0.0
 

@@ -121,7 +121,7 @@ def unit(
     from fivebar.scene import read
 
     known = None if scene is None else read(scene)
-    return own_unit.write_unit(Path(folder or ""), known, name, naming=naming).file
+    return own_unit.write_unit(Path("" if folder is None else folder), known, name, naming=naming).file
 
 
 def scenes() -> dict[str, str]:
@@ -189,7 +189,7 @@ def run(
     from fivebar import simulate
 
     ready = scenes.read(scene).replace(values, method=method, stop_time=stop_time, step_size=step_size, inputs=inputs)
-    return simulate.run(ready, outputs=outputs or (), on_failure=on_failure)
+    return simulate.run(ready, outputs=() if outputs is None else outputs, on_failure=on_failure)
 
 
 def run_many(
@@ -222,7 +222,8 @@ def run_many(
         `"raise"`: the first run that fails ends all, with its `StepFailed` or the FiveBarError of a start that is refused. `"return"`: the list has this
         error in the place of the result.
     reduce
-        A function of a module, called with each result in the process that has it; the list has what it returns.
+        A function called with each result in the process that has it; the list has what it returns. Processes import it by its name: a lambda, or a
+        function inside another one, needs `processes=1`.
     processes
         How many processes, as many as there are processors unless given; with 1 all runs are in this process.
     progress
@@ -239,7 +240,9 @@ def run_many(
     from fivebar import many
 
     changes = {"method": method, "stop_time": stop_time, "step_size": step_size, "inputs": inputs}
-    return many.run_many(scene, values, changes, outputs or (), reduce, on_failure, processes, progress)
+    return many.run_many(
+        scene, values, changes, () if outputs is None else outputs, reduce, on_failure, processes, progress
+    )
 
 
 def calibrate(
@@ -302,7 +305,7 @@ def calibrate(
     >>> found.scene()["payload.mass"] == found.values["payload.mass"]
     True
     """
-    from fivebar import extras
+    from fivebar import arguments, extras
 
     extras.need("calibrate")
     from fivebar.twin.calibrate import calibration
@@ -311,11 +314,11 @@ def calibrate(
         record,
         scene,
         parameters,
-        begin=begin,
-        seconds=seconds,
-        longest=longest,
+        begin=arguments.number("begin", begin),
+        seconds=arguments.number("seconds", seconds),
+        longest=arguments.number("longest", longest),
         commands=commands,
-        patience=patience,
+        patience=arguments.number("patience", patience),
         unit=unit,
         fmu=fmu,
     )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fivebar import arguments
 from fivebar.errors import FiveBarError
 from fivebar.variables import Variables, shown
 
@@ -40,7 +41,7 @@ def sampled(given: Inputs | None, points: Floats, variables: Variables) -> dict[
 def _columns(given: Any) -> Mapping[str, Any]:
     """The mapping itself, or the columns of a frame by name."""
     if isinstance(given, Mapping):
-        return given
+        return arguments.values("inputs", given)
     if not (hasattr(given, "columns") and hasattr(given, "index")):
         raise FiveBarError(f"inputs are a dict, a frame of pandas or a function of time, not {shown(given)}")
     columns = {str(name): given[name] for name in given.columns}
@@ -58,7 +59,7 @@ def _of_function(function: Callable[[float], Mapping[str, float]], points: Float
             raise FiveBarError(
                 f"the function of inputs must return a dict with the same names at all times, and returned {shown(row)} at {time:g} s"
             )
-    return {name: _numbers(name, [row[name] for row in rows]) for name in rows[0]}
+    return {name: _numbers(name, [row[name] for row in rows]) for name in arguments.values("inputs", rows[0])}
 
 
 def _of_table(given: Mapping[str, Any], points: Floats) -> dict[str, Floats]:

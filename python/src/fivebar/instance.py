@@ -24,12 +24,13 @@ import numpy as np
 from fmpy import fmi2
 from numpy.typing import NDArray
 
+from fivebar import arguments
 from fivebar import scene as scenes
 from fivebar.errors import FiveBarError, StepFailed, UnitError
 from fivebar.library import Block, Library, shared
 from fivebar.log import STATUS, Message, callbacks
 from fivebar.scene import Scene
-from fivebar.variables import Value, Variable, Variables
+from fivebar.variables import Value, Variable, Variables, shown
 
 MESSAGES = 1000
 """Number of newest messages that a log keeps."""
@@ -63,6 +64,11 @@ class Instance:
         self._free = weakref.finalize(self, _free, library, self._functions, component, self._handles, self._callbacks)
         # When the process ends, another thread may still be in a call.
         self._free.atexit = False
+
+    def __reduce__(self) -> str:
+        raise TypeError(
+            "a live unit cannot be pickled: send its `state().to_bytes()`, and `restore` them in a new unit"
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -114,17 +120,22 @@ class Instance:
         (0.02, -0.1)
         """
         # Fast path for the inputs of every step: floats of single variables.
-        if (reals := self.library.reals(tuple(values))) and all(type(value) is float for value in values.values()):
+        floats = type(values) is dict and all(type(value) is float for value in values.values())
+        if floats and (reals := self.library.reals(tuple(values))):
             self.write(reals, values.values())
             return
-        names: list[str] = []
-        numbers: list[Value] = []
-        for name, given in values.items():
+        numbers = self._elements(values)
+        given = list(numbers.values())
+        for block in self.library.blocks(tuple(numbers)):
+            self.write(block, [given[place] for place in block.places])
+
+    def _elements(self, values: Mapping[str, Any]) -> dict[str, Value]:
+        """Numbers of variables and of all elements of arrays, by the variable's name."""
+        found: dict[str, Value] = {}
+        for name, given in arguments.values("values", values).items():
             elements = self.library.elements(name)
-            names += [variable.name for variable in elements]
-            numbers += _numbers(name, elements, given)
-        for block in self.library.blocks(tuple(names)):
-            self.write(block, [numbers[place] for place in block.places])
+            found |= zip((v.name for v in elements), _numbers(name, elements, given), strict=True)
+        return found
 
     def write(self, block: Block, numbers: Iterable[Value]) -> None:
         """Sets the variables of a block; enumerations are numbers."""
@@ -175,7 +186,8 @@ class Unit(Instance):
     ----------
     scene : str, pathlib.Path or fivebar.scene.Scene, optional
         The name of a shipped scene, the file of a scene, or a scene. The default are the unit's own start values.
-        Time-varying inputs of the scene have their first values.
+        Time-varying inputs of the scene have their first values. A scene that names no method runs by `automatic`, as in `fivebar.run`;
+        without a scene the method is the unit's own, `i3alp`.
     **values : float, int, bool, str or sequence
         Start values by name, in the variable's unit; they replace values of the scene. They are set before initialisation.
 
@@ -313,13 +325,13 @@ class Unit(Instance):
     def __getitem__(self, name: str) -> Any:
         return self.get(name)
 
-    def ramp(self, rates: Mapping[str, float]) -> None:
+    def ramp(self, rates: Mapping[str, Any]) -> None:
         """Lets inputs change linearly during the next step; after it they are constant again.
 
         Parameters
         ----------
-        rates : mapping of str to float
-            First derivatives of inputs by name, in the input's unit per second.
+        rates : mapping of str to float or sequence of float
+            First derivatives of inputs by name, in the input's unit per second; of an array the derivatives of all elements.
 
         Raises
         ------
@@ -335,8 +347,12 @@ class Unit(Instance):
         ...     unit["tau[1]"]
         0.005
         """
-        for block in self.library.blocks(tuple(rates)):
-            self.write_rates(block, rates.values())
+        numbers = self._elements(rates)
+        for name in numbers:
+            if (found := self.library.known[name]).type != "Real" or found.causality != "input":
+                raise FiveBarError(f"'{name}' is no Real input: only these have rates")
+        for block in self.library.blocks(tuple(numbers)):
+            self.write_rates(block, numbers.values())
 
     def write_rates(self, block: Block, rates: Iterable[float]) -> None:
         """Sets the first derivatives of a block of inputs for the next step."""
@@ -371,7 +387,7 @@ class Unit(Instance):
         ...     unit.derivative(["alpha", "tip.ax"], "tau").shape
         (3, 2)
         """
-        of, by = self._references(unknowns), self._references(knowns)
+        of, by = self._references("unknowns", unknowns), self._references("knowns", knowns)
         found = np.empty((len(of), len(by)))
         one, column = (c_double * 1)(1.0), (c_double * len(of))()
         for j, reference in enumerate(by):
@@ -380,8 +396,8 @@ class Unit(Instance):
             found[:, j] = column
         return found
 
-    def _references(self, names: "str | Iterable[str]") -> Any:
-        elements = [v for name in ([names] if isinstance(names, str) else names) for v in self.library.elements(name)]
+    def _references(self, what: str, names: "str | Iterable[str]") -> Any:
+        elements = [v for name in arguments.names(what, names) for v in self.library.elements(name)]
         return (fmi2.fmi2ValueReference * len(elements))(
             *(self.library.variables[v.name].valueReference for v in elements)
         )
@@ -416,6 +432,7 @@ class Unit(Instance):
         ...     unit.time
         0.25
         """
+        h = arguments.number("h", h)
         with self._lock:
             self._step(h, self._time + h)
 
@@ -438,6 +455,7 @@ class Unit(Instance):
         >>> with Unit() as unit:
         ...     unit.step_to(0.1)
         """
+        time = arguments.number("time", time)
         with self._lock:
             self._step(time - self._time, time)
 
@@ -469,6 +487,7 @@ class Unit(Instance):
         ...     unit.time, unit["theta"]
         (5.0, array([1.2, 2. ]))
         """
+        time = arguments.number("time", time)
         given = {name: value for name, value in self._given.items() if name not in values} | values
         if self._scene is not None:
             given = self._of_scene(self._scene, given)
@@ -480,12 +499,8 @@ class Unit(Instance):
 
     def _of_scene(self, scene: Scene, given: Mapping[str, Any]) -> dict[str, Value]:
         """Start values of a scene with changed values. If the start is given by the tip position, its angles follow the lengths."""
-        changes: dict[str, Value | str] = {}
-        for name, value in given.items():
-            elements = self.library.elements(name)
-            for variable, number in zip(elements, _numbers(name, elements, value), strict=True):
-                changes[variable.name] = _value(variable, number)
-        changed = scene.replace(changes)
+        known, numbers = self.library.known, self._elements(given)
+        changed = scene.replace({name: _value(known[name], number) for name, number in numbers.items()}).with_method()
         return dict(changed.values) | {name: float(column[0]) for name, column in changed.signals.items()}
 
     # --- states -----------------------------------------------------------------------------------------------------------------
@@ -539,17 +554,21 @@ class Unit(Instance):
         ...     another.time
         0.1
         """
+        time = None if time is None else arguments.number("time", time)
         if isinstance(state, State):
             state._check()
             with self._lock:
                 self.call("fmi2SetFMUstate", state._handle)
                 self._time = state.time if time is None else time
             return
+        if not isinstance(state, (bytes, bytearray, memoryview)):
+            raise FiveBarError(f"'state' must be a State or its bytes, not {shown(state)}")
         with self._lock:
             handle = self._spare.pop() if self._spare else self._new_handle()
             try:
-                content = create_string_buffer(bytes(state), len(state))
-                self.call("fmi2DeSerializeFMUstate", content, len(state), byref(handle))
+                stored = bytes(state)
+                content = create_string_buffer(stored, len(stored))
+                self.call("fmi2DeSerializeFMUstate", content, len(stored), byref(handle))
                 self.call("fmi2SetFMUstate", handle)
             finally:
                 self._spare.append(handle)

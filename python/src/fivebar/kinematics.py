@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fivebar import arguments
 from fivebar.errors import FiveBarError
 from fivebar.variables import of_unit
 
@@ -162,10 +163,10 @@ class Machine:
     @classmethod
     def from_values(cls, values: Mapping[str, float]) -> "Machine":
         """The machine with the lengths `base.distance` and `link[1..4].length`, m; missing ones have the unit's start values."""
-        if strange := set(values) - set(GEOMETRY):
+        if strange := set(arguments.values("values", values)) - set(GEOMETRY):
             raise FiveBarError(f"{min(strange)} is not a length of a machine; allowed are {', '.join(GEOMETRY)}.")
         distance, l1, l2, l3, l4 = (
-            float(values[name] if name in values else of_unit().start[name]) for name in GEOMETRY
+            arguments.number(name, values[name] if name in values else of_unit().start[name], "m") for name in GEOMETRY
         )
         return cls(distance, (l1, l2, l3, l4))
 
@@ -428,6 +429,7 @@ class Machine:
         coaxial and the proximal links equal, every posture in the working modes `plus`, `plus` and `minus`, `minus` is singular:
         then there is no curve, see `is_degenerate`.
         """
+        points = arguments.count("points", points)
         return [
             locus for posture, coupler in self._couplers() for locus in self._coupler_curves(posture, coupler, points)
         ]
@@ -437,6 +439,7 @@ class Machine:
 
         Folded links of equal length are left out: both elbows are at the same point, and the tip may be anywhere around it.
         """
+        theta1 = arguments.number("theta1", theta1, "rad")
         found: list[tuple[Line, Posture]] = []
         for posture, coupler in self._couplers():
             if coupler == 0:

@@ -18,7 +18,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fivebar import shipped
 from fivebar.errors import FiveBarError
-from fivebar.variables import Variable, Variables, similar
+from fivebar.variables import Variable, Variables, shown, similar
 
 INDEX = re.compile(r"\[\d+\]")
 """The index in a name."""
@@ -132,6 +132,8 @@ class Library:
 
     def elements(self, name: str) -> tuple[Variable, ...]:
         """The variable of this name, or the elements of the array of this name."""
+        if not isinstance(name, str):
+            raise FiveBarError(f"a variable is named by a text, not by {shown(name)}")
         if (found := self._elements.get(name)) is None:
             raise FiveBarError(f"there is no variable '{name}'{similar(name, self._elements)}")
         return found

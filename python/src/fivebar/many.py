@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import tempfile
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -10,8 +11,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from fivebar import arguments, simulate
 from fivebar import scene as scenes
-from fivebar import simulate
 from fivebar.errors import FiveBarError, StepFailed
 from fivebar.library import shared
 from fivebar.progress import Line
@@ -41,12 +42,12 @@ def run_many(
 ) -> list[Any]:
     """See `fivebar.run_many`; `changes` are the other arguments of `Scene.replace`."""
     simulate.check(on_failure)
-    if processes is not None and not processes >= 1:
-        raise FiveBarError(f"'processes' is {processes}; at least 1 is needed")
+    wanted = _processors() if processes is None else arguments.count("processes", processes)
     ready = _scenes(given, values, changes)
-    columns = [outputs] if isinstance(outputs, str) else list(outputs)
+    columns = arguments.names("outputs", outputs)
     found: list[Any] = [None] * len(ready)
-    line, count = Line(), min(processes or _processors(), len(ready), MOST_PROCESSES)
+    line, count = Line(), min(wanted, len(ready), MOST_PROCESSES)
+    _check_reduction(reduce, count)
     try:
         tasks = [(number, scene, columns, reduce) for number, scene in enumerate(ready)]
         # Closed at once: an error that a notebook keeps would keep the processes.
@@ -62,12 +63,32 @@ def run_many(
     return found
 
 
+def _check_reduction(reduce: Reduce | None, count: int) -> None:
+    """Raises FiveBarError if `reduce` is no function, or none that `count` processes can have."""
+    if reduce is None:
+        return
+    if not callable(reduce):
+        raise FiveBarError(f"'reduce' must be a function of a result, not {shown(reduce)}")
+    if count > 1:
+        try:
+            pickle.dumps(reduce)
+        except (pickle.PicklingError, AttributeError, TypeError):
+            raise FiveBarError(
+                f"'reduce' is {reduce!r:.100}, which other processes cannot import: it must be a function defined with `def` at the top of a "
+                "module; processes=1 takes any function"
+            ) from None
+
+
 def _scenes(
     given: Given | Iterable[Given], values: Sequence[Mapping[str, Any]] | None, changes: Mapping[str, Any]
 ) -> list[Scene]:
     """One scene per run, ready to be sent to a process."""
     one = isinstance(given, (str, Path, Mapping, Scene))
+    if not one and not isinstance(given, Iterable):
+        raise FiveBarError(f"'scene' must be a scene or a list of scenes, not {shown(given)}")
     bases = [scenes.read(given)] if one else [scenes.read(each) for each in given]  # type: ignore[union-attr,arg-type]
+    if values is not None and (isinstance(values, Mapping) or not isinstance(values, Iterable)):
+        raise FiveBarError(f"'values' must be a list of dicts, one for each run, not {shown(values)}")
     told = [{}] * len(bases) if values is None else list(values)
     if one:
         bases *= len(told)
@@ -87,7 +108,7 @@ def _scenes(
     return ready
 
 
-def _run(task: tuple[int, Scene, list[str], Reduce | None]) -> Outcome:
+def _run(task: tuple[int, Scene, tuple[str, ...], Reduce | None]) -> Outcome:
     """Runs one task, in this process or in a worker."""
     number, scene, outputs, reduce = task
     try:
@@ -100,7 +121,7 @@ def _run(task: tuple[int, Scene, list[str], Reduce | None]) -> Outcome:
 
 
 def _in_processes(
-    tasks: list[tuple[int, Scene, list[str], Reduce | None]], count: int
+    tasks: list[tuple[int, Scene, tuple[str, ...], Reduce | None]], count: int
 ) -> Generator[Outcome, None, None]:
     """Outcomes in order of completion. Processes are spawned: a fork would not copy the threads of other libraries."""
     context = multiprocessing.get_context("spawn")

@@ -21,7 +21,7 @@ from fivebar.errors import FiveBarError
 from fivebar.instance import Unit
 from fivebar.library import Library
 from fivebar.scene import Scene
-from fivebar.variables import Value, Variable, Variables, of_unit
+from fivebar.variables import Value, Variable, Variables, of_unit, shown
 
 Naming = Literal["structured", "flat"]
 
@@ -72,7 +72,7 @@ def write_unit(
     Raises FiveBarError, with one sentence, if a name or value is not allowed, the unit refuses its start, or a file cannot be
     written. Then no file is left in `folder`.
     """
-    if naming not in get_args(Naming):
+    if not isinstance(naming, str) or naming not in get_args(Naming):
         raise FiveBarError(f"naming is {naming!r:.40}: it must be {' or '.join(get_args(Naming))}")
     plain = shipped.unit() if plain is None else plain
     is_own = scene is not None or name is not None
@@ -112,12 +112,14 @@ def write_unit(
 
 def check_name(name: str) -> None:
     """Raises FiveBarError if `name` is not allowed for a unit: it names the model, the library's file and the archive."""
+    if not isinstance(name, str):
+        raise FiveBarError(f"the name of a unit must be a text, not {shown(name)}")
     allowed = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) and len(name) <= LONGEST and name not in KEYWORDS
     # Case is ignored, since some file systems ignore it.
     if not allowed or name.upper() in DEVICES or name.upper() == PLAIN.upper():
-        shown = name if len(name) <= LONGEST else f"{name[:LONGEST]}…"
+        beginning = name if len(name) <= LONGEST else f"{name[:LONGEST]}…"
         raise FiveBarError(
-            f"the name {shown!r} is not allowed: it must be a letter or _ followed by letters, digits or _ of ASCII, {LONGEST} at most, and "
+            f"the name {beginning!r} is not allowed: it must be a letter or _ followed by letters, digits or _ of ASCII, {LONGEST} at most, and "
             f"not a keyword of C, a device of Windows such as AUX or COM1, or {PLAIN}"
         )
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fivebar import events, extras, singularities, summary, table
+from fivebar import arguments, events, extras, singularities, summary, table
 from fivebar.drive import Run
 from fivebar.errors import FiveBarError
 from fivebar.scene import Scene
 from fivebar.singularities import Event
-from fivebar.variables import groups, similar
+from fivebar.variables import groups, shown, similar
 
 if TYPE_CHECKING:
     import pandas
@@ -68,6 +68,11 @@ class Result(dict[str, np.ndarray]):
 
     def __post_init__(self) -> None:
         self.update(self.own.columns)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if not isinstance(name, str):
+            raise TypeError(f"a column is chosen by its name, not by {shown(name)}")
+        return super().__getitem__(name)
 
     def __missing__(self, name: str) -> np.ndarray:
         raise KeyError(f"there is no column {name!r}{similar(name, self)}")
@@ -170,6 +175,7 @@ class Result(dict[str, np.ndarray]):
         [0.1, 0.2]
         """
         # Tolerance for round-off: times are multiples of the step, the arguments need not be.
+        begin, end = arguments.number("begin", begin), arguments.number("end", end)
         margin = 1e-9 * self.own.step_size
         runs = []
         for run in self.runs:
@@ -203,11 +209,11 @@ class Result(dict[str, np.ndarray]):
         """
         from fivebar import pictures
 
-        shown = names or SHOWN
-        for name in shown:
+        wanted = names or SHOWN
+        for name in arguments.names("names", wanted):
             if name not in self.own.columns:
                 raise FiveBarError(f"there is no column {name!r}{similar(name, self.own.columns)}")
-        return pictures.curves(self.own, shown)
+        return pictures.curves(self.own, wanted)
 
     def animate(self, file: str | Path | None = None) -> Path:
         """Writes a page that animates the mechanism in a browser. Without `file`, it is written to the temporary folder and opened."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fivebar import links, scene_file, shipped, tip_scenes
+from fivebar import arguments, links, scene_file, shipped, tip_scenes
 from fivebar.errors import FiveBarError, MachineWarning
 from fivebar.inputs import Inputs, sampled
 from fivebar.kinematics import Working
@@ -92,8 +92,8 @@ class Scene:
         return self.variants[0].values
 
     def __getitem__(self, name: str) -> Value:
-        """The value of a variable: that of the scene, or else the unit's start value."""
-        return self.values.get(name, self.start[name])
+        """The value of a variable: that of the scene, or else the unit's start value. Raises FiveBarError if the unit has no such start value."""
+        return self.values.get(name, self.start[self.variables.settable(name).name])
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -102,6 +102,7 @@ class Scene:
 
     def coarser(self, step_size: float, stop_time: float = math.inf) -> "Scene":
         """The scene up to `stop_time`, with as few of its own steps in one as last `step_size`."""
+        step_size, stop_time = scene_file.seconds("step_size", step_size), scene_file.seconds("stop_time", stop_time)
         stride = max(1, math.ceil(step_size / self.step_size - 1e-9))
         short = replace(self, stop_time=min(self.stop_time, stop_time), step_size=stride * self.step_size)
         rows = stride * np.arange(len(short.time))
@@ -146,7 +147,8 @@ class Scene:
         >>> short["link[1].mass"], short.stop_time, short.signals["tau[1]"][:2].tolist()
         (0.02, 0.5, [0.01, 0.01])
         """
-        given = {**(values or {}), **more} | ({} if method is None else {METHOD: method})
+        given = {**({} if values is None else arguments.values("values", values)), **more}
+        given |= {} if method is None else {METHOD: method}
         new = {name: self._settable(name).value(value) for name, value in given.items()}
         stop = self.stop_time if stop_time is None else scene_file.seconds("stop_time", stop_time)
         step = self.step_size if step_size is None else scene_file.seconds("step_size", step_size)

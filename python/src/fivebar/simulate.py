@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+from fivebar import arguments
 from fivebar import scene as scenes
 from fivebar.drive import Progress, Run, StartRefused, drive
 from fivebar.errors import FiveBarError, StepFailed
@@ -49,7 +50,7 @@ def run_by(
     runs: list[Run] = []
     refused = []
     known = ["time", *library.known.computed, *ready.signals]
-    wanted = [outputs] if isinstance(outputs, str) else list(outputs)
+    wanted = arguments.names("outputs", outputs)
     written = {"time", *chosen(wanted, known)} if wanted else set(known)
     read = written.union(chosen(READ, known))
     for variant in ready.variants if overlays else ready.variants[:1]:
@@ -73,5 +74,5 @@ def failed(result: Result) -> StepFailed | None:
 
 def check(on_failure: str) -> None:
     """Raises FiveBarError if `on_failure` has no allowed value."""
-    if on_failure not in ("raise", "return"):
+    if not isinstance(on_failure, str) or on_failure not in get_args(OnFailure):
         raise FiveBarError(f"'on_failure' must be one of raise, return, not {shown(on_failure)}")

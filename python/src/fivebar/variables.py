@@ -4,6 +4,7 @@ import difflib
 import json
 import math
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -62,16 +63,15 @@ class Variable:
     def value(self, given: Any) -> Value:
         """Checks a number, a Boolean or the name of an item, also of NumPy, and converts it to a value for calls."""
         given = given.item() if isinstance(given, np.generic) else given
-        is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
         if self.type == "Real":
             wanted = f"a number in {self.unit}{self._limits(self.least, self.most)}"
-            if is_number and self._within(float(given)):
+            if is_number(given) and self._within(float(given)):
                 return float(given)
         elif self.type == "Integer":
             least = INTEGERS[0] if self.least is None else int(self.least)
             most = INTEGERS[1] if self.most is None else int(self.most)
             wanted = f"a whole number{self._limits(least, most)}"
-            if is_number and isinstance(given, int) and least <= given <= most:
+            if is_number(given) and isinstance(given, int) and least <= given <= most:
                 return given
         elif self.type == "Boolean":
             wanted = "true or false"
@@ -86,9 +86,9 @@ class Variable:
     def number(self, given: Any) -> Value:
         """Converts a value of Python or NumPy to a value for calls. An enumeration may be a number; the unit checks bounds of Reals."""
         plain = given.item() if hasattr(given, "item") and getattr(given, "size", 1) == 1 else given
-        if self.type == "Real" and isinstance(plain, (int, float)) and not isinstance(plain, bool):
+        if self.type == "Real" and is_number(plain):
             return float(plain)
-        if self.type == "Enumeration" and plain in self.items.values() and not isinstance(plain, bool):
+        if self.type == "Enumeration" and is_number(plain) and plain in self.items.values():
             return int(plain)
         return self.value(plain)
 
@@ -214,9 +214,19 @@ def unit(variable: "ScalarVariable") -> str:
     return variable.unit or getattr(variable.declaredType, "unit", None) or "1"
 
 
+def is_number(given: Any) -> bool:
+    """Whether a value is an int or a float, and no Boolean; ints beyond all floats are none."""
+    is_whole = isinstance(given, int) and not isinstance(given, bool)
+    return isinstance(given, float) or is_whole and abs(given) <= sys.float_info.max
+
+
 def shown(value: Any) -> str:
-    """A JSON value for a message: one line of limited length."""
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
+    """A value for a message: JSON if it can be, in one line of limited length."""
+    try:
+        text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
+    except (TypeError, ValueError):
+        # Keys that JSON does not have, or a list that contains itself.
+        text = json.dumps(repr(value), ensure_ascii=False)
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 
@@ -246,5 +256,5 @@ def similar(name: str, known: Iterable[str]) -> str:
 
 def meant(name: str, known: Mapping[str, str]) -> str:
     """The end of a message about an unknown name: similar names, replaced by their values in `known`; "" if none is similar."""
-    near = difflib.get_close_matches(name, known, MOST_ALIKE)
+    near = difflib.get_close_matches(str(name), known, MOST_ALIKE)
     return f"; did you mean {' or '.join(repr(known[other]) for other in near)}?" if near else ""
