@@ -145,6 +145,24 @@ def test_clocks_that_restart_and_several_files_are_series(tmp_path: Path) -> Non
         assert each.time - each.time[0] == pytest.approx(GRID, abs=ROUND)
 
 
+def test_files_with_different_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a map all columns of all files are told, and what is missing or named otherwise in one of them."""
+    first = write_csv(tmp_path / "a.csv", "time,theta[1],theta[2],tau[1]", GRID, LEFT, RIGHT, 0 * GRID)
+    second = write_csv(tmp_path / "b.csv", "time,measured.theta[1],theta[2],tau[2]", GRID, LEFT, RIGHT, 0 * GRID)
+    imported(tmp_path, first, second)
+    printed = capsys.readouterr().out
+    for line in (
+        "  measured.theta[1] from theta[1]",
+        "  measured.theta[2] from theta[2]",
+        "  tau[1] from tau[1]",
+        "  tau[2] from tau[2]",
+        f"  {second} has measured.theta[1] in the column measured.theta[1]",
+        f"  {first} has no column for tau[2]",
+        f"  {second} has no column for tau[1]",
+    ):
+        assert f"{line}\n" in printed, line
+
+
 # --- bags -----------------------------------------------------------------------------------------------------------------------------
 
 

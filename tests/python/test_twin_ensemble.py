@@ -39,6 +39,21 @@ FALL = {"init.theta[2]": 2.0943951023931953}
 PLAN = Plan(values=FALL, seconds=0.5, points=10, seed=3, spreads={"theta[1]": 2e-3, "link[1,4].mass": 0.01})
 
 
+def test_bytes_of_a_unit_have_their_own_time(fmu: Path, tmp_path: Path) -> None:
+    """A member that keeps the stored state steps on from its time."""
+    library = Library(fmu)
+    with Unit.of(library) as unit:
+        unit.reset(**{"payload.enabled": True, "payload.mass": 0.1})
+        unit.step_to(0.25)
+        (tmp_path / "unit.state").write_bytes(unit.state().to_bytes())
+    library.close()
+    vary = ("payload.mass=5%",)
+    options = command.Options(2, "swing", tmp_path / "unit.state", vary, 0.05, 2, 0, 0, None, False, fmu, tmp_path)
+    _, plan, _ = command.plan_of(options)
+    assert plan.clock == 0.25
+    assert command.run(options) == 0
+
+
 def test_members_do_not_depend_on_others(fmu: Path) -> None:
     """A member is the same after others and alone, and its singularity is where the unit counts it."""
     library = Library(fmu)

@@ -145,12 +145,13 @@ def from_state(file: Path, library: Library, spread: dict[str, float] | None, co
 
 
 def of_state(
-    state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
+    state: bytes, clock: float | None, library: Library, spread: dict[str, float] | None, common: dict[str, Any]
 ) -> Plan:
-    """A plan that starts from a stored state."""
+    """A plan that starts from a stored state; without a clock its time is the one in the state."""
     unit = Unit.of(library)
     try:
         unit.restore(state, clock)
+        clock = unit.time
         values = everything(unit)
         if spread is None:
             spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {
@@ -163,14 +164,14 @@ def of_state(
     return Plan(values=values, spreads=spread, state=state, clock=clock, **common)
 
 
-def stored(file: Path) -> tuple[bytes, float]:
-    """Reads a stored state and its time: bytes of the unit, or JSON of the twin."""
+def stored(file: Path) -> tuple[bytes, float | None]:
+    """Reads a stored state and the twin's time of it: JSON of the twin, or bytes of the unit, which have their own time."""
     if not file.is_file():
         raise TwinError(f"there is no stored state at {file}")
     if file.stat().st_size > LARGEST_STATE:
         raise TwinError(f"{file} has more than {LARGEST_STATE} bytes")
     if file.suffix != ".json":
-        return file.read_bytes(), 0.0
+        return file.read_bytes(), None
     content = config.read_json(file)
     try:
         return base64.b64decode(content["state"], validate=True), float(content["clock"])

@@ -20,11 +20,14 @@ TOGETHER: Final = 0.25
 
 
 def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
-    """Reads a recording from files, each with one or more series; returns it and the map that was used. Raises FiveBarError."""
+    """Reads a recording from files, each with one or more series; returns it and the map that was used. Raises FiveBarError.
+
+    Without a map, files may name different variables: the map has those of all files, with the columns of the first file that has them.
+    """
     clocks, tables, notes, used, last = [], [], [], given, 0.0
     for file in files:
-        used = given if given.entries else _named(file, given)
-        clock, columns, own = _rows(file, used)
+        of_file = given if given.entries else _named(file, given)
+        clock, columns, own = _rows(file, of_file)
         known = clock[np.isfinite(clock)]
         if not len(known):
             raise FiveBarError(f"{file} has no row with a time")
@@ -33,6 +36,12 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
         last = clocks[-1][np.isfinite(clock)][-1]
         tables.append(columns)
         notes += own
+        notes += [
+            f"{file} has {name} in the column {entry.column}"
+            for name, entry in of_file.entries.items()
+            if used.entries.get(name, entry) != entry
+        ]
+        used = used.exchanged({name: entry for name, entry in of_file.entries.items() if name not in used.entries})
     names = [name for name in VARIABLES if any(name in columns for columns in tables)]
     joined = {
         name: np.concatenate(
@@ -40,6 +49,9 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
         )
         for name in names
     }
+    for file, columns in zip(files, tables, strict=True):
+        if missing := [name for name in names if name not in columns]:
+            notes.append(f"{file} has no column for {' and '.join(missing)}")
     source = " and ".join(str(file) for file in files)
     if not any(np.isfinite(joined[name]).any() for name in MEASURED if name in joined):
         raise FiveBarError(f"{source} has no number in the column of {MEASURED[0]} or {MEASURED[1]}")
