@@ -40,7 +40,7 @@ def completed(*words: str, fmu: Path | None = None, shell: str = "bash") -> list
 
 @pytest.mark.parametrize(
     "words",
-    [("run",), ("map",), ("path",), ("unit", "--scene"), ("twin", "--scene"), ("calibrate", "--scene"), ("validate", "--scene")],
+    [("run",), ("map",), ("path",), ("unit", "--scene"), ("twin", "--scene"), ("calibrate", "--scene"), ("validate", "--scene"), ("check",)],
     ids=" ".join,
 )  # fmt: skip
 def test_scenes(words: tuple[str, ...], fmu: Path) -> None:

@@ -606,7 +606,9 @@ def test_records_of_the_pipeline(tmp_path: Path) -> None:
     found = data.read(tmp_path, 0.0, 10.0)
     assert len(found.series) == 1 and found.period == pytest.approx(0.005)
     assert found.series[0].angles[:, 0].tolist() == pytest.approx([0.1 * k for k in range(30)])
-    assert found.notes == ["1 malformed messages left out", "1 doubled samples"]
+    malformed, doubled = found.notes
+    assert malformed.startswith("1 malformed messages left out, the first one because meas is not JSON: ")
+    assert doubled == "1 doubled samples"
 
 
 def test_a_machine_whose_clock_is_set_back_has_series_that_do_not_overlap(tmp_path: Path) -> None:

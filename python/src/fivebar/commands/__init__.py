@@ -16,6 +16,7 @@ import click
 
 from fivebar.commands import (
     calibrate,
+    check,
     ensemble,
     import_,
     load,
@@ -42,6 +43,7 @@ COMMANDS = (
     page.page,
     twin.twin,
     replay.replay,
+    check.check,
     import_.import_,
     validate.validate,
     calibrate.calibrate,

@@ -42,6 +42,18 @@ def learn() -> Decorator:
     )
 
 
+def remote() -> Decorator:
+    """How a process identifies itself to a broker, and the broker to it."""
+    user = click.option("--user", default="", help="At that broker; its password is read from FIVEBAR_PASSWORD.")
+    ca_file = click.option(
+        "--ca-file",
+        default="",
+        metavar="FILE",
+        help="Certificates for TLS with that broker; `system` for those of the system.",
+    )
+    return lambda command: user(ca_file(command))
+
+
 def exact() -> Decorator:
     """Whether a machine is as long as its twin believes."""
     return click.option(

@@ -27,13 +27,7 @@ from fivebar.commands import options
 @options.out("./twin/")
 @click.option("--unit", default="bench", show_default=True, help="What the machine is called in topics.")
 @click.option("--broker", metavar="HOST:PORT", help="Any MQTT broker, in the place of the one that comes along.")
-@click.option("--user", default="", help="At that broker; its password is read from FIVEBAR_PASSWORD.")
-@click.option(
-    "--ca-file",
-    default="",
-    metavar="FILE",
-    help="Certificates for TLS with that broker; `system` for those of the system.",
-)
+@options.remote()
 @click.option(
     "--machine",
     type=click.Choice(["stand-in", "none"]),

@@ -3,6 +3,7 @@
 import ipaddress
 import json
 import math
+import os
 import re
 import socket
 from dataclasses import asdict, dataclass, field, fields
@@ -185,6 +186,12 @@ def check_broker(broker: Broker) -> None:
         raise TwinError(
             f"broker {broker.host} is not on this machine: user, password and TLS (ca_file) are required there; not given: {', '.join(missing)}"
         )
+
+
+def other_broker(given: str, user: str, ca_file: str) -> Broker:
+    """The broker at HOST:PORT; its password is in the environment."""
+    host, port = host_and_port(given)
+    return Broker(host, port, False, user, os.environ.get("FIVEBAR_PASSWORD", ""), ca_file)
 
 
 def is_loopback(host: str) -> bool:

@@ -206,7 +206,7 @@ class Series(NamedTuple):
 def judge(config: Config, story: Story) -> HeldOut:
     """Judges the predictions in a run's record."""
     about = scene.read(Path(config.scene))
-    encoders = setup.encoders(config, about)
+    encoders = setup.encoders(config.machine, about.values)
     sigma, quantum = (np.array([encoders[f"estimator.{name}[{i}]"] for i in (1, 2)]) for name in ("sigma", "quantum"))
     found = HeldOut(noise=np.hypot(sigma, quantum / math.sqrt(12)))
     series = _series(story, np.array([about.offsets.get(name, 0.0) for name in OFFSETS]))

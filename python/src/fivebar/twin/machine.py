@@ -53,7 +53,7 @@ class StandIn:
         self.offsets = [float(secret.pop(name, 0.0)) for name in OFFSETS]
         """Encoder reading minus true angle, rad. The drives close their loops on the encoders, so that commands are encoder readings, too."""
 
-        self.encoders = setup.encoders(config, self.scene)
+        self.encoders = setup.encoders(config.machine, self.scene.values)
         values = self.scene.values | secret
         for i, offset in enumerate(self.offsets, 1):
             for name in (f"init.theta[{i}]", f"servo.theta[{i}]"):

@@ -81,6 +81,13 @@ def is_record(file: Path) -> bool:
         return False
 
 
+def is_of_twin(file: Path) -> bool:
+    """Whether a file or folder is a record of `fivebar twin`, not a table of numbers in Parquet."""
+    if file.is_dir():
+        return any(PART.fullmatch(path.name) for path in file.iterdir())
+    return is_record(file) and set(SCHEMA.names) <= set(_file(file).schema_arrow.names)
+
+
 def parts(record: Path) -> list[Path]:
     """The files of a record in order: the file itself, or the parts in the folder that no joined part replaces."""
     if record.is_file():

@@ -38,8 +38,20 @@ GIVEN: Final = "the record"
 SLOW: Final = 0.5
 """Limit of a plausible sampling period, s: machines are sampled faster, and times in ms look slower."""
 
+MOST_DEGREES: Final = 720.0
+"""Whole numbers beyond two turns in degrees are counts of an encoder."""
+
 SHOWN: Final = 8
 """Maximum number of other columns named in a note."""
+
+
+class WrongUnit(TwinError):
+    """Numbers that look like another unit than the expected one."""
+
+    def __init__(self, source: str | Path, question: str, name: str, unit: str):
+        super().__init__(f"{source}: {question}")
+        self.question, self.name, self.unit = question, name, unit
+        """The question, the variable (or `TIME`) and the probable unit as a map writes it."""
 
 
 @dataclass(frozen=True)
@@ -159,15 +171,21 @@ def of(source: str | Path, clock: Array, columns: dict[str, Array], notes: list[
 
 
 def _check_units(given: Recording) -> None:
-    """Raises `TwinError` for times that look like milliseconds and angles that look like degrees."""
+    """Raises `WrongUnit` for times that look like milliseconds and angles that look like degrees."""
     if unit := units.of_long_step(given.period, SLOW):
-        raise TwinError(f"{given.source}: {units.asks_by_step(given.period, f'less than {SLOW:g} s', unit)}")
+        question = units.asks_by_step(given.period, f"less than {SLOW:g} s", units.SHORTER[unit][0])
+        raise WrongUnit(given.source, question, TIME, unit)
     for name, column in given.columns.items():
-        known = np.abs(column[np.isfinite(column)])
-        if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * np.pi:
-            raise TwinError(
-                f"{given.source}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
-                "(Whole turns may be left out.)"
+        known = column[np.isfinite(column)]
+        if "theta" in name and len(known) and float(np.quantile(np.abs(known), 0.05)) > 2 * np.pi:
+            is_counted = bool(np.all(known == np.round(known))) and float(np.max(np.abs(known))) > MOST_DEGREES
+            unit, plural = ("counts", "counts of an encoder") if is_counted else ("deg", "degrees")
+            raise WrongUnit(
+                given.source,
+                f"{name} is from {known.min():g} to {known.max():g} rad, beyond a turn nearly always: are these {plural}? "
+                "(Whole turns may be left out.)",
+                name,
+                unit,
             )
 
 

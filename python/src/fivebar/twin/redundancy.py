@@ -158,6 +158,9 @@ class Verdict:
     passive: tuple[Passive, Passive] | None
     """Left and right distal link, if both are recorded and fit."""
 
+    beyond: float
+    """Share of the samples beyond the reach of the machine, by the chosen assignment and its zeros."""
+
     @property
     def chosen(self) -> Assignment:
         """The proposed assignment: the assignment of the map, if it is possible."""
@@ -189,8 +192,9 @@ def weigh(given: Recording, scene: Scene, relative: tuple[bool, bool] = (False, 
         fit = each.fits[order[0]]
         better = (fit.sigma < SURE) & ~np.isfinite(sigma)
         zeros, sigma = np.where(better, fit.zeros, zeros), np.where(better, fit.sigma, sigma)
-    passive = loop.legs(ASSIGNMENTS[order[0]], zeros) if loop.passive is not None and evidence[0].is_believed else None
-    return Verdict(tuple(evidence), order, zeros, sigma, passive)
+    chosen = ASSIGNMENTS[order[0]]
+    passive = loop.legs(chosen, zeros) if loop.passive is not None and evidence[0].is_believed else None
+    return Verdict(tuple(evidence), order, zeros, sigma, passive, loop.beyond(chosen.angles(loop.encoders) + zeros))
 
 
 class _Loop:
@@ -244,6 +248,10 @@ class _Loop:
             found = self.machine.forward(motors[closes], self.side)
             theta[closes], tip[closes] = found.theta, found.tip
         return closes, theta, tip
+
+    def beyond(self, motors: Array) -> float:
+        """Share of the samples for which the loop does not close."""
+        return 1 - float(np.mean(self.postures(motors)[0]))
 
     def longer(self) -> "list[_Loop]":
         """Loops in which one length is increased by its standard deviation, one loop for each length."""
@@ -300,7 +308,7 @@ class _Loop:
 
     def reach(self) -> Evidence:
         """Evidence from the reach: the misfit is the share of samples for which the loop does not close with the zeros of the map."""
-        shares = [1 - float(np.mean(self.postures(each.angles(self.encoders))[0])) for each in ASSIGNMENTS]
+        shares = [self.beyond(each.angles(self.encoders)) for each in ASSIGNMENTS]
         untold = np.zeros(2), np.full(2, np.inf)
         return Evidence(
             "the reach of the machine",

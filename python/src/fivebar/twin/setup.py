@@ -1,14 +1,16 @@
 """Setup of a twin, which determines its estimates: the unit, its start values, the plan of the drives, the sampling period."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from fivebar.library import Library
-from fivebar.twin.config import Config
+from fivebar.twin.config import Config, Machine
 from fivebar.twin.errors import TwinError
 from fivebar.twin.messages import Message
 from fivebar.twin.scene import Scene, parse
+from fivebar.variables import Value
 
 CORRECTOR: Final[dict[str, float | int | bool]] = {"estimator.enabled": True}
 """Start values for a unit that follows a machine."""
@@ -71,21 +73,20 @@ class Setup:
         return Message("setup", unit, time, 0, {}, content)
 
 
-def encoders(config: Config, scene: Scene) -> dict[str, float]:
-    """Resolution and noise of the encoders, rad, by start value: from the scene, else from the configuration."""
-    machine = config.machine
+def encoders(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
+    """Resolution and noise of the encoders, rad, by start value: from the scene's values, else from the configuration."""
     names = {
         f"estimator.{name}[{i}]": value
         for i in (1, 2)
         for name, value in (("quantum", machine.quantum), ("sigma", machine.sigma))
     }
-    return {name: float(scene.values.get(name, value)) for name, value in names.items()}
+    return {name: float(values.get(name, value)) for name, value in names.items()}
 
 
 def of_run(config: Config, scene: Scene, guid: str) -> Setup:
     """The setup of a configured twin."""
     own = {name: value for name, value in scene.values.items() if name != "solver.method"}
-    values = MOTION | own | CORRECTOR | encoders(config, scene) | {"estimator.horizon": config.horizon}
+    values = MOTION | own | CORRECTOR | encoders(config.machine, scene.values) | {"estimator.horizon": config.horizon}
     values |= config.twin
     step = values.get("solver.stepSize", 1e-3)
     return Setup(guid, scene, values, config.period, float(step), config.horizon)

@@ -356,10 +356,8 @@ def configure(options: Options, folder: Path) -> Config:
         raise TwinError(
             f"faults are {options.faults!r:.60}, but with --machine none nothing is sent that could have them"
         )
-    password = os.environ.get("FIVEBAR_PASSWORD", "")
     if options.broker:
-        host, port = configuration.host_and_port(options.broker)
-        broker = Broker(host, port, False, options.user, password, options.ca_file)
+        broker = configuration.other_broker(options.broker, options.user, options.ca_file)
     else:
         broker = Broker("127.0.0.1", free_port(), True)
     library = Library(options.fmu)

@@ -15,6 +15,9 @@ class Unit(NamedTuple):
 
 LONGER: Final = (Unit("microseconds", 10**3), Unit("milliseconds", 10**6), Unit("seconds", 10**9))
 
+SHORTER: Final = {"ms": ("milliseconds", 1e-3), "us": ("microseconds", 1e-6), "ns": ("nanoseconds", 1e-9)}
+"""Units shorter than s as a map writes them: their names, and s in them."""
+
 
 def of_time(time: float, first: float = FIRST, last: float = LAST) -> Unit | None:
     """The unit longer than ns in which a number is a time from `first` to `last`, ns; None if there is none."""
@@ -30,10 +33,10 @@ def of_step(step: float, period: float) -> Unit | None:
 
 
 def of_long_step(step: float, longest: float) -> str:
-    """The units shorter than s of times that increase by `longest` or more per sample, s; "" if they are in s."""
+    """The longest unit, a key of `SHORTER`, in which times that increase by `step` per sample stay below `longest` s; "" if they are in s."""
     if step < longest:
         return ""
-    return "milliseconds" if step < 1000 * longest else "microseconds or nanoseconds"
+    return next((name for name, (_, factor) in SHORTER.items() if factor * step < longest), "ns")
 
 
 def asks_by_time(what: str, time: float, unit: Unit) -> str:

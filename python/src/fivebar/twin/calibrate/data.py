@@ -1,7 +1,7 @@
 """Measured series: encoder angles and drive commands, from a record (Parquet) or a table (CSV)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +13,7 @@ from fivebar.library import Library
 from fivebar.scene_file import OFFSETS
 from fivebar.twin import record, recording, turn
 from fivebar.twin.errors import Refused, TwinError
-from fivebar.twin.messages import INPUTS, MEASURED, decode
+from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, decode
 from fivebar.twin.recording import Array
 from fivebar.variables import Value
 
@@ -74,7 +74,7 @@ def read(source: Any, begin: float, seconds: float, unit: str = "") -> Data:
     if not isinstance(source, Path):
         given = recording.of_columns(source)
     else:
-        given = _record(source, unit) if record.is_record(source) else recording.read(source)
+        given = of_record(source, unit) if record.is_record(source) else recording.read(source)
     first, last = np.searchsorted(given.time, begin), np.searchsorted(given.time, begin + seconds, side="right")
     if first == last:
         raise TwinError(
@@ -173,20 +173,26 @@ def _middle(angles: Array | list[float]) -> float:
     return float(np.median(angles)) if len(angles) else math.nan
 
 
-def _record(file: Path, unit: str) -> recording.Recording:
-    """Reads samples in the order of their numbers. Repeated samples are used once; invalid rows are counted."""
+def of_record(file: Path, unit: str) -> recording.Recording:
+    """The samples of a record of `fivebar twin`."""
+    return of_messages(file, ((row.topic, row.payload) for row in record.rows(file)), unit)
+
+
+def of_messages(source: str | Path, received: Iterable[tuple[str, bytes]], unit: str) -> recording.Recording:
+    """The samples among messages (topic and payload), in the order of their numbers. Repeated samples are used once; invalid ones are counted."""
     found: dict[int, tuple[int, dict[str, float]]] = {}
     refused = doubled = restarts = 0
     units: set[str] = set()
     base, highest = 0, -1
-    for row in record.rows(file):
-        of, _, kind = row.topic.removeprefix("fivebar/").partition("/")
+    reason = ""
+    for topic, payload in received:
+        of, _, kind = topic.removeprefix("fivebar/").partition("/")
         if kind != "meas" or (unit and of != unit):
             continue
         try:
-            message = decode(row.topic, row.payload)
-        except Refused:
-            refused += 1
+            message = decode(topic, payload)
+        except Refused as error:
+            refused, reason = refused + 1, reason or str(error)
             continue
         units.add(of)
         if message.seq < highest - 1000:
@@ -198,20 +204,21 @@ def _record(file: Path, unit: str) -> recording.Recording:
         else:
             found[base + message.seq] = message.time, message.fields
     if len(units) > 1:
-        raise TwinError(f"{file} has samples of {', '.join(sorted(units))}: say which by --unit")
+        raise TwinError(f"{source} has samples of {', '.join(sorted(units))}: say which by --unit")
     if not found:
-        raise TwinError(f"{file} has no message meas" + (f" of unit {unit!r}" if unit else ""))
+        why = f"; {refused} are malformed: {reason}" if refused else ""
+        raise TwinError(f"{source} has no message meas" + (f" of unit {unit!r}" if unit else "") + why)
     numbers = sorted(found)
     time = 1e-9 * np.array([found[number][0] - found[numbers[0]][0] for number in numbers])
     rows = [found[number][1] for number in numbers]
-    table = {name: np.array([row.get(name, np.nan) for row in rows]) for name in (*MEASURED, *INPUTS)}
+    table = {name: np.array([row.get(name, np.nan) for row in rows]) for name in MEAS_FIELDS}
     notes = [
         f"{count} {what}"
         for count, what in (
-            (refused, "malformed messages left out"),
+            (refused, f"malformed messages left out, the first one because {reason}"),
             (doubled, "doubled samples"),
             (restarts, "restarts of the machine"),
         )
         if count
     ]
-    return recording.of(file, time, table, notes)
+    return recording.of(source, time, table, notes)

@@ -26,7 +26,7 @@ def recorded(files: Sequence[Path], given: Map) -> tuple[Recording, Map]:
     """
     clocks, tables, notes, used, last = [], [], [], given, 0.0
     for file in files:
-        of_file = given if given.entries else _named(file, given)
+        of_file = given if given.entries else named(file, given)
         clock, columns, own = _rows(file, of_file)
         known = clock[np.isfinite(clock)]
         if not len(known):
@@ -65,7 +65,7 @@ def write(given: Recording, file: Path) -> None:
     table.write_columns(file, {TIME: given.time - given.time[first], **given.columns})
 
 
-def _named(file: Path, given: Map) -> Map:
+def named(file: Path, given: Map) -> Map:
     """The map of a table in which columns are named as the variables."""
     columns = sources.names(file, given.time.column)
     others = {name.removeprefix("measured."): name for name in MEASURED}

@@ -107,6 +107,12 @@ class Map:
         lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(entry)}" for name, entry in self.content().items())
         return "{\n" + lines + "\n}"
 
+    def in_unit(self, name: str, unit: str) -> "Map":
+        """A copy in which the column of a variable, or of the time, is in another unit."""
+        if name == TIME:
+            return replace(self, time=replace(self.time, unit=unit))
+        return self.exchanged({name: replace(self.entries[name], unit=unit)})
+
     def exchanged(self, entries: Mapping[str, Entry]) -> "Map":
         """A copy with other entries for some variables."""
         return replace(self, entries={**self.entries, **entries})

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fivebar.twin.messages import MEASURED
+from fivebar.twin.messages import MEASURED, SERVOS
 from fivebar.twin.recording import Array, Recording
 
 WINDOW: Final = 50
@@ -17,6 +17,12 @@ THIRD: Final = 20.0
 
 FEWEST: Final = 8
 """Minimum number of differences to identify the resolution; fewer may be multiples of a step by chance."""
+
+EVEN: Final = 0.2
+"""Deviation from the median step up to which samples are even, relative to the step."""
+
+STILL: Final = 20
+"""Minimum number of equal readings of an encoder that stands still."""
 
 LOST: Final = 1.5
 """A longer distance than this number of median steps means a missing sample."""
@@ -54,10 +60,17 @@ class Quality:
         rate = f"{1 / self.period:.4g} Hz, jitter {1e3 * self.jitter:.3g} ms" if self.period else "one sample"
         return f"{self.name}: {self.samples} samples, {rate}, {lost}; {step}, {noise}"
 
+    def settings(self) -> dict[str, float]:
+        """Values for a scene about the encoder."""
+        i = self.name[-3:]
+        return {
+            f"estimator.quantum{i}": float(f"{self.step:.6g}"),
+            f"estimator.sigma{i}": float(f"{self.noise:.3g}"),
+        }
+
     def lines(self) -> str:
         """Lines for a scene about the encoder."""
-        i = self.name[-3:]
-        return f'"estimator.quantum{i}": {self.step:.6g}, "estimator.sigma{i}": {self.noise:.3g}'
+        return ", ".join(f'"{name}": {value:g}' for name, value in self.settings().items())
 
 
 def measure(given: Recording) -> list[Quality]:
@@ -94,6 +107,47 @@ def _of(given: Recording, name: str) -> Quality:
     )
 
 
+@dataclass(frozen=True)
+class Still:
+    """Equal readings of an encoder while the other one moves."""
+
+    begin: float
+    """s."""
+
+    end: float
+    reading: float
+    """rad."""
+
+    other: float
+    """Motion of the other encoder, rad."""
+
+    commanded: float
+    """Motion of the encoder's own command, rad; 0 without commands."""
+
+    is_all: bool
+    """Whether it has no other reading in the whole record."""
+
+
+def find_still(given: Recording, i: int) -> Still | None:
+    """The equal readings of encoder `i` during which the other one moves most; None without any."""
+    own, other = given.columns[MEASURED[i]], given.columns[MEASURED[1 - i]]
+    rows = np.flatnonzero(np.isfinite(own) & np.isfinite(other))
+    ends = [0, *(np.flatnonzero(np.diff(own[rows]) != 0) + 1).tolist(), len(rows)]
+    runs = [rows[a:b] for a, b in pairwise(ends) if b - a >= STILL]
+    if not runs:
+        return None
+    run = max(runs, key=lambda run: float(np.ptp(other[run])))
+    command = given.columns.get(SERVOS[i], np.zeros(len(own)))
+    return Still(
+        float(given.time[run[0]]),
+        float(given.time[run[-1]]),
+        float(own[run[0]]),
+        float(np.ptp(other[run])),
+        float(np.ptp(command[run])),
+        len(run) == len(rows),
+    )
+
+
 def find_step(values: Array) -> float:
     """The largest step such that all differences of the values are multiples of it; 0 if there is none."""
     # If the numbers were written by a program with float32, differences below its resolution count as equal.
@@ -115,7 +169,7 @@ def find_noise(series: list[tuple[Array, Array]], period: float, step: float) ->
     """Standard deviation of white noise, rad, from third differences, because the motion itself contributes almost nothing to them."""
     found = []
     for time, angles in series:
-        even = np.abs(np.diff(time) - period) < 0.2 * period
+        even = np.abs(np.diff(time) - period) < EVEN * period
         third = np.diff(angles, 3)[even[:-2] & even[1:-1] & even[2:]] ** 2 / THIRD if len(angles) > 3 else np.empty(0)
         moved = np.abs(np.diff(angles))[: len(third)]
         for k in range(0, len(third) - WINDOW + 1, WINDOW):

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from fivebar import extras, table
 from fivebar.errors import FiveBarError
-from fivebar.twin.record import SCHEMA, is_record
+from fivebar.twin.record import is_of_twin, is_record
 from fivebar.twin.recording import TIME, Array
 
 BAGS: Final = (".db3", ".mcap", ".bag")
@@ -76,9 +76,9 @@ def _table(file: Path, wanted: Collection[str], clock: str) -> table.Table:
     if file.is_dir():
         raise FiveBarError(f"{file} is a folder: a table, or a bag of ROS with its metadata.yaml, is expected")
     try:
-        known = pq.read_schema(file).names
-        if set(SCHEMA.names) <= set(known):
+        if is_of_twin(file):
             raise FiveBarError(f"{file} is a record of `fivebar twin`, which needs no import")
+        known = pq.read_schema(file).names
         content = pq.read_table(file, columns=[name for name in known if name in {clock, *wanted}])
     except (OSError, pa.ArrowException) as error:
         raise FiveBarError(f"{file} is not a file of Parquet: {str(error)[:120]}") from None
