@@ -18,10 +18,7 @@
 use super::finite_motion::{FiniteMotion, end_weight};
 use super::force_law::{ForceLaw, Properties};
 use super::wrench::{FrictionElement, FrictionElements, Matrix, Motion, Planar, Slopes, Wrench, dot};
-use crate::hybrid::{
-    CONTACT, FRICTION_PLACES, FrictionPlace, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralGuard, UnilateralGuards,
-    UnilateralSpring,
-};
+use crate::hybrid::{FRICTION_PLACES, FrictionPlace, Kink, Kinks, Law, MeanReaction, Mode, TIP_FRICTION, UnilateralSpring};
 use crate::mechanism::{LINKS, Mechanism, SceneError};
 
 /// The `contact.*` variables.
@@ -88,11 +85,11 @@ impl Contact {
         Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, law: parameters.law, arms })
     }
 
-    /// Unilateral spring of the plane, with penetration d, m, and its rate ḋ, m/s.
-    fn guard(&self, at: &Motion) -> UnilateralGuard<'_> {
-        let depth = self.offset - dot(self.normal, at.position);
+    /// Kink of the plane, with the penetration d as its quantity.
+    fn kink(&self, at: &Motion) -> Kink<'_, UnilateralSpring> {
+        let x = self.offset - dot(self.normal, at.position);
         let rate = -dot(self.normal, at.velocity);
-        UnilateralGuard { place: CONTACT, spring: &self.spring, depth, rate, arms: &self.arms }
+        Kink { place: Self::KINKS.start, law: &self.spring, x, rate, arms: &self.arms }
     }
 
     /// Tangential velocity v_t of the tip, m/s.
@@ -162,23 +159,23 @@ impl ForceLaw for Contact {
     }
 
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
-        let (guard, mode) = (self.guard(at), &at.joints.mode);
-        if guard.is_idle(mode) {
+        let (kink, mode) = (self.kink(at), &at.joints.mode);
+        if kink.is_idle(mode) {
             return [0.0; 2];
         }
-        let (normal, slip) = (guard.force(mode), self.slip(at));
+        let (normal, slip) = (kink.force(mode), self.slip(at));
         let friction_ratio = self.friction_ratio(mode, slip);
         *wrench = wrench.plus(normal, &Wrench::of_tip(self.direction(friction_ratio)));
-        [0.0, guard.dissipation(mode) + normal * self.mu * friction_ratio * slip]
+        [0.0, kink.dissipation(mode) + normal * self.mu * friction_ratio * slip]
     }
 
     fn add_slopes(&self, at: &Motion, slopes: &mut Slopes) {
-        let (guard, mode) = (self.guard(at), &at.joints.mode);
-        if guard.is_idle(mode) {
+        let (kink, mode) = (self.kink(at), &at.joints.mode);
+        if kink.is_idle(mode) {
             return;
         }
-        let (normal_force, slip) = (guard.force(mode), self.slip(at));
-        let [by_depth, by_rate] = guard.slopes(mode);
+        let (normal_force, slip) = (kink.force(mode), self.slip(at));
+        let [by_depth, by_rate] = kink.slopes(mode);
         let friction_ratio = self.friction_ratio(mode, slip);
         let by_slip = match self.law {
             Law::Smooth => self.mu * normal_force * (1.0 - friction_ratio * friction_ratio) / self.slip_velocity,
@@ -210,17 +207,17 @@ impl ForceLaw for Contact {
     }
 
     fn potential(&self, at: &Motion) -> f64 {
-        self.guard(at).potential(&at.joints.mode)
+        self.kink(at).potential(&at.joints.mode)
     }
 
-    fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {
-        guards.push(self.guard(at));
+    fn add_kinks<'a>(&'a self, at: &Motion, kinks: &mut Kinks<'a>) {
+        kinks.push(self.kink(at).erased());
     }
 
     fn add_friction(&self, at: &Motion, elements: &mut FrictionElements) {
-        let (guard, mode) = (self.guard(at), &at.joints.mode);
-        if self.may_stick() && guard.phase(mode).pushes() {
-            let (rate, bound) = (self.slip(at), self.mu * guard.force(mode));
+        let (kink, mode) = (self.kink(at), &at.joints.mode);
+        if self.may_stick() && kink.pushes(mode) {
+            let (rate, bound) = (self.slip(at), self.mu * kink.force(mode));
             let place = FrictionPlace { place: TIP_FRICTION, rate, bound, arms: self.arms };
             elements.push(FrictionElement { at: place, wrench: Wrench::of_tip(self.tangent()) });
         }

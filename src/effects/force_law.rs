@@ -7,7 +7,7 @@
 use super::Inputs;
 use super::finite_motion::FiniteMotion;
 use super::wrench::{FrictionElements, JOINTS, JointMotion, Motion, Slopes, Wrench};
-use crate::hybrid::UnilateralGuards;
+use crate::hybrid::Kinks;
 
 /// Account of the energy balance for the power of a joint law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,8 +44,6 @@ pub struct Properties {
     pub sharp: bool,
     /// Range of joint rates over which smooth friction reverses its direction, rad/s; infinite if there is no such force.
     pub regularization_velocity: f64,
-    /// Whether the effect has unilateral springs, which methods can locate by their guards.
-    pub may_make_contact: bool,
     /// Whether friction of the effect can stick: only with its set-valued law.
     pub may_stick: bool,
 }
@@ -59,14 +57,13 @@ impl Properties {
             stiff: false,
             sharp: false,
             regularization_velocity: f64::INFINITY,
-            may_make_contact: false,
             may_stick: false,
         }
     }
 
     /// Properties of unilateral springs, which are stiff.
     pub(super) const fn contact(conservative: bool) -> Self {
-        Self { conservative, stiff: true, may_make_contact: true, ..Self::smooth(PowerFlow::Stored) }
+        Self { conservative, stiff: true, ..Self::smooth(PowerFlow::Stored) }
     }
 }
 
@@ -134,8 +131,8 @@ pub trait ForceLaw {
         }
     }
 
-    /// Adds the unilateral springs of the effect, with their guard values.
-    fn add_guards<'a>(&'a self, _at: &Motion, _guards: &mut UnilateralGuards<'a>) {}
+    /// Adds all kinks of the effect, with the indices that the list in `effects/mod.rs` gives them.
+    fn add_kinks<'a>(&'a self, _at: &Motion, _kinks: &mut Kinks<'a>) {}
 
     /// Adds the active friction places of the effect.
     fn add_friction(&self, _at: &Motion, _elements: &mut FrictionElements) {}

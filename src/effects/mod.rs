@@ -20,16 +20,18 @@ pub use wrench::{
     Slopes, Wrench, across_joints, dot, times,
 };
 
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 
 use arrayvec::ArrayVec;
 
+use crate::hybrid::KINKS;
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
 
 /// Declares the effects in three groups: effects that only add masses, which are constant in M; effects with a constant force; and effects
-/// with a force that depends on the motion, in the order of their evaluation.
+/// with a force that depends on the motion, in the order of their evaluation. A force with kinks has their indices in the mode, which are
+/// also those of its event indicators and stay when effects are added.
 macro_rules! effects {
-    (masses: $($mass:ident),+; weights: $($weight:ident),+; forces: $($force:ident: $Force:ident),+;) => {
+    (masses: $($mass:ident),+; weights: $($weight:ident),+; forces: $($force:ident: $Force:ident $(with kinks $kinks:expr)?),+;) => {
         $(pub mod $mass;)+
         $(pub mod $weight;)+
         $(pub mod $force;)+
@@ -67,6 +69,16 @@ macro_rules! effects {
                 all.into_iter().filter_map(|(name, enabled)| enabled.then_some(name)).collect()
             }
 
+            /// Switch of an effect by its name; `None` if no effect has this name.
+            pub fn switch(&mut self, name: &str) -> Option<&mut bool> {
+                match name {
+                    $(stringify!($mass) => Some(&mut self.$mass.enabled),)+
+                    $(stringify!($weight) => Some(&mut self.$weight.enabled),)+
+                    $(stringify!($force) => Some(&mut self.$force.enabled),)+
+                    _ => None,
+                }
+            }
+
             /// The geometry with the masses, kg, and inertias, kg·m², that the enabled effects add.
             pub fn with_added_masses(&self, geometry: &Geometry) -> Geometry {
                 let mut with_added_masses = *geometry;
@@ -90,6 +102,22 @@ macro_rules! effects {
             }
         }
 
+        $($(
+            impl $Force {
+                /// Indices of its kinks.
+                pub(super) const KINKS: Range<usize> = $kinks;
+            }
+        )?)+
+
+        const _: () = check_kinks(&[$($($kinks,)?)+]);
+
+        impl Effect {
+            /// Whether the force has kinks.
+            pub fn has_kinks(&self) -> bool {
+                match self { $(Self::$Force(_) => !<[Range<usize>]>::is_empty(&[$($kinks)?]),)+ }
+            }
+        }
+
         /// Effects are used through their force law.
         impl Deref for Effect {
             type Target = dyn ForceLaw;
@@ -101,6 +129,21 @@ macro_rules! effects {
     };
 }
 
+/// Refuses to compile kinks that do not take each index of the mode exactly once.
+const fn check_kinks(of_effects: &[Range<usize>]) {
+    let (mut taken, mut effect, mut count) = ([false; KINKS], 0, 0);
+    while effect < of_effects.len() {
+        let mut index = of_effects[effect].start;
+        while index < of_effects[effect].end {
+            assert!(index < KINKS, "effects! has more kinks than KINKS in src/hybrid/mode.rs");
+            assert!(!taken[index], "two effects have kinks with the same index");
+            (taken[index], count, index) = (true, count + 1, index + 1);
+        }
+        effect += 1;
+    }
+    assert!(count == KINKS, "KINKS in src/hybrid/mode.rs is more than the kinks of effects!");
+}
+
 /// Enabled effects with a force that depends on the motion. The array is stored in place, so that changing a parameter during a run
 /// allocates nothing.
 pub type Active = ArrayVec<Effect, FORCES>;
@@ -108,5 +151,5 @@ pub type Active = ArrayVec<Effect, FORCES>;
 effects! {
     masses: rotor, payload;
     weights: gravity;
-    forces: viscous: Viscous, friction: Friction, spring: Spring, stop: Stop, contact: Contact, servo: Servo;
+    forces: viscous: Viscous, friction: Friction, spring: Spring, stop: Stop with kinks 1..5, contact: Contact with kinks 0..1, servo: Servo;
 }

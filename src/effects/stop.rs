@@ -8,7 +8,7 @@
 use super::finite_motion::FiniteMotion;
 use super::force_law::{ForceLaw, Properties};
 use super::wrench::{JOINT_ARMS, MOTOR_ANGLES, Motion, Slopes, Wrench};
-use crate::hybrid::{MeanReaction, STOPS, UnilateralGuard, UnilateralGuards, UnilateralSpring};
+use crate::hybrid::{Kink, Kinks, MeanReaction, UnilateralSpring};
 use crate::mechanism::{Mechanism, SceneError};
 
 /// The `stop.*` variables.
@@ -56,28 +56,25 @@ impl Stop {
         Ok(Self { lower, upper, spring: UnilateralSpring { stiffness: k, damping: d, width } })
     }
 
-    /// Unilateral springs of a motor's lower and upper stop.
-    fn guards_of(&self, at: &Motion, motor: usize) -> [UnilateralGuard<'_>; 2] {
+    /// Kinks of a motor's lower and upper stop, with the penetration as their quantity.
+    fn kinks_of(&self, at: &Motion, motor: usize) -> [Kink<'_, UnilateralSpring>; 2] {
         let (angle, rate) = (at.joints.angles[motor], at.joints.rates[MOTOR_ANGLES[motor]]);
         let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
-        [0, 1].map(|i| {
-            let rate = DIRECTIONS[i] * rate;
-            UnilateralGuard {
-                place: STOPS[motor][i],
-                spring: &self.spring,
-                depth: depths[i],
-                rate,
-                arms: &JOINT_ARMS[MOTOR_ANGLES[motor]],
-            }
+        [0, 1].map(|i| Kink {
+            place: Self::KINKS.start + 2 * motor + i,
+            law: &self.spring,
+            x: depths[i],
+            rate: DIRECTIONS[i] * rate,
+            arms: &JOINT_ARMS[MOTOR_ANGLES[motor]],
         })
     }
 
-    /// Visits the active stops with their joint, the direction of its axis into the stop, and the unilateral spring.
-    fn for_each_guard(&self, at: &Motion, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
+    /// Visits the active stops with their joint, the direction of its axis into the stop, and the kink.
+    fn for_each_active(&self, at: &Motion, mut visit: impl FnMut(usize, f64, &Kink<'_, UnilateralSpring>)) {
         for (motor, joint) in MOTOR_ANGLES.into_iter().enumerate() {
-            for (direction, guard) in DIRECTIONS.into_iter().zip(self.guards_of(at, motor)) {
-                if !guard.is_idle(&at.joints.mode) {
-                    visit(joint, direction, &guard);
+            for (direction, kink) in DIRECTIONS.into_iter().zip(self.kinks_of(at, motor)) {
+                if !kink.is_idle(&at.joints.mode) {
+                    visit(joint, direction, &kink);
                 }
             }
         }
@@ -102,16 +99,16 @@ impl ForceLaw for Stop {
 
     fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
         let (mode, mut dissipated) = (&at.joints.mode, 0.0);
-        self.for_each_guard(at, |joint, direction, guard| {
-            wrench.torques[joint] -= direction * guard.force(mode);
-            dissipated += guard.dissipation(mode);
+        self.for_each_active(at, |joint, direction, kink| {
+            wrench.torques[joint] -= direction * kink.force(mode);
+            dissipated += kink.dissipation(mode);
         });
         [0.0, dissipated]
     }
 
     fn add_slopes(&self, at: &Motion, slopes: &mut Slopes) {
-        self.for_each_guard(at, |joint, _, guard| {
-            let [stiffness, damping] = guard.slopes(&at.joints.mode);
+        self.for_each_active(at, |joint, _, kink| {
+            let [stiffness, damping] = kink.slopes(&at.joints.mode);
             slopes.joints[joint][0] += stiffness;
             slopes.joints[joint][1] += damping;
         });
@@ -133,10 +130,10 @@ impl ForceLaw for Stop {
     }
 
     fn potential(&self, at: &Motion) -> f64 {
-        (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(&at.joints.mode)).sum()
+        (0..2).flat_map(|motor| self.kinks_of(at, motor)).map(|kink| kink.potential(&at.joints.mode)).sum()
     }
 
-    fn add_guards<'a>(&'a self, at: &Motion, guards: &mut UnilateralGuards<'a>) {
-        guards.extend((0..2).flat_map(|motor| self.guards_of(at, motor)));
+    fn add_kinks<'a>(&'a self, at: &Motion, kinks: &mut Kinks<'a>) {
+        kinks.extend((0..2).flat_map(|motor| self.kinks_of(at, motor)).map(Kink::erased));
     }
 }

@@ -8,8 +8,6 @@
 //! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
 //! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so at most two independent places stick, and then
 //! nothing moves.
-//! |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001). The minimiser
-//! is unique. The mechanism has two degrees of freedom, so at most two independent places stick, and then nothing moves.
 
 use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector};

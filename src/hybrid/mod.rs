@@ -1,19 +1,21 @@
-//! Discontinuous forces: one discrete state, the mode; unilateral springs and their phases; friction that sticks and slips; and the guards
+//! Discontinuous forces: one discrete state, the mode; force laws with kinks, and unilateral springs among them; friction that sticks and slips; and the guards
 //! at which the mode ends, which `integrator/locator.rs` finds.
 //!
 //! Invariant: uses the methods only through their interface [`crate::integrator::System`], and knows no effect.
 
 pub mod friction;
 mod guards;
+pub mod kink;
 mod mode;
 pub mod unilateral;
 
 pub use friction::{
     FrictionConstraint, FrictionConstraints, FrictionGuard, FrictionGuards, FrictionPlace, Frictional, Law, stick_velocity,
 };
-pub use guards::{GuardValues, UnilateralGuards};
-pub use mode::{CONTACT, FRICTION_PLACES, INDICATORS, Mode, SPRINGS, STOPS, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
-pub use unilateral::{MeanReaction, UnilateralGuard, UnilateralSpring};
+pub use guards::{GuardValues, INDICATORS, Kinks};
+pub use kink::{Border, Kink, Levels, Piecewise};
+pub use mode::{FRICTION_PLACES, KINKS, Mode, Phase, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
+pub use unilateral::{MeanReaction, UnilateralSpring};
 
 use crate::integrator;
 use crate::mechanism::LINKS;

@@ -1,4 +1,4 @@
-//! Discrete state of the hybrid system, the [`Mode`]: phases of unilateral springs, stick-slip states of friction places, branch of the
+//! Discrete state of the hybrid system, the [`Mode`]: phases of force laws with kinks, stick-slip states of friction places, branch of the
 //! closure. An error-controlled method ends its step where the trajectory crosses a guard and begins the next step in the next mode. Within
 //! a step every force is then one smooth formula, so the method keeps its order. All other methods use [`Mode::OF_STATE`]: the current
 //! state determines every formula.
@@ -7,17 +7,8 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::mechanism::ClosureBranch;
 
-/// Number of unilateral springs: one for the contact, two stops on each motor axis.
-pub const SPRINGS: usize = 5;
-
-/// Number of event indicators: three for each unilateral spring.
-pub const INDICATORS: usize = 3 * SPRINGS;
-
-/// Index of the contact among the unilateral springs.
-pub const CONTACT: usize = 0;
-
-/// Indices of the lower and the upper stop of each motor among the unilateral springs.
-pub const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
+/// Number of kinks. The list in `effects/mod.rs` gives each its index.
+pub const KINKS: usize = 5;
 
 /// Number of friction places: five joints, and the tip on the plane.
 pub const FRICTION_PLACES: usize = 6;
@@ -25,22 +16,24 @@ pub const FRICTION_PLACES: usize = 6;
 /// Index of the tip among the friction places.
 pub const TIP_FRICTION: usize = FRICTION_PLACES - 1;
 
-/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly beyond the guards of the phase.
+/// Phase of a force law with a kink in its quantity x. In each phase the force is one smooth formula, which extends smoothly beyond the
+/// borders of the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Phase {
-    /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
-    Free,
-    /// Reaction on the ramp, 0 < d < width.
-    Ramp,
-    /// Reaction past the ramp, d ≥ width.
-    Full,
+    /// Below the lower level of x. A unilateral spring has no reaction: no contact, or a separation so fast that the damper would have to
+    /// pull.
+    Below,
+    /// Between the two levels: on the ramp of a unilateral spring.
+    Within,
+    /// Above the upper level: past the ramp of a unilateral spring.
+    Beyond,
 }
 
 /// Mode of the hybrid system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Mode {
-    /// Phase of every unilateral spring; `None` means the phase of the current state.
-    pub springs: [Option<Phase>; SPRINGS],
+    /// Phase of the law at every kink; `None` means the phase of the current state.
+    pub kinks: [Option<Phase>; KINKS],
     /// Stick-slip state of every friction place.
     pub stick_slip: StickSlips,
     /// Branch of the closure; `None` if the motion is on no branch of a reducible closure (`closure_branch.rs`).
@@ -49,11 +42,11 @@ pub struct Mode {
 
 impl Mode {
     /// No stored mode: the current state determines the branch of every force law.
-    pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
+    pub const OF_STATE: Self = Self { kinks: [None; KINKS], stick_slip: StickSlips::OPEN, closure_branch: None };
 
-    /// Whether any spring pushes.
+    /// Whether any law is above its lower level, such as a spring that pushes.
     pub fn has_active_contact(&self) -> bool {
-        self.springs.iter().flatten().any(|phase| phase.pushes())
+        self.kinks.iter().flatten().any(|phase| *phase != Phase::Below)
     }
 
     /// A copy of the mode with other stick-slip states.
@@ -66,7 +59,7 @@ impl Mode {
         Self { closure_branch, ..self }
     }
 
-    /// A mode with these stick-slip states and springs in the phase of the current state.
+    /// A mode with these stick-slip states and all laws in the phase of the current state.
     pub fn of_stick_slip(stick_slip: StickSlips) -> Self {
         Self::OF_STATE.with_stick_slip(stick_slip)
     }

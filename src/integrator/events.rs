@@ -103,7 +103,7 @@ pub trait Events<const N: usize>: Clone {
         self.mode_of(q, v)
     }
 
-    /// Whether any contact or stop pushes in this mode.
+    /// Whether a force law with phases is above its lowest phase in this mode, such as a stop that pushes.
     fn has_active_contact(&self) -> bool {
         false
     }

@@ -62,11 +62,10 @@ impl Observed<'_, f64> {
         // σ_Φ is the most expensive output. The constraints lose rank only if a direct and an inverse singularity are both near.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let at = self.motion();
-        let springs = self.model.unilateral_guards(&at);
-        let of_springs = GuardValues::new(at.joints.mode, springs, FrictionGuards::new()).indicators();
+        let of_kinks = GuardValues::new(at.joints.mode, self.model.kinks(&at), FrictionGuards::new()).indicators();
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&of_configuration);
-        indicators[6..].copy_from_slice(&of_springs);
+        indicators[6..].copy_from_slice(&of_kinks);
         indicators
     }
 }

@@ -18,7 +18,7 @@ use crate::vector::Vector;
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// Guard values at a motion, with the given guards of friction.
     fn guards(&self, at: &Motion, friction_guards: FrictionGuards) -> GuardValues<'a> {
-        GuardValues::new(self.mode, self.model.unilateral_guards(at), friction_guards)
+        GuardValues::new(self.mode, self.model.kinks(at), friction_guards)
     }
 
     /// Friction places that are active at a motion, with their wrenches.

@@ -90,7 +90,7 @@ impl<const BARE: bool> MeanSlopes for FiveBar<'_, BARE> {
 mod tests {
     use super::*;
     use crate::dynamics::INNER;
-    use crate::effects::Inputs;
+    use crate::effects::{Inputs, NAMES};
     use crate::integrator::{CutStep, System, velocity_correction};
     use crate::linear::cut_loop::CutUnknowns;
     use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
@@ -120,15 +120,8 @@ mod tests {
     fn loaded() -> (Model, Inputs, [Coordinates; 3]) {
         let mut parameters = default_parameters();
         let effects = &mut parameters.effects;
-        for enabled in [
-            &mut effects.viscous.enabled,
-            &mut effects.friction.enabled,
-            &mut effects.spring.enabled,
-            &mut effects.stop.enabled,
-            &mut effects.contact.enabled,
-            &mut effects.servo.enabled,
-        ] {
-            *enabled = true;
+        for name in NAMES {
+            *effects.switch(name).expect("an effect") = true;
         }
         (effects.stop.upper, effects.contact.offset) = ([1.15, 3.0], 1.0);
         let model = Model::new(&parameters).expect("a machine");

@@ -155,6 +155,6 @@ impl Scene for FollowedScene<'_> {
     }
 
     fn has_abrupt_forces(&self) -> bool {
-        self.model.features.sharp || self.model.may_make_contact
+        self.model.features.sharp || self.model.has_kinks
     }
 }

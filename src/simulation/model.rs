@@ -7,7 +7,7 @@ use super::settings::Settings;
 use crate::dynamics::angles::{Inertia, Weight};
 use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, Properties, TypicalInertia, Wrench};
 use crate::estimator;
-use crate::hybrid::UnilateralGuards;
+use crate::hybrid::Kinks;
 use crate::integrator::Features;
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -42,8 +42,8 @@ pub struct Model {
     pub conservative: bool,
     /// Features of the active effects. Events are among them only if the method ends its steps at events.
     pub(super) features: Features,
-    /// Whether any effect has unilateral springs.
-    pub(super) may_make_contact: bool,
+    /// Whether the force of any effect has kinks.
+    pub(super) has_kinks: bool,
     /// Typical inertias, to judge the stiffness of a force in the conserving method.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
@@ -93,7 +93,7 @@ impl Model {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: true,
             features: Features::SMOOTH,
-            may_make_contact: false,
+            has_kinks: false,
             has_servo: false,
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
@@ -123,12 +123,12 @@ impl Model {
         let any = |property: fn(&Properties) -> bool| properties().any(|of| property(&of));
         let may_stick = any(|of| of.may_stick);
         self.conservative = properties().all(|of| of.conservative);
-        self.may_make_contact = any(|of| of.may_make_contact);
+        self.has_kinks = self.effects.iter().any(Effect::has_kinks);
         self.has_servo = self.effects.iter().any(|effect| matches!(effect, Effect::Servo(_)));
         self.features = Features {
             work: !self.conservative,
             stiff: any(|of| of.stiff),
-            events: self.settings.follows_error() && (self.may_make_contact || may_stick),
+            events: self.settings.follows_error() && (self.has_kinks || may_stick),
             may_stick,
             sharp: !may_stick && any(|of| of.sharp),
             special_constraints: false,
@@ -170,13 +170,13 @@ impl Model {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - q.dot(&self.weight)
     }
 
-    /// Unilateral springs of the active effects at a motion.
-    pub fn unilateral_guards(&self, at: &Motion) -> UnilateralGuards<'_> {
-        let mut guards = UnilateralGuards::new();
+    /// Kinks of the active effects at a motion.
+    pub fn kinks(&self, at: &Motion) -> Kinks<'_> {
+        let mut kinks = Kinks::new();
         for effect in &self.effects {
-            effect.add_guards(at, &mut guards);
+            effect.add_kinks(at, &mut kinks);
         }
-        guards
+        kinks
     }
 
     /// Wrench of the effects that supply work, which counts as input.

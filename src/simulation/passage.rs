@@ -203,7 +203,7 @@ impl AngleSystem<'_> {
         let before = self.energy_balance(from.q, from.v);
         let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
         let [kinetic, _, power] = self.energies(&q, &v);
-        if self.model().may_make_contact && duration * before.power.abs().max(power.abs()) > LARGEST_ENERGY_CHANGE * kinetic {
+        if self.model().has_kinks && duration * before.power.abs().max(power.abs()) > LARGEST_ENERGY_CHANGE * kinetic {
             return None;
         }
         let passed = position < 0.0 && ahead >= 0.0;

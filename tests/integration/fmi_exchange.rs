@@ -1,6 +1,7 @@
 //! Model exchange through the C functions: states, derivatives, indicators, events, and postures at which the states are no coordinates.
 
 use fivebar::ffi::*;
+use fivebar::variables::EVENT_INDICATORS;
 
 use super::fmi_host::{Host, Instantiation, reference};
 
@@ -123,7 +124,7 @@ fn indicators_change_sign_where_modes_and_kinks_are() {
             before = None;
             continue;
         }
-        let signs = host.array::<21>(fmi2GetEventIndicators).expect("indicators").map(|z| z > 0.0);
+        let signs = host.array::<EVENT_INDICATORS>(fmi2GetEventIndicators).expect("indicators").map(|z| z > 0.0);
         let now = (signs, observe());
         if let Some((old_signs, old)) = before
             && old != now.1

@@ -78,20 +78,7 @@ pub(crate) fn unequal() -> Parameters {
 
 /// Enables an effect.
 pub(crate) fn enable(parameters: &mut Parameters, effect: &str) {
-    let effects = &mut parameters.effects;
-    let enabled = match effect {
-        "rotor" => &mut effects.rotor.enabled,
-        "payload" => &mut effects.payload.enabled,
-        "gravity" => &mut effects.gravity.enabled,
-        "viscous" => &mut effects.viscous.enabled,
-        "friction" => &mut effects.friction.enabled,
-        "spring" => &mut effects.spring.enabled,
-        "stop" => &mut effects.stop.enabled,
-        "contact" => &mut effects.contact.enabled,
-        "servo" => &mut effects.servo.enabled,
-        other => panic!("no effect is called {other}"),
-    };
-    *enabled = true;
+    *parameters.effects.switch(effect).unwrap_or_else(|| panic!("no effect is called {effect}")) = true;
 }
 
 /// A row of a reference file: time, tip, angles and rates of links 1 to 4.
