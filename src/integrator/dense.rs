@@ -15,6 +15,7 @@ mod inside;
 mod rosenbrock;
 mod scheme;
 mod step;
+mod stiff_metric;
 mod trial;
 
 use borsh::{BorshDeserialize, BorshSerialize};

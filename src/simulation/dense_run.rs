@@ -6,8 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
-use super::restore::check_stick_slip;
-use super::run::{MacroSteps, StepFailure};
+use super::macro_steps::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
 use crate::hybrid::{Mode, StickSlips};
@@ -95,7 +94,7 @@ impl DenseRun {
             if mode.closure_branch.is_some_and(|closure_branch| !closure_branch.is_of(&system.model().mechanism.geometry)) {
                 return Err("its branch of the closure does not exist");
             }
-            check_stick_slip(system.model(), &system.five_bar().on(mode), [&x, &rates], ends)?;
+            system.five_bar().on(mode).check_stick_slip([&x, &rates], ends)?;
         }
         self.step.check(system, &self.settings, bounds)
     }

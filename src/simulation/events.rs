@@ -10,7 +10,7 @@ use crate::hybrid::{
     Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
     StickSlips, stick_velocity,
 };
-use crate::integrator::{Events, Path, System};
+use crate::integrator::{Events, Inconsistency, Path, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Pose};
 use crate::vector::Vector;
@@ -206,5 +206,15 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         let still =
             self.closure_branch([q, v].map(angles_by_leg)).map_or(StickSlips::OPEN, |branch| StickSlips::OPEN.on_branch(branch));
         mode.with_stick_slip(FiveBar::on(self, mode.with_stick_slip(still)).resolved(q, v))
+    }
+
+    /// Refuses stick-slip states that coordinates and velocities do not allow. `just_stopped` allows the residual rates of a stop.
+    pub(super) fn check_stick_slip(&self, [q, v]: [&Coordinates; 2], just_stopped: bool) -> Result<(), Inconsistency> {
+        let possible = if self.features().may_stick {
+            self.are_possible(q, v, just_stopped)
+        } else {
+            self.mode.stick_slip == StickSlips::OPEN
+        };
+        if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
     }
 }

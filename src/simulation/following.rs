@@ -7,7 +7,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::learned::Perturbed;
 use super::linearised::{FollowedScene, by_true_angles, with_unknown_force};
-use super::run::MacroSteps;
+use super::macro_steps::MacroSteps;
 use super::settings::sticking_law;
 use super::{Inputs, Model, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::copies::clone_by_fields;

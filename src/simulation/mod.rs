@@ -15,6 +15,7 @@ mod following;
 mod join;
 mod learned;
 mod linearised;
+mod macro_steps;
 pub mod methods;
 pub mod model;
 mod model_exchange;
@@ -38,10 +39,12 @@ pub use following::{Estimate, Following};
 pub(crate) use learned::NEARLY_IN_PAIRS;
 pub use learned::Perturbed;
 pub use linearised::FollowedScene;
+use macro_steps::MacroSteps;
+pub use macro_steps::StepFailure;
 pub use model::{Model, Parameters};
 pub use model_exchange::STATES;
-use run::{Integrator, MacroSteps};
-pub use run::{Run, StepFailure};
+use run::Integrator;
+pub use run::Run;
 use settings::sticking_law;
 pub use settings::{Method, Settings};
 pub use signal::{ORDERS, Signal};
@@ -154,6 +157,26 @@ impl Simulation {
         let before = self.run.clone();
         let one = MacroSteps { h, count: 1, open_ended: false };
         signal.over((h, steps), |inputs| self.run.advance(&self.model, inputs, one)).inspect_err(|_| self.run = before)
+    }
+
+    /// Sets the states of model exchange: proximal angles, rad, left and right, and their rates, rad/s. Refused at a direct singularity and in co-simulation;
+    /// a refusal changes nothing.
+    pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
+        let Integrator::ModelExchange(run) = &mut self.run.integrator else {
+            return Err(SceneError(
+                "states are not set in co-simulation: the unit must be instantiated for model exchange.".into(),
+            ));
+        };
+        *run = run.moved(&self.model, states)?;
+        Ok(())
+    }
+
+    /// Completes an integrator step of model exchange at the present states under these inputs.
+    pub fn complete(&mut self, inputs: &Inputs) {
+        if let Integrator::ModelExchange(run) = &mut self.run.integrator {
+            run.complete();
+        }
+        self.run.inputs = *inputs;
     }
 
     /// Parameters of the scene, with the tunable effects' parameters in force.

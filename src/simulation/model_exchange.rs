@@ -9,9 +9,8 @@ use std::f64::consts::TAU;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::five_bar::FiveBar;
-use super::run::Integrator;
 use super::state::Core;
-use super::{Inputs, Model, Simulation};
+use super::{Inputs, Model};
 use crate::integrator::{Bounds, Inconsistency, Work};
 use crate::mechanism::coordinates::link_angles;
 use crate::mechanism::{Assembly, Coordinates, SceneError, Start, closure};
@@ -41,7 +40,7 @@ impl ModelExchangeState {
     }
 
     /// Run with other states; refused at a direct singularity.
-    fn moved(&self, model: &Model, states: [f64; STATES]) -> Result<Self, SceneError> {
+    pub(super) fn moved(&self, model: &Model, states: [f64; STATES]) -> Result<Self, SceneError> {
         let [left, right, left_rate, right_rate] = states;
         let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly: self.assembly };
         let [mut theta, omega] = closure::links_from_proximal(&model.mechanism.geometry, &start)?;
@@ -52,7 +51,7 @@ impl ModelExchangeState {
     }
 
     /// Completes an integrator step: the master has accepted the present states.
-    fn complete(&mut self) {
+    pub(super) fn complete(&mut self) {
         self.completed = [self.theta[1], self.theta[2]];
     }
 
@@ -82,28 +81,5 @@ impl ModelExchangeState {
             return Err("an angle is not finite");
         }
         self.core(model, inputs).check(&FiveBar::new(model, inputs, &[0; 4]), bounds)
-    }
-}
-
-/// Calls for a simulation made by [`Simulation::for_model_exchange`].
-impl Simulation {
-    /// Sets the states: proximal angles, rad, left and right, and their rates, rad/s. Refused at a direct singularity and in co-simulation;
-    /// a refusal changes nothing.
-    pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
-        let Integrator::ModelExchange(run) = &mut self.run.integrator else {
-            return Err(SceneError(
-                "states are not set in co-simulation: the unit must be instantiated for model exchange.".into(),
-            ));
-        };
-        *run = run.moved(&self.model, states)?;
-        Ok(())
-    }
-
-    /// Completes an integrator step at the present states under these inputs.
-    pub fn complete(&mut self, inputs: &Inputs) {
-        if let Integrator::ModelExchange(run) = &mut self.run.integrator {
-            run.complete();
-        }
-        self.run.inputs = *inputs;
     }
 }

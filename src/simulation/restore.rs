@@ -5,9 +5,8 @@ use super::five_bar::FiveBar;
 use super::model::Model;
 use super::run::{Integrator, Run};
 use super::{Parameters, Settings};
-use crate::hybrid::{Frictional, StickSlips};
-use crate::integrator::{Bounds, Inconsistency};
-use crate::mechanism::{Coordinates, SceneError};
+use crate::integrator::Bounds;
+use crate::mechanism::SceneError;
 
 /// Tolerance of the constraints, relative to the machine's size, unless the solver's tolerance allows more.
 const POSITION_TOLERANCE: f64 = 1e-10;
@@ -26,7 +25,7 @@ impl Run {
         match integrator {
             Integrator::MacroStepped(run) => {
                 let system = system.on(run.mode);
-                check_stick_slip(model, &system, [&run.core.q, &run.core.v], false).and_then(|()| run.core.check(&system, &bounds))
+                system.check_stick_slip([&run.core.q, &run.core.v], false).and_then(|()| run.core.check(&system, &bounds))
             }
             Integrator::Conserving(run) => run.state.check(&system, &bounds, model.regularization),
             Integrator::DenseOutput(run) => run.check(&AngleSystem::new(system), &bounds),
@@ -34,18 +33,6 @@ impl Run {
         }
         .map_err(|what| SceneError(what.into()))
     }
-}
-
-/// Refuses stick-slip states that a state does not allow.
-pub(super) fn check_stick_slip(
-    model: &Model,
-    system: &FiveBar<'_>,
-    [q, v]: [&Coordinates; 2],
-    just_stopped: bool,
-) -> Result<(), Inconsistency> {
-    let possible =
-        if model.features.may_stick { system.are_possible(q, v, just_stopped) } else { system.mode.stick_slip == StickSlips::OPEN };
-    if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 
 /// Tolerances within which the method satisfies the constraints.

@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::rosenbrock::StiffMetric;
+use super::stiff_metric::StiffMetric;
 use super::{Scheme, Settings};
 use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
