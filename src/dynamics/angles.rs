@@ -321,9 +321,9 @@ impl Kkt<ANGLES, CLOSURES> for Factor {
 ///
 /// ```text
 /// let pose = mechanism.pose_at(legs(&angles));
-/// let at = Equations::<false>::new((&inertia, &closure), &pose, &rates, e);
+/// let at = Equations::<false>::new(&inertia, &closure, &pose, &rates, e);
 /// let (accelerations, tip_force) = at.solve(torques);                  // Q on the links, by legs
-/// let near = at.linearised((&accelerations, &tip_force), [K, C]);      // slopes of Q
+/// let near = at.linearised(&accelerations, &tip_force, [K, C]);      // slopes of Q
 /// let change = near.change([&d_angles, &d_rates], &d_torques);         // δα and δλ
 /// ```
 #[derive(Clone, Copy, Debug)]
@@ -337,7 +337,7 @@ pub struct Equations<'a, const MIRRORED: bool = false> {
 
 impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
     /// Equations at a pose and at link rates, rad/s, with e of the saddle-point system, 1/kg.
-    pub fn new((inertia, closure): (&'a Inertia, &'a Closure), pose: &'a Pose, rates: &'a Angles, regularization: f64) -> Self {
+    pub fn new(inertia: &'a Inertia, closure: &'a Closure, pose: &'a Pose, rates: &'a Angles, regularization: f64) -> Self {
         Self { inertia, closure, pose, rates, factor: Factor::new::<MIRRORED>(inertia, closure, pose, regularization) }
     }
 
@@ -356,7 +356,7 @@ impl<'a, const MIRRORED: bool> Equations<'a, MIRRORED> {
     /// Linearises the solution `(α, λ)` of these equations. Stiffness K = −∂Q/∂θ, N·m/rad, and damping C = −∂Q/∂ω, N·m·s/rad, are those of
     /// the torques Q on links 1 to 4, including weight. On a branch with mirrored pairs the turn of the axis is left out: its term is
     /// parallel to the first row and changes only λ₁.
-    pub fn linearised(&self, (a, lambda): (&Angles, &AtTip), [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {
+    pub fn linearised(&self, a: &Angles, lambda: &AtTip, [stiffness, damping]: [[[f64; 4]; 4]; 2]) -> Linearised {
         let &Self { inertia, closure, pose, rates, factor } = self;
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
         for (i, row) in LINK_INDICES.into_iter().enumerate() {

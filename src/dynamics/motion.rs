@@ -70,7 +70,8 @@ impl<'a> Conditions<'a> {
         &self,
         [q, d, v]: [&Coordinates; 3],
         secant: &Secant,
-        (h, softening): (f64, f64),
+        h: f64,
+        softening: f64,
         inertia: TypicalInertia,
     ) -> FiniteMotion<'a> {
         let TipArm { row, column, .. } = TipArm::of_step(secant, d, v);

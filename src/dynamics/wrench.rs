@@ -371,7 +371,7 @@ mod tests {
 
     fn finite(mechanism: &Mechanism, [q, d, v]: [&Coordinates; 3]) -> FiniteMotion<'static> {
         let inertia = TypicalInertia { joint: 1.0, tip: 1.0 };
-        conditions().finite_motion([q, d, v], &mechanism.secant(&mechanism.pose(q), legs(&angles_of(d))), (1e-3, 1.0), inertia)
+        conditions().finite_motion([q, d, v], &mechanism.secant(&mechanism.pose(q), legs(&angles_of(d))), 1e-3, 1.0, inertia)
     }
 
     /// Entry of the slopes in all coordinates: 0 outside [`INNER`].

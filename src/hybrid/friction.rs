@@ -14,7 +14,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::mode::{FRICTION_PLACES, SlipDirection, StickSlip, StickSlips, TIP_FRICTION};
 use super::{Extremes, derivative_bound};
-use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, StickingConstraint, System, reaction};
+use crate::integrator::{CROSSING_RESIDUAL, ERROR_RATE, Kkt, Posed, StickingConstraint, System, reaction};
 use crate::mechanism::{LINKS, SceneError};
 use crate::vector::Vector;
 
@@ -62,11 +62,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// Returns the system with other stick-slip states.
     fn with_stick_slip(&self, stick_slip: StickSlips) -> Self;
     /// Friction constraints at q, its pose and q̇, for the places in states that `wanted` accepts.
-    fn friction_constraints(
-        &self,
-        at: (&Vector<N>, &Self::Pose, &Vector<N>),
-        wanted: impl Fn(StickSlip) -> bool,
-    ) -> FrictionConstraints<N>;
+    fn friction_constraints(&self, at: Posed<'_, Self::Pose, N>, wanted: impl Fn(StickSlip) -> bool) -> FrictionConstraints<N>;
     /// Regularisation e of the saddle-point systems, 1/kg.
     fn regularization(&self) -> f64;
     /// Sliding rate below which a friction place counts as at rest, rad/s or m/s.
@@ -74,7 +70,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
 
     /// Stick-slip states that follow from a state without history.
     fn resolved(&self, q: &Vector<N>, v: &Vector<N>) -> StickSlips {
-        let constraints = self.friction_constraints((q, &self.pose(q), v), all);
+        let constraints = self.friction_constraints(Posed { q, pose: &self.pose(q), v }, all);
         if v.max_norm() <= REST_RATE * self.stick_velocity() {
             let at_rest = FrictionProblem::new(self, q, &Vector::ZERO, &|_| true);
             if at_rest.can_rest() {
@@ -92,17 +88,17 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     /// Constraint or reaction due to sticking friction.
     fn sticking(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> StickingConstraint<N> {
         if self.stick_slip().at_rest() {
-            let (constraints, holding) = (self.friction_constraints((q, pose, v), all), self.holding((q, pose, v)));
+            let (constraints, holding) = (self.friction_constraints(Posed { q, pose, v }, all), self.holding(Posed { q, pose, v }));
             let force =
                 constraints.iter().fold(Vector::ZERO, |sum, constraint| sum + holding[constraint.at.place] * constraint.row);
             return StickingConstraint::All { force };
         }
-        let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
+        let constraints = self.friction_constraints(Posed { q, pose, v }, StickSlip::sticks);
         sticking_direction(self.stick_slip(), &constraints)
     }
 
     /// Friction reactions of sticking places: torques in the joints, N·m, and force on the tip, N.
-    fn holding(&self, (q, pose, v): (&Vector<N>, &Self::Pose, &Vector<N>)) -> [f64; FRICTION_PLACES] {
+    fn holding(&self, Posed { q, pose, v }: Posed<'_, Self::Pose, N>) -> [f64; FRICTION_PLACES] {
         let mut holding = [0.0; FRICTION_PLACES];
         if self.stick_slip().at_rest() {
             let friction_problem = FrictionProblem::new(self, q, v, &|_| true);
@@ -111,7 +107,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             }
             return holding;
         }
-        let constraints = self.friction_constraints((q, pose, v), StickSlip::sticks);
+        let constraints = self.friction_constraints(Posed { q, pose, v }, StickSlip::sticks);
         let StickingConstraint::Direction { row, drift, force } = sticking_direction(self.stick_slip(), &constraints) else {
             return holding;
         };
@@ -125,11 +121,7 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
     }
 
     /// Friction guards of the active places at a state, for event location.
-    fn friction_guards(
-        &self,
-        places: impl Iterator<Item = FrictionPlace>,
-        at: (&Vector<N>, &Self::Pose, &Vector<N>),
-    ) -> FrictionGuards {
+    fn friction_guards(&self, places: impl Iterator<Item = FrictionPlace>, at: Posed<'_, Self::Pose, N>) -> FrictionGuards {
         let watched = self.stick_slip().any_sticks() && !self.stick_slip().at_rest();
         let holding = if watched { self.holding(at) } else { [0.0; FRICTION_PLACES] };
         let first = (0..FRICTION_PLACES).find(|place| watched && self.stick_slip().at(*place).sticks());
@@ -172,8 +164,8 @@ pub trait Frictional<const N: usize, const M: usize>: System<N, M> + Sized {
             return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
         }
         let pose = self.pose(q);
-        let constraints = self.friction_constraints((q, &pose, v), all);
-        let guards = self.friction_guards(constraints.into_iter().map(|constraint| constraint.at), (q, &pose, v));
+        let constraints = self.friction_constraints(Posed { q, pose: &pose, v }, all);
+        let guards = self.friction_guards(constraints.into_iter().map(|constraint| constraint.at), Posed { q, pose: &pose, v });
         let far = LARGEST_CONTRADICTION * self.stick_velocity();
         let there = |place: usize| guards.iter().any(|guard| guard.at.place == place);
         (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
@@ -362,7 +354,7 @@ impl FrictionProblem {
     ) -> Self {
         let pose = system.pose(q);
         let mass = system.factor_mass(&pose, system.regularization());
-        let constraints = system.friction_constraints((q, &pose, v), all);
+        let constraints = system.friction_constraints(Posed { q, pose: &pose, v }, all);
         let mut stick_slip = slipping(system.stick_slip(), &constraints);
         let mut resting = ArrayVec::<_, FRICTION_PLACES>::new();
         for constraint in constraints.iter().filter(|constraint| is_able(system.stick_slip(), constraint) && rests(constraint)) {

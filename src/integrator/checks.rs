@@ -112,7 +112,8 @@ impl Beginning {
 pub fn count_breaches<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     energy_scale: impl FnOnce() -> f64,
-    (state, h): (&mut State<N, M>, f64),
+    state: &mut State<N, M>,
+    h: f64,
     step: impl FnOnce(&mut State<N, M>) -> Result<(), StepError>,
 ) -> Result<(), StepError> {
     let beginning = state.checked().map(|from| Beginning::of(system, &from));

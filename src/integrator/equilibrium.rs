@@ -1,6 +1,6 @@
 //! Dynamic equilibrium: accelerations q̈ and multipliers λ at given q, q̇ and forces (`docs/method.md`, (16)).
 
-use super::{Kkt, StickingConstraint, Stuck, System, Work};
+use super::{Kkt, Posed, StickingConstraint, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇ at q, its pose and q̇, and evaluates the power of the forces, W.
@@ -8,11 +8,11 @@ use crate::vector::Vector;
 /// With e = 1/(κ m̄) instead of 0 the solution is unique even if Φ_q loses rank: λ then has minimum norm.
 pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    Posed { q, pose, v }: Posed<'_, S::Pose, N>,
     regularization: f64,
 ) -> (Vector<N>, Vector<M>, Work) {
     let (forces, power) = system.forces(q, pose, v);
-    let (a, lambda) = equilibrium_under(system, &forces, (q, pose, v), &system.factor_mass(pose, regularization));
+    let (a, lambda) = equilibrium_under(system, &forces, Posed { q, pose, v }, &system.factor_mass(pose, regularization));
     (a, lambda, power)
 }
 
@@ -20,18 +20,19 @@ pub fn equilibrium<const N: usize, const M: usize, S: System<N, M>>(
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    from: (&Vector<N>, &S::Pose),
+    q: &Vector<N>,
+    pose: &S::Pose,
     by: &Vector<N>,
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
     if system.stuck() != Stuck::Nothing || system.features().special_constraints {
-        let (q, v) = (*from.0 + *by, Vector::ZERO + *v);
-        let (a, _, power) = equilibrium(system, (&q, &system.pose(&q), &v), regularization);
+        let (q, v) = (*q + *by, Vector::ZERO + *v);
+        let (a, _, power) = equilibrium(system, Posed { q: &q, pose: &system.pose(&q), v: &v }, regularization);
         return (a, power);
     }
-    let pose = system.pose_near(from, by);
-    let (forces, power) = system.forces(&(*from.0 + *by), &pose, v);
+    let pose = system.pose_near(q, pose, by);
+    let (forces, power) = system.forces(&(*q + *by), &pose, v);
     let mass = system.factor_mass(&pose, regularization);
     (mass.solve(&forces, &-system.phi_q_dot_times(&pose, v)).0, power)
 }
@@ -41,18 +42,22 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
 pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     forces: &Vector<N>,
-    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    Posed { q, pose, v }: Posed<'_, S::Pose, N>,
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
     let (a, lambda) = mass.solve(forces, &-system.phi_q_dot_times(pose, v));
-    if system.stuck() != Stuck::Nothing { with_reaction(system, forces, (q, pose, v), (mass, a, lambda)) } else { (a, lambda) }
+    if system.stuck() != Stuck::Nothing {
+        with_reaction(system, forces, Posed { q, pose, v }, (mass, a, lambda))
+    } else {
+        (a, lambda)
+    }
 }
 
 /// Adds the reaction of sticking friction to q̈ and λ.
 fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     forces: &Vector<N>,
-    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    Posed { q, pose, v }: Posed<'_, S::Pose, N>,
     (mass, a, lambda): (&S::Mass, Vector<N>, Vector<M>),
 ) -> (Vector<N>, Vector<M>) {
     match system.sticking_constraint(q, pose, v) {
@@ -68,7 +73,7 @@ fn with_reaction<const N: usize, const M: usize, S: System<N, M>>(
 /// Velocity q̇ without its component along the sticking direction: the smallest change in the mass metric.
 pub(super) fn project_sticking<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    Posed { q, pose, v }: Posed<'_, S::Pose, N>,
     mass: &S::Mass,
 ) -> Vector<N> {
     if system.stuck() == Stuck::Wholly {

@@ -26,7 +26,7 @@ use super::equilibrium::project_sticking;
 use super::events::separation_loss;
 use super::locator::{self, EventCheck, Path, Probe};
 use super::{
-    Events, Implicit, Mechanics, PassageLimits, State, StepEnd, StepError, StepLimits, Stuck, Transit, velocity_correction,
+    Events, Implicit, Mechanics, PassageLimits, Posed, State, StepEnd, StepError, StepLimits, Stuck, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use newton::{Step, constraint_tolerance};
@@ -119,7 +119,8 @@ impl MacroStep {
         &mut self,
         system: &S,
         settings: &Settings,
-        (state, mode): (&mut State<N, M>, &mut S::Mode),
+        state: &mut State<N, M>,
+        mode: &mut S::Mode,
         transit: Option<&Transit<N>>,
     ) -> Result<Progress, StepError> {
         if let Some(transit) = transit {
@@ -293,7 +294,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Mechanics<N, M>>(
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
     if system.stuck() != Stuck::Nothing {
-        v = project_sticking(system, (&q, &pose, &v), &mass);
+        v = project_sticking(system, Posed { q: &q, pose: &pose, v: &v }, &mass);
     }
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;

@@ -20,10 +20,12 @@ mod newton;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::{Beginning, Checked, Imbalance};
-use super::{Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
+use super::{
+    Bounds, Counters, CutStep, Discrete, Inconsistency, Passage, Posed, State, StepError, StepIncrement, Work, equilibrium,
+};
 use crate::vector::Vector;
-use fallback::{ConservingEnd, Step, from_equilibrium};
-use newton::{IterationBudget, ResidualBounds, StopRule, staggered_newton};
+use fallback::{ConservingEnd, Rest, Step, from_equilibrium};
+use newton::{IterationBudget, NewtonLimits, ResidualBounds, StopRule, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -136,12 +138,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// is then undefined, so the caller keeps a copy. `general` is the unspecialised form of `system`; a specialised form is compiled only
     /// for the first try.
     #[inline(never)]
-    pub fn advance<const M: usize, S, G>(
-        &mut self,
-        (system, general): (&S, &G),
-        settings: &Settings,
-        h: f64,
-    ) -> Result<(), StepError>
+    pub fn advance<const M: usize, S, G>(&mut self, system: &S, general: &G, settings: &Settings, h: f64) -> Result<(), StepError>
     where
         S: Discrete<N, M, K>,
         G: Discrete<N, M, K> + Passage<N>,
@@ -171,13 +168,14 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.iterations += u64::from(iterations);
                 let [d, v] = cut.end(end);
                 let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: S::Cut::secant(end) };
-                self.conclude(system, settings, &over, (&v, Some(S::Cut::unknowns(end))))
+                self.conclude(system, settings, &over, &v, Some(S::Cut::unknowns(end)))
             };
             match staggered_newton(
                 &cut,
                 x,
                 &ResidualBounds::cut(system, h),
-                (settings.regularization, settings.max_iterations),
+                settings.regularization,
+                settings.max_iterations,
                 accept_root,
             ) {
                 Ok(arrived) => return arrived,
@@ -188,7 +186,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             }
         }
         let Self { q, v, .. } = *self;
-        self.by_full_newton(&Step::new(general, [&q, &v], h), settings, (begun, guess))
+        self.by_full_newton(&Step::new(general, [&q, &v], h), settings, begun, guess)
     }
 
     /// Whether a system at rest stays at rest. Newton's method would amplify round-off at a vertex.
@@ -201,10 +199,11 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     where
         S: Discrete<N, M, K> + Passage<N>,
     {
-        let (a, lambda, _) = equilibrium(system, (&self.q, &system.pose(&self.q), &self.v), settings.equilibrium);
+        let (a, lambda, _) =
+            equilibrium(system, Posed { q: &self.q, pose: &system.pose(&self.q), v: &self.v }, settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
-        from_equilibrium::<N, M, K, S>(&self.v, (&branch.unwrap_or(a), &lambda), h)
+        from_equilibrium::<N, M, K, S>(&self.v, Rest { a: &branch.unwrap_or(a), lambda: &lambda }, h)
     }
 
     /// Full Newton iteration from the result of the staggered iteration; if it fails, the fallback stages.
@@ -212,13 +211,14 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         &mut self,
         step: &Step<'_, S, N, M, K>,
         settings: &Settings,
-        (begun, guess): (u64, Option<Vector<K>>),
+        begun: u64,
+        guess: Option<Vector<K>>,
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
         let Some(mut x) = guess else { return self.recover(step, settings, begun) };
         let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
-        let to_root = (regularization, (max_iterations, StopRule::Solved));
-        match step.root((step.h, 1.0), &mut x, to_root, &mut budget) {
+        let limits = NewtonLimits { iterations: max_iterations, stop_rule: StopRule::Solved };
+        match step.root(step.h, 1.0, &mut x, regularization, limits, &mut budget) {
             Some(root) => self.accept(step, settings, &root),
             None => self.recover(step, settings, begun),
         }
@@ -238,7 +238,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if max_work > 0 {
             budget.left = max_work.saturating_sub(budget.spent());
         }
-        let end = step.recover(settings, (&a, &lambda), &mut budget)?;
+        let end = step.recover(settings, Rest { a: &a, lambda: &lambda }, &mut budget)?;
         self.accept(step, settings, &end)
     }
 
@@ -249,7 +249,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         settings: &Settings,
         ConservingEnd { x, d, acting, v, secant }: &ConservingEnd<S::Secant, N, K>,
     ) -> Result<(), StepError> {
-        self.conclude(step.system, settings, &step.increment(secant, [d, acting]), (v, *x))
+        self.conclude(step.system, settings, &step.increment(secant, [d, acting]), v, *x)
     }
 
     /// Advances the run to q₀ + d with the velocity `v`. The work is evaluated with the rates in `over`, at which the forces acted. The
@@ -259,7 +259,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system: &S,
         settings: &Settings,
         over: &StepIncrement<'_, S::Secant, N>,
-        (v, x): (&Vector<N>, Option<Vector<K>>),
+        v: &Vector<N>,
+        x: Option<Vector<K>>,
     ) -> Result<(), StepError> {
         let q = *over.q + *over.d;
         if !(q.is_finite() && v.is_finite() && x.is_none_or(|x| x.is_finite())) {

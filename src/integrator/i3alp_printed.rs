@@ -56,7 +56,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         let residual = -beta * (inertia + constraint - system.forces(&q, &pose, &v).0);
         // The approximate tangent omits ∂(Φ_qᵀλ)/∂q, as if λ were 0.
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-        let (correction, _) = system.solve_tangent(&at, regularization, (&residual, &-phi))?;
+        let (correction, _) = system.solve_tangent(&at, regularization, &residual, &-phi)?;
         q += correction;
         pose = system.pose(&q);
         phi = system.phi(&q, &pose);
@@ -74,9 +74,9 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Projection (4): A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(q);
     let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-    let (projected, _) = system.solve_tangent(&at, regularization, (&weigh(&at, &v), &Vector::ZERO))?;
+    let (projected, _) = system.solve_tangent(&at, regularization, &weigh(&at, &v), &Vector::ZERO)?;
     let centripetal = -system.phi_q_dot_times(&pose, &projected);
-    let (a, _) = system.solve_tangent(&at, regularization, (&weigh(&at, &acceleration(q)), &centripetal))?;
+    let (a, _) = system.solve_tangent(&at, regularization, &weigh(&at, &acceleration(q)), &centripetal)?;
 
     let end = StepEnd::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));

@@ -33,7 +33,7 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
-pub use system::{AccelerationTangents, Features, Implicit, Kkt, StickingConstraint, Stuck, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Features, Implicit, Kkt, Posed, StickingConstraint, Stuck, System, TangentPoint, Work};
 
 /// A system with everything that error-controlled methods need: equations of motion, passages through vertices, and events.
 pub trait Mechanics<const N: usize, const M: usize>: System<N, M> + Passage<N> + Events<N> {}

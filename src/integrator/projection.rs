@@ -65,7 +65,7 @@ impl Projection {
             }
             let corrected = *q + correction(pose, -phi);
             let by = corrected - *q;
-            *pose = system.pose_near((q, pose), &by);
+            *pose = system.pose_near(q, pose, &by);
             *q = corrected;
             convergence.corrected(by.max_norm());
         }

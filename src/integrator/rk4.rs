@@ -6,7 +6,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::equilibrium::equilibrium;
-use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
+use super::{Posed, Projection, State, StepEnd, StepError, System, velocity_correction};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -37,7 +37,7 @@ pub fn advance<const N: usize, const M: usize>(
         let q = q0 + part * h * q_rate;
         let v = v0 + part * h * v_rate;
         let power;
-        (v_rate, _, power) = equilibrium(system, (&q, &system.pose(&q), &v), regularization);
+        (v_rate, _, power) = equilibrium(system, Posed { q: &q, pose: &system.pose(&q), v: &v }, regularization);
         q_rate = v;
         q_sum += weight * q_rate;
         v_sum += weight * v_rate;

@@ -4,7 +4,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::checks::Checked;
 use super::equilibrium::{equilibrium, equilibrium_under, project_sticking};
-use super::{Passage, StepError, Stuck, System, Work};
+use super::{Passage, Posed, StepError, Stuck, System, Work};
 use crate::vector::Vector;
 
 /// Counts of the integrator's operations since the start.
@@ -131,7 +131,7 @@ impl<const N: usize, const M: usize> State<N, M> {
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         if system.stuck() != Stuck::Nothing {
             let mass = system.factor_mass(pose, regularization);
-            self.v = project_sticking(system, (&self.q, pose, &self.v), &mass);
+            self.v = project_sticking(system, Posed { q: &self.q, pose, v: &self.v }, &mass);
             self.energy = energy_if_checked(system, &self.q, pose, &self.v);
         }
         self.balance(system, pose, regularization);
@@ -140,7 +140,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Sets q̈, λ and power from equilibrium. At rest exactly at a vertex, q̈ belongs to the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        let (a, lambda, power) = equilibrium(system, (&self.q, pose, &self.v), regularization);
+        let (a, lambda, power) = equilibrium(system, Posed { q: &self.q, pose, v: &self.v }, regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         (self.lambda, self.power) = (lambda, power);
     }
@@ -200,7 +200,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
     #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces(&q, pose, &v);
-        let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
+        let (a, lambda) = equilibrium_under(system, &forces, Posed { q: &q, pose, v: &v }, mass);
         let energy = energy_if_checked(system, &q, pose, &v);
         Self { q, v, a, lambda, power, energy, configuration_signs: system.configuration_signs(pose) }
     }

@@ -19,7 +19,7 @@ pub trait System<const N: usize, const M: usize> {
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
     /// Pose at q + `by`, from the pose at q.
-    fn pose_near(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+    fn pose_near(&self, q: &Vector<N>, _pose: &Self::Pose, by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -140,7 +140,8 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         &self,
         at: &TangentPoint<'_, Self::Pose, N, M>,
         regularization: f64,
-        right: (&Vector<N>, &Vector<M>),
+        b: &Vector<N>,
+        c: &Vector<M>,
     ) -> Result<(Vector<N>, Vector<M>), StepError>;
 
     /// Solves the system of [`Implicit::solve_tangent`] with A₀ made positive definite. The result is a descent direction of the
@@ -149,7 +150,8 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         &self,
         _at: &TangentPoint<'_, Self::Pose, N, M>,
         _regularization: f64,
-        _right: (&Vector<N>, &Vector<M>),
+        _b: &Vector<N>,
+        _c: &Vector<M>,
     ) -> Option<(Vector<N>, Vector<M>)> {
         None
     }
@@ -168,6 +170,26 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         1
     }
 }
+
+/// Coordinates and rates, with the pose that belongs to the coordinates.
+#[derive(Debug)]
+pub struct Posed<'a, P, const N: usize> {
+    /// Coordinates q, m and rad.
+    pub q: &'a Vector<N>,
+    /// Pose at q.
+    pub pose: &'a P,
+    /// Velocities q̇, m/s and rad/s.
+    pub v: &'a Vector<N>,
+}
+
+impl<P, const N: usize> Clone for Posed<'_, P, N> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+/// Copied also if a pose cannot be.
+impl<P, const N: usize> Copy for Posed<'_, P, N> {}
 
 /// State and step length at which a tangent is evaluated.
 #[derive(Debug)]

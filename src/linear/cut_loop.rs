@@ -133,12 +133,7 @@ fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
 
 impl<'a, S: MeanSlopes> OpenStep<'a, S> {
     /// A step of h seconds from q₀, its pose and q̇₀.
-    pub fn new(
-        system: &'a S,
-        legs: &'a OpenLegs,
-        (pose, [q, v]): (&'a Pose, [&'a Coordinates; 2]),
-        (h, softening): (f64, f64),
-    ) -> Self {
+    pub fn new(system: &'a S, legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64, softening: f64) -> Self {
         let half = both(0.5 * h);
         let initial_moment = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
         Self { system, legs, pose, q, h, softening, initial_moment, initial_rotations: angles_by_leg(v).map(|rate| half * rate) }

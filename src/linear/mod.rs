@@ -108,14 +108,14 @@ pub struct MassFactor<'a, const BARE: bool> {
 impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         if !BARE && self.solver.solve == LinearSolve::Dense {
-            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
+            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, b, c);
         }
         self.two_leg.solve(b, c)
     }
 
     fn correction(&self, c: &Multipliers) -> Coordinates {
         if !BARE && self.solver.solve == LinearSolve::Dense {
-            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (&Coordinates::ZERO, c)).0;
+            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, &Coordinates::ZERO, c).0;
         }
         self.two_leg.correction(c)
     }
@@ -149,27 +149,23 @@ impl LinearSolver {
     }
 
     #[inline(never)]
-    fn solve_dense_mass(&self, pose: &Pose, regularization: f64, (b, c): (&Coordinates, &Multipliers)) -> Solution {
+    fn solve_dense_mass(&self, pose: &Pose, regularization: f64, b: &Coordinates, c: &Multipliers) -> Solution {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
     }
 
     /// Solves the saddle-point system with A₀. Fails if A₀ is not sufficiently positive definite but has to be, or cannot be raised.
     #[inline(always)]
-    pub fn solve_tangent(&self, of: &TangentSystem<'_>, right: (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
+    pub fn solve_tangent(&self, of: &TangentSystem<'_>, b: &Coordinates, c: &Multipliers) -> Result<Solution, StepError> {
         match self.solve {
-            LinearSolve::Structured if !of.slopes.couple_links() => self.solve_tangent_by_legs(of, right),
-            LinearSolve::Structured | LinearSolve::Dense => self.solve_full(of, right),
+            LinearSolve::Structured if !of.slopes.couple_links() => self.solve_tangent_by_legs(of, b, c),
+            LinearSolve::Structured | LinearSolve::Dense => self.solve_full(of, b, c),
         }
     }
 
     /// Solves the saddle-point system leg by leg, for an A₀ that couples no links. Fails if A₀ is not sufficiently positive definite but
     /// has to be.
     #[inline(always)]
-    pub fn solve_tangent_by_legs(
-        &self,
-        of: &TangentSystem<'_>,
-        (b, c): (&Coordinates, &Multipliers),
-    ) -> Result<Solution, StepError> {
+    pub fn solve_tangent_by_legs(&self, of: &TangentSystem<'_>, b: &Coordinates, c: &Multipliers) -> Result<Solution, StepError> {
         Ok(self.factor_two_leg(of)?.solve(b, c))
     }
 
@@ -209,7 +205,7 @@ impl LinearSolver {
 
     /// Solves the system with an A₀ that has a full block in the inner coordinates.
     #[inline(never)]
-    fn solve_full(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
+    fn solve_full(&self, of: &TangentSystem<'_>, b: &Coordinates, c: &Multipliers) -> Result<Solution, StepError> {
         let inner = self.inner_tangent(of)?;
         if self.solve == LinearSolve::Dense {
             let mut a0 = self.mass_matrix();

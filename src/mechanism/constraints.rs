@@ -55,7 +55,7 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
 /// Directions of links that turn by `by`, rad, from known directions at known angles: a small rotation costs half as much as a sine and a
 /// cosine.
 #[inline(always)]
-pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+pub(crate) fn directions_turned(angles: [Legs; 2], directions_there: [Legs2; 2], by: [Legs; 2]) -> [Legs2; 2] {
     if are_small(by) {
         [rotated_by(directions_there[0], by[0]), rotated_by(directions_there[1], by[1])]
     } else {

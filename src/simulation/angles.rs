@@ -169,8 +169,8 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     }
 
     #[inline(always)]
-    fn pose_near(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
-        self.mechanism().pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
+    fn pose_near(&self, q: &Angles, pose: &Pose, by: &Angles) -> Pose {
+        self.mechanism().pose_along(directions_turned(legs(q), [pose.u_p, pose.u_d], legs(by)))
     }
 
     fn phi(&self, q: &Angles, pose: &Pose) -> AtTip {
@@ -255,11 +255,11 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
         let State { q, v, a, lambda, .. } = at;
-        let (from, solution) = ((self.inertia(), &self.closure), (a, lambda));
+        let (inertia, closure) = (self.inertia(), &self.closure);
         let slopes = self.five_bar.slopes_of_torques(pose, self.motion(pose, q, v), by_links(legs(v)));
-        let [by_q, by_v] = match self.closure.is_mirrored() {
-            true => Equations::<true>::new(from, pose, v, regularization).linearised(solution, slopes).columns(),
-            false => Equations::<false>::new(from, pose, v, regularization).linearised(solution, slopes).columns(),
+        let [by_q, by_v] = match closure.is_mirrored() {
+            true => Equations::<true>::new(inertia, closure, pose, v, regularization).linearised(a, lambda, slopes).columns(),
+            false => Equations::<false>::new(inertia, closure, pose, v, regularization).linearised(a, lambda, slopes).columns(),
         };
         Some(AccelerationTangents { by_q, by_v })
     }

@@ -7,7 +7,7 @@ use super::five_bar::FiveBar;
 use super::model::Model;
 use super::state::Core;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
-use crate::integrator::{Events, Transit, equilibrium};
+use crate::integrator::{Events, Posed, Transit, equilibrium};
 use crate::mechanism::COORDINATES;
 
 /// Distance from all links in line, rad, below which the twelve coordinates may fail.
@@ -49,7 +49,7 @@ pub(super) fn crossing(system: FiveBar<'_>, from: &Core, h: f64) -> Option<Trans
     step.advance(&system, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
     let sample = step.sample(&system, &settings);
     let on_branch = system.on(step.mode());
-    let (a, ..) = equilibrium(&*on_branch, (&sample.q, &sample.pose, &sample.v), settings.regularization);
+    let (a, ..) = equilibrium(&*on_branch, Posed { q: &sample.q, pose: &sample.pose, v: &sample.v }, settings.regularization);
     let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
     let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
     Some(Transit { q, v, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })

@@ -10,7 +10,7 @@ use crate::hybrid::{
     Extremes, FrictionConstraint, FrictionConstraints, FrictionGuards, FrictionPlace, Frictional, GuardValues, Mode, StickSlip,
     StickSlips, stick_velocity,
 };
-use crate::integrator::{Events, Inconsistency, Path, System};
+use crate::integrator::{Events, Inconsistency, Path, Posed, System};
 use crate::mechanism::coordinates::{THETA, angles_by_leg};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, MULTIPLIERS, Pose};
 use crate::vector::Vector;
@@ -67,7 +67,7 @@ impl Frictional<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     fn friction_constraints(
         &self,
-        (q, pose, v): (&Angles, &Pose, &Angles),
+        Posed { q, pose, v }: Posed<'_, Pose, ANGLES>,
         wanted: impl Fn(StickSlip) -> bool,
     ) -> FrictionConstraints<ANGLES> {
         self.five_bar().friction(&self.motion(pose, q, v), wanted, |wrench| {
@@ -96,7 +96,7 @@ impl<const BARE: bool> Frictional<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE
 
     fn friction_constraints(
         &self,
-        (q, pose, v): (&Coordinates, &Pose, &Coordinates),
+        Posed { q, pose, v }: Posed<'_, Pose, COORDINATES>,
         wanted: impl Fn(StickSlip) -> bool,
     ) -> FrictionConstraints<COORDINATES> {
         self.friction(&self.motion(q, pose, v), wanted, |wrench| {
@@ -120,7 +120,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
     fn guard_values(&self, q: &Angles, v: &Angles) -> GuardValues<'a> {
         let pose = self.pose(q);
         let motion = self.motion(&pose, q, v);
-        let friction_guards = self.friction_guards(self.five_bar().friction_places(&motion), (q, &pose, v));
+        let friction_guards = self.friction_guards(self.five_bar().friction_places(&motion), Posed { q, pose: &pose, v });
         self.five_bar().guards(&motion, friction_guards)
     }
 
@@ -171,7 +171,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
         let motion = self.motion(q, &pose, v);
-        let friction_guards = self.friction_guards(self.friction_places(&motion), (q, &pose, v));
+        let friction_guards = self.friction_guards(self.friction_places(&motion), Posed { q, pose: &pose, v });
         self.guards(&motion, friction_guards)
     }
 

@@ -146,12 +146,13 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         definite: Definiteness,
         at: &At<'_>,
         regularization: f64,
-        right: (&Coordinates, &Multipliers),
+        b: &Coordinates,
+        c: &Multipliers,
     ) -> Result<(Coordinates, Multipliers), StepError> {
         let &TangentPoint { q, pose, v, lambda, h } = at;
         let (slopes, arm) = self.slopes_at(q, pose, v);
         let of = TangentSystem { slopes, arm, pose, lambda, h, regularization, definite };
-        if BARE { self.model.solver.solve_tangent_by_legs(&of, right) } else { self.model.solver.solve_tangent(&of, right) }
+        if BARE { self.model.solver.solve_tangent_by_legs(&of, b, c) } else { self.model.solver.solve_tangent(&of, b, c) }
     }
 }
 
@@ -260,18 +261,20 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         &self,
         at: &At<'_>,
         regularization: f64,
-        right: (&Coordinates, &Multipliers),
+        b: &Coordinates,
+        c: &Multipliers,
     ) -> Result<(Coordinates, Multipliers), StepError> {
-        self.solve_tangent_as(Definiteness::Required, at, regularization, right)
+        self.solve_tangent_as(Definiteness::Required, at, regularization, b, c)
     }
 
     fn solve_descent(
         &self,
         at: &At<'_>,
         regularization: f64,
-        right: (&Coordinates, &Multipliers),
+        b: &Coordinates,
+        c: &Multipliers,
     ) -> Option<(Coordinates, Multipliers)> {
-        self.solve_tangent_as(Definiteness::Enforced, at, regularization, right).ok()
+        self.solve_tangent_as(Definiteness::Enforced, at, regularization, b, c).ok()
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {

@@ -14,7 +14,7 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Pose};
 impl<const BARE: bool> FiveBar<'_, BARE> {
     fn over(&self, step: &Increment<'_>) -> FiniteMotion<'_> {
         let &StepIncrement { q, d, v, h, softening, secant } = step;
-        self.conditions().finite_motion([q, d, v], secant, (h, softening), self.model.typical_inertia)
+        self.conditions().finite_motion([q, d, v], secant, h, softening, self.model.typical_inertia)
     }
 
     /// Mean wrench of loads and effects over a step, and its work.
@@ -64,7 +64,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS, CUT_UNKNOWNS> for Five
     }
 
     fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64, softening: f64) -> OpenStep<'a, Self> {
-        OpenStep::new(self, self.model.solver.legs(), (begin, at), (h, softening))
+        OpenStep::new(self, self.model.solver.legs(), begin, at, h, softening)
     }
 
     fn allows_staggering(&self) -> bool {

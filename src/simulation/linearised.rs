@@ -84,7 +84,7 @@ impl FollowedScene<'_> {
         let pose = model.mechanism.pose_at(turned);
         let motion = five_bar.conditions().motion_of_links(&model.mechanism, [turned, rates], &pose);
         let (closure, rates) = (Closure::new(&model.mechanism, None), angles(rates));
-        let equations = Equations::<false>::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
+        let equations = Equations::<false>::new(&model.inertia, &closure, &pose, &rates, model.regularization_by_angles);
         answer(&five_bar, &equations, &pose, motion)
     }
 }
@@ -117,7 +117,7 @@ impl Scene for FollowedScene<'_> {
     fn linearised(&self, at: &LinkState, force: &Links, torques: &Matrix4x2<f64>) -> Linearised {
         self.at(at, force, |five_bar, equations, pose, motion| {
             let (alpha, lambda) = equations.solve(five_bar.torques_and_power(pose, &motion).0);
-            let near = equations.linearised((&alpha, &lambda), five_bar.slopes_of_torques(pose, motion, at.omega.into()));
+            let near = equations.linearised(&alpha, &lambda, five_bar.slopes_of_torques(pose, motion, at.omega.into()));
             let [by_angle, by_rate] = near.columns();
             Linearised {
                 alpha: links(&alpha),

@@ -148,14 +148,15 @@ impl MacroStepMethod {
                 let mut progress = step.advance(system, settings, core, mode)?;
                 while let i3alp::Progress::Blocked(h) = progress {
                     let transit = bifurcation::crossing(system.general(), core, h);
-                    progress = step.cross(system, settings, (core, mode), transit.as_ref())?;
+                    progress = step.cross(system, settings, core, mode, transit.as_ref())?;
                 }
                 Ok(())
             }
             Self::I3alp(_) | Self::I3alpPrinted(_) | Self::Rk4(_) => count_breaches(
                 system,
                 || energy_scale(system.model),
-                (core, h),
+                core,
+                h,
                 |core| match self {
                     Self::I3alp(settings) => i3alp::MacroStep::of(h).advance(system, settings, core, mode).map(drop),
                     Self::I3alpPrinted(settings) => {

@@ -14,7 +14,7 @@ use super::bifurcation;
 use super::five_bar::FiveBar;
 use crate::hybrid::Frictional;
 use crate::integrator::{
-    Approach, Departure, EnergyBalance, Implicit, Passage, PassageLimits, Projection, StepError, StepLimits, Stuck, System,
+    Approach, Departure, EnergyBalance, Implicit, Passage, PassageLimits, Posed, Projection, StepError, StepLimits, Stuck, System,
     Transit, equilibrium, velocity_correction,
 };
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -154,7 +154,7 @@ impl AngleSystem<'_> {
             return limited(f64::INFINITY);
         };
         // Forces across the ray must displace the motion by less than the impact parameter. A start from rest is already on its branch.
-        let (pull, ..) = equilibrium(self, (from.q, &self.pose(from.q), &Angles::ZERO), self.regularization());
+        let (pull, ..) = equilibrium(self, Posed { q: from.q, pose: &self.pose(from.q), v: &Angles::ZERO }, self.regularization());
         if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
         }

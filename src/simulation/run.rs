@@ -265,7 +265,7 @@ impl ByMacroSteps for Conserving {
     }
 
     fn step<const BARE: bool>(&mut self, system: &FiveBar<'_, BARE>, h: f64) -> Result<(), StepError> {
-        self.state.advance((system, &system.general()), &self.settings, h)
+        self.state.advance(system, &system.general(), &self.settings, h)
     }
 
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {

@@ -7,7 +7,7 @@ use super::five_bar::FiveBar;
 use crate::dynamics::Conditions;
 use crate::effects::{Inputs, Motion};
 use crate::hybrid::{FRICTION_PLACES, Frictional, Mode, StickSlips};
-use crate::integrator;
+use crate::integrator::{self, Posed};
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
@@ -65,7 +65,7 @@ impl State {
             return [0.0; FRICTION_PLACES];
         }
         let Core { q, v, .. } = &self.core;
-        self.system(model).holding((q, &model.mechanism.pose(q), v))
+        self.system(model).holding(Posed { q, pose: &model.mechanism.pose(q), v })
     }
 
     /// System under the present inputs, with the present stick-slip states.

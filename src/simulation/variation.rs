@@ -66,10 +66,10 @@ impl State {
         // The linearised equations in the link angles.
         let [rates, alpha, turned, quickened] = [&core.v, &core.a, &q, &v].map(angles_of);
         let closure = Closure::new(&model.mechanism, None);
-        let equations = Equations::<false>::new((&model.inertia, &closure), &pose, &rates, model.regularization_by_angles);
+        let equations = Equations::<false>::new(&model.inertia, &closure, &pose, &rates, model.regularization_by_angles);
         let tip = AtTip::from([core.lambda[TIP_X], core.lambda[TIP_Y]]);
         let slopes = system.slopes_of_torques(&pose, at, in_link_order(&rates));
-        let near = equations.linearised((&alpha, &tip), slopes);
+        let near = equations.linearised(&alpha, &tip, slopes);
         let (d_alpha, d_tip) = near.change([&turned, &quickened], &angles(by_inputs.torques_in_angles(&pose)));
 
         // Accelerations q̈ = T α + Ṫ ω of the links, and the remaining forces on them, which the joints supply.

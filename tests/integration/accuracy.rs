@@ -1,6 +1,6 @@
 //! Orders and reference values: fall-90-120 and the torque test in quadruple precision, from other programs.
 
-use fivebar::integrator::{self, System, rk4};
+use fivebar::integrator::{self, Posed, System, rk4};
 use fivebar::mechanism::Coordinates;
 use fivebar::observers;
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
@@ -18,7 +18,8 @@ fn fall_at_1s() -> (Reference, [Coordinates; 3]) {
     let simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
     let inputs = Inputs::default();
     let system = FiveBar::new(simulation.model(), &inputs, &[0; 4]);
-    let (a, ..) = integrator::equilibrium(&system, (&q, &system.pose(&q), &v), simulation.model().regularization);
+    let (a, ..) =
+        integrator::equilibrium(&system, Posed { q: &q, pose: &system.pose(&q), v: &v }, simulation.model().regularization);
     (reference, [q, v, a])
 }
 

@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use fivebar::effects::NAMES;
-use fivebar::integrator::{State, System, equilibrium};
+use fivebar::integrator::{Posed, State, System, equilibrium};
 use fivebar::observers;
 use fivebar::simulation::angles::{AngleSystem, Angles, angles_of};
 use fivebar::simulation::bindings::{default_inputs, default_parameters};
@@ -61,7 +61,8 @@ fn tangents_of_accelerations_are_derivatives() {
             let at = State::start(&system, q, v, REGULARIZATION);
             let tangents = system.acceleration_tangents(&at, &system.pose(&at.q), REGULARIZATION).expect("tangents");
             let step = 1e-6;
-            let acceleration = |q: Angles, v: Angles| equilibrium(&system, (&q, &system.pose(&q), &v), REGULARIZATION).0;
+            let acceleration =
+                |q: Angles, v: Angles| equilibrium(&system, Posed { q: &q, pose: &system.pose(&q), v: &v }, REGULARIZATION).0;
             for i in 0..4 {
                 let shift = step * Vector::unit(i);
                 let by_q = (0.5 / step) * (acceleration(q + shift, v) - acceleration(q - shift, v));

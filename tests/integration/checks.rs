@@ -108,7 +108,8 @@ impl Implicit<2, 0> for Oscillator {
         &self,
         at: &TangentPoint<'_, Vector<2>, 2, 0>,
         _: f64,
-        (b, _): (&Vector<2>, &Vector<0>),
+        b: &Vector<2>,
+        _: &Vector<0>,
     ) -> Result<(Vector<2>, Vector<0>), StepError> {
         Ok((1.0 / (1.0 + at.h * at.h / 4.0) * *b, Vector::ZERO))
     }

@@ -219,7 +219,8 @@ impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<
         &self,
         at: &TangentPoint<'_, Pose<M>, N, M>,
         regularization: f64,
-        (b, c): (&Vector<N>, &Vector<M>),
+        b: &Vector<N>,
+        c: &Vector<M>,
     ) -> Result<(Vector<N>, Vector<M>), StepError> {
         let beta = at.h * at.h / 4.0;
         let geometric = at.pose.geometric_stiffness::<N>(at.lambda);

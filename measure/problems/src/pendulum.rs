@@ -96,7 +96,8 @@ impl Implicit<2, 1> for Pendulum {
         &self,
         at: &TangentPoint<'_, Vector<2>, 2, 1>,
         regularization: f64,
-        (b, c): (&Vector<2>, &Vector<1>),
+        b: &Vector<2>,
+        c: &Vector<1>,
     ) -> Result<(Vector<2>, Vector<1>), StepError> {
         Ok(Factor { a: 1.0 + at.h * at.h / 4.0 * at.lambda[0], q: *at.q, regularization }.solve(b, c))
     }

@@ -8,7 +8,7 @@ use crate::integrator::dense_output::Interpolant;
 use crate::integrator::equilibrium::{acceleration_near, project_sticking};
 use crate::integrator::state::StepEnd;
 use crate::integrator::{
-    ERROR_RATE, EnergyBalance, Features, Passage, Projection, State, StepError, Stuck, System, Work, velocity_correction,
+    ERROR_RATE, EnergyBalance, Features, Passage, Posed, Projection, State, StepError, Stuck, System, Work, velocity_correction,
 };
 use crate::vector::Vector;
 use wide::f64x2;
@@ -159,7 +159,7 @@ pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<
     let mass = system.factor_mass(pose, settings.regularization);
     *v += velocity_correction(system, pose, &mass, v);
     if system.stuck() != Stuck::Nothing {
-        *v = project_sticking(system, (q, pose, v), &mass);
+        *v = project_sticking(system, Posed { q, pose, v }, &mass);
     }
     Ok((iterations, mass))
 }
@@ -190,7 +190,7 @@ impl<const N: usize> StageDerivative<N> {
         by: &Vector<N>,
     ) {
         let Origin { q, pose, regularization } = origin;
-        (self.v, self.power) = acceleration_near(system, (q, pose), by, &self.q, *regularization);
+        (self.v, self.power) = acceleration_near(system, q, pose, by, &self.q, *regularization);
     }
 }
 
@@ -206,7 +206,7 @@ impl<P, const N: usize> Origin<'_, P, N> {
     /// Pose at an increment from the origin.
     #[inline(always)]
     pub(super) fn pose_at<const M: usize, S: System<N, M, Pose = P>>(&self, system: &S, by: &Vector<N>) -> P {
-        system.pose_near((&self.q, self.pose), by)
+        system.pose_near(&self.q, self.pose, by)
     }
 }
 

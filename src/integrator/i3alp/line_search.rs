@@ -59,7 +59,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let c = -phi - regularization * beta * step.lambda;
         let total = step.lambda + alpha * phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &total, h: step.h };
-        let (direction, y) = system.solve_descent(&at, regularization, (&b, &c))?;
+        let (direction, y) = system.solve_descent(&at, regularization, &b, &c)?;
         let joint_forces = system.phi_q_transposed_times(&pose, &total);
         let slope = (joint_forces - b / beta).dot(&direction);
         let start = merit(step, step.delta)?;

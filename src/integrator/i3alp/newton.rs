@@ -107,7 +107,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let b = beta * system.forces(&q, &pose, &v).0 - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
-        let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        let (mut correction, mut y) = system.solve_tangent(&at, regularization, &b, &c)?;
         if system.stuck() != Stuck::Nothing {
             let (found, force) = keep_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
@@ -130,7 +130,7 @@ fn keep_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
         return Ok(((correction, y), Vector::ZERO));
     };
     let beta = at.h * at.h / 4.0;
-    let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
+    let (by_force, y_by_force) = system.solve_tangent(at, regularization, &(beta * force), &Vector::ZERO)?;
     // With the trapezoidal rule a correction changes the rate by 2/h times itself.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {

@@ -60,7 +60,7 @@ pub(super) fn filtered<const N: usize, const M: usize, S: Implicit<N, M>>(
     x: &Vector<N>,
 ) -> Option<Vector<N>> {
     let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
-    system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
+    system.solve_tangent(&at, settings.regularization, &system.mass_times(pose, x), &Vector::ZERO).ok().map(|(x, _)| x)
 }
 
 /// Work of drives beyond the trapezoidal rule for their power, J. The mean force (Q₀ + Q₁)/2 along the displacement does the work

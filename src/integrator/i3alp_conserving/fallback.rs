@@ -13,7 +13,7 @@
 //! With `max_work` = 0 the first stage is the only one.
 
 use super::Settings;
-use super::newton::{IterationBudget, ResidualBounds, StopRule, full_newton};
+use super::newton::{IterationBudget, NewtonLimits, ResidualBounds, StopRule, full_newton};
 use crate::integrator::{CutStep, Discrete, Passage, Projection, StepError, StepIncrement, velocity_correction};
 use crate::vector::Vector;
 
@@ -27,10 +27,10 @@ const SMALLER_REGULARIZATIONS: [f64; 2] = [1e-5, 1e-7];
 const FINER_CONTINUATIONS: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
 /// Numbers of shorter steps; their end is tried as a first guess.
 const SHORTER_STEP_COUNTS: [u32; 4] = [2, 4, 8, 16];
-/// Iteration limit and stopping rule for a root of the step itself.
-const TO_ROOT: (u32, StopRule) = (10, StopRule::Solved);
-/// Iteration limit and stopping rule for the intermediate roots of a homotopy.
-const TO_INTERMEDIATE_ROOT: (u32, StopRule) = (10, StopRule::Corrected(1e-8));
+/// Limits for a root of the step itself.
+const TO_ROOT: NewtonLimits = NewtonLimits { iterations: 10, stop_rule: StopRule::Solved };
+/// Limits for the intermediate roots of a homotopy.
+const TO_INTERMEDIATE_ROOT: NewtonLimits = NewtonLimits { iterations: 10, stop_rule: StopRule::Corrected(1e-8) };
 /// Largest number of iterations per softening.
 const SOFTENED_ITERATIONS: u32 = 15;
 /// Largest number of iterations of a projection in the energy-only stage.
@@ -76,10 +76,17 @@ fn increment<const N: usize>(v: &Vector<N>, a: &Vector<N>, h: f64) -> Vector<N> 
     h * (*v + (0.5 * h) * *a)
 }
 
+/// Accelerations q̈ and multipliers λ in equilibrium at the beginning of a step.
+#[derive(Clone, Copy)]
+pub(super) struct Rest<'a, const N: usize, const M: usize> {
+    pub(super) a: &'a Vector<N>,
+    pub(super) lambda: &'a Vector<M>,
+}
+
 /// First guess of the unknowns for a step of `h` seconds, from q̈ and λ in equilibrium at its beginning.
 pub(super) fn from_equilibrium<const N: usize, const M: usize, const K: usize, S: Discrete<N, M, K>>(
     v: &Vector<N>,
-    (a, lambda): (&Vector<N>, &Vector<M>),
+    Rest { a, lambda }: Rest<'_, N, M>,
     h: f64,
 ) -> Vector<K> {
     <S::Cut<'_>>::unknowns_of(&increment(v, a, h), &((0.5 * h * h) * *lambda))
@@ -103,13 +110,15 @@ where
     /// unknowns of the root.
     pub(super) fn root(
         &self,
-        (h, softening): (f64, f64),
+        h: f64,
+        softening: f64,
         x: &mut Vector<K>,
-        (regularization, (most, stop_rule)): (f64, (u32, StopRule)),
+        regularization: f64,
+        limits: NewtonLimits,
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let cut = self.system.cut(&self.pose, [&self.q, &self.v], h, softening);
-        let motion = full_newton(&cut, x, &ResidualBounds::new(self.system, h), (regularization, most, stop_rule), budget)?;
+        let motion = full_newton(&cut, x, &ResidualBounds::new(self.system, h), regularization, limits, budget)?;
         let [d, v] = cut.end(&motion);
         Some(ConservingEnd { x: Some(*x), d, acting: v, v, secant: *<S::Cut<'_>>::secant(&motion) })
     }
@@ -118,13 +127,13 @@ where
     fn by_stages(
         &self,
         settings: &Settings,
-        rest: (&Vector<N>, &Vector<M>),
+        rest: Rest<'_, N, M>,
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let with = |part: f64| part * settings.regularization;
         let start = from_equilibrium::<N, M, K, S>(&self.v, rest, self.h);
         let by_full_newton =
-            |part: f64, budget: &mut IterationBudget<'_>| self.root((self.h, 1.0), &mut { start }, (with(part), TO_ROOT), budget);
+            |part: f64, budget: &mut IterationBudget<'_>| self.root(self.h, 1.0, &mut { start }, with(part), TO_ROOT, budget);
         if let Some(root) = by_full_newton(1.0, budget) {
             return Some(root);
         }
@@ -153,7 +162,7 @@ where
     fn by_shorter_steps(
         &self,
         regularization: f64,
-        rest: (&Vector<N>, &Vector<M>),
+        rest: Rest<'_, N, M>,
         parts: u32,
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
@@ -161,12 +170,12 @@ where
         let mut x = from_equilibrium::<N, M, K, S>(&self.v, rest, h);
         let (mut q, mut v, mut mean) = (self.q, self.v, Vector::ZERO);
         for _ in 0..parts {
-            let end = Step::new(self.system, [&q, &v], h).root((h, 1.0), &mut x, (regularization, TO_ROOT), budget)?;
+            let end = Step::new(self.system, [&q, &v], h).root(h, 1.0, &mut x, regularization, TO_ROOT, budget)?;
             (q, v) = (q + end.d, end.v);
             mean += x / f64::from(parts);
         }
         let mut x = <S::Cut<'_>>::lengthened(&mean, f64::from(parts));
-        self.root((self.h, 1.0), &mut x, (regularization, TO_ROOT), budget)
+        self.root(self.h, 1.0, &mut x, regularization, TO_ROOT, budget)
     }
 
     /// Stage 2: with softened friction a root is easy to find; from there the law is hardened in steps.
@@ -177,9 +186,10 @@ where
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
         let [least, most] = HARDENING_FACTORS;
-        let (_, to_intermediate_root) = TO_INTERMEDIATE_ROOT;
+        let to_intermediate_root = TO_INTERMEDIATE_ROOT.stop_rule;
         let mut root = |softening: f64, x: &mut Vector<K>, stop_rule| {
-            self.root((self.h, softening), x, (regularization, (SOFTENED_ITERATIONS, stop_rule)), budget)
+            let limits = NewtonLimits { iterations: SOFTENED_ITERATIONS, stop_rule };
+            self.root(self.h, softening, x, regularization, limits, budget)
         };
         root(LARGEST_SOFTENING, &mut x, to_intermediate_root)?;
         let (mut softening, mut ratio) = (LARGEST_SOFTENING, most);
@@ -200,7 +210,7 @@ where
     fn continue_in_step_length(
         &self,
         regularization: f64,
-        rest: (&Vector<N>, &Vector<M>),
+        rest: Rest<'_, N, M>,
         stages: u32,
         budget: &mut IterationBudget<'_>,
     ) -> Option<ConservingEnd<S::Secant, N, K>> {
@@ -213,8 +223,8 @@ where
                 _ => 2.0 * x - before,
             };
             (before, x) = (x, next);
-            let stop_rule = if stage < stages { TO_INTERMEDIATE_ROOT } else { TO_ROOT };
-            end = Some(self.root((h, 1.0), &mut x, (regularization, stop_rule), budget)?);
+            let limits = if stage < stages { TO_INTERMEDIATE_ROOT } else { TO_ROOT };
+            end = Some(self.root(h, 1.0, &mut x, regularization, limits, budget)?);
         }
         end
     }
@@ -228,13 +238,13 @@ where
     pub(super) fn recover(
         &self,
         settings: &Settings,
-        rest: (&Vector<N>, &Vector<M>),
+        rest: Rest<'_, N, M>,
         budget: &mut IterationBudget<'_>,
     ) -> Result<ConservingEnd<S::Secant, N, K>, StepError> {
         match self.by_stages(settings, rest, budget) {
             Some(root) => Ok(root),
             None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: budget.spent() }),
-            None => self.keep_energy_only(settings, rest.0, budget),
+            None => self.keep_energy_only(settings, rest.a, budget),
         }
     }
 

@@ -81,7 +81,8 @@ pub(super) fn staggered_newton<const N: usize, const M: usize, const K: usize, C
     cut: &C,
     mut x: Vector<K>,
     bounds: &ResidualBounds,
-    (regularization, most): (f64, u32),
+    regularization: f64,
+    most: u32,
     accept_root: impl FnOnce(&C::Motion, u32) -> T,
 ) -> Result<T, (Option<Vector<K>>, u32)> {
     let mut convergence = Convergence::new(1.0, 0.0, LastCorrection::ANY);
@@ -122,16 +123,26 @@ pub(super) enum StopRule {
     Corrected(f64),
 }
 
+/// Limits of the full iteration.
+#[derive(Clone, Copy)]
+pub(super) struct NewtonLimits {
+    /// Largest number of iterations.
+    pub(super) iterations: u32,
+    /// When the iteration ends.
+    pub(super) stop_rule: StopRule,
+}
+
 /// Full iteration on all unknowns at once, with the whole tangent. `x` is the first guess and becomes the unknowns of the root.
 #[inline(never)]
 pub(super) fn full_newton<const N: usize, const M: usize, const K: usize, C: CutStep<N, M, K>>(
     cut: &C,
     x: &mut Vector<K>,
     bounds: &ResidualBounds,
-    (regularization, most, stop_rule): (f64, u32, StopRule),
+    regularization: f64,
+    limits: NewtonLimits,
     budget: &mut IterationBudget<'_>,
 ) -> Option<C::Motion> {
-    let (tolerance, small) = match stop_rule {
+    let (tolerance, small) = match limits.stop_rule {
         StopRule::Solved => (1.0, LAST_CORRECTION),
         StopRule::Corrected(bound) => (f64::INFINITY, bound),
     };
@@ -142,7 +153,7 @@ pub(super) fn full_newton<const N: usize, const M: usize, const K: usize, C: Cut
         if convergence.is_met(bounds.violation(cut.residuals(&motion, &balance))) {
             return Some(motion);
         }
-        if convergence.iterations == most {
+        if convergence.iterations == limits.iterations {
             return None;
         }
         budget.take()?;

@@ -56,7 +56,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         phase("factor the tangent and solve", |system, state, regularization| {
             let pose = system.pose(&state.q);
             let at = TangentPoint { q: &state.q, pose: &pose, v: &state.v, lambda: &state.lambda, h: H };
-            black_box(system.solve_tangent(&at, regularization, (&state.a, &state.lambda)).expect("positive"));
+            black_box(system.solve_tangent(&at, regularization, &state.a, &state.lambda).expect("positive"));
         }),
         phase("project: factor M, velocity, acceleration", |system, state, regularization| {
             let pose = system.pose(&state.q);

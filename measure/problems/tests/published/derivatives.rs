@@ -70,7 +70,7 @@ fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: us
         let (first, second) =
             residual(system.factor_mass(&pose, regularization).solve(&b, &c), 0.0, &|x| system.mass_times(&pose, x));
         assert!(first < 1e-9 && second < 1e-9, "mass: {first:e} {second:e}");
-        let solution = system.solve_tangent(&at, regularization, (&b, &c)).expect("a step short enough");
+        let solution = system.solve_tangent(&at, regularization, &b, &c).expect("a step short enough");
         let (first, second) = residual(solution, beta, &weighed);
         assert!(first < 1e-8 && second < 1e-9, "tangent: {first:e} {second:e}");
     }
