@@ -81,8 +81,8 @@ def test_no_legend_lies_on_its_axes() -> None:
             for i in range(3):
                 axes.plot([0, 1], [i, -i], label=f"curve {i}")
             draw(axes)
-            drawing.lay_out(figure)
-            figure.draw_without_rendering()
+            with drawing.laid_out(figure):
+                figure.draw_without_rendering()
             [legend] = [*figure.legends, *filter(None, [axes.get_legend()])]
             assert not legend.get_window_extent().overlaps(axes.get_window_extent()), draw.__name__
 

@@ -251,6 +251,11 @@ def test_pictures(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
             assert min(picture.size) > 300 and sum(n > 0 for n in picture.convert("L").histogram()) > 20, (
                 f"{path.name} is blank"
             )
+            inked = np.asarray(picture.convert("L")) < 250
+            for lines in (inked.any(axis=0), inked.any(axis=1)):
+                # Pads are 5 to 12 dots; text that is cut off reaches the edge.
+                edges = lines.argmax(), lines[::-1].argmax()
+                assert min(edges) >= 2 and max(edges) < 30, f"{path.name} is cut off or has an empty edge"
 
 
 def test_page(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:

@@ -1,5 +1,7 @@
 """Common parts of pictures: colours, style, axes and the obstacles around the mechanism."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +12,7 @@ from fivebar.drive import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
@@ -27,6 +30,12 @@ ABOVE: Final[dict[str, Any]] = {"loc": "lower right", "bbox_to_anchor": (1, 1.0)
 STYLE: Final["dict[RcKeyType, Any]"] = {
     "figure.dpi": 120,
     "figure.constrained_layout.use": True,
+    # Where a tight layout begins: near its end, so that the ticks fit.
+    "figure.subplot.left": 0.08,
+    "figure.subplot.right": 0.98,
+    "figure.subplot.bottom": 0.08,
+    "figure.subplot.top": 0.95,
+    "figure.subplot.hspace": 0.1,
     "font.size": 10,
     "axes.titlesize": 11,
     "axes.titleweight": "bold",
@@ -55,14 +64,29 @@ def panels(rows: int, columns: int = 1, *, figsize: tuple[float, float], **share
     return figure, figure.subplots(rows, columns, **shared)
 
 
-def lay_out(figure: "Figure") -> None:
-    """Computes the layout of a finished figure once. With a layout engine, each file would lay out and draw the figure twice."""
-    import matplotlib
+@contextmanager
+def laid_out(figure: "Figure") -> Iterator[None]:
+    """Computes the layout of a finished figure once, for all files. With a layout engine, each file would lay out and draw the figure twice.
 
+    Panels below each other get a tight layout, which measures all text once. Constrained layout measures it twice, but also places panels
+    side by side, colour bars and legends of the whole figure.
+    """
+    import matplotlib
+    from matplotlib.ticker import FixedLocator
+
+    grid = figure.axes[0].get_gridspec()
+    if not figure.legends and grid and grid.ncols == 1:
+        # A rectangle to fill, the whole figure by default, would take a second measurement.
+        figure.set_layout_engine("tight", pad=0.3, rect=None)
+        # Other ticks after the measurement could have wider labels.
+        for axes in [each for own in figure.axes for each in (own, *own.child_axes)]:
+            axes.yaxis.set_major_locator(FixedLocator(axes.yaxis.get_majorticklocs().tolist()))
     if engine := figure.get_layout_engine():
         engine.execute(figure)
+    # By the style, a figure without an engine gets the constrained one, also when matplotlib has written a file.
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
+        yield
 
 
 def save(figure: "Figure", file: Path) -> Path:
@@ -137,6 +161,20 @@ def legend_below(axes: "Axes", columns: int = 4) -> None:
 def positive(values: np.ndarray) -> np.ndarray:
     """Values for a logarithmic axis: zeros become NaN, since they cannot be drawn."""
     return np.where(values > 0, values, np.nan)
+
+
+def logarithmic(axes: "Axes") -> None:
+    """Makes the y axis logarithmic."""
+    axes.set_yscale("log")
+    label_decades(axes.yaxis)
+
+
+def label_decades(axis: "Axis") -> None:
+    """Labels a logarithmic axis in plain text."""
+    from fivebar.decades import Decades
+
+    axis.set_major_formatter(Decades())
+    axis.set_minor_formatter(Decades())
 
 
 def full_decades(axes: "Axes", values: np.ndarray) -> None:

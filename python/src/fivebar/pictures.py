@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,9 +18,11 @@ from fivebar.drawing import (
     drawing_order,
     extent,
     full_decades,
-    lay_out,
+    label_decades,
+    laid_out,
     legend_above,
     legend_below,
+    logarithmic,
     ordered_legend,
     panels,
     positive,
@@ -55,6 +58,10 @@ POSE_WINDOW = 0.75
 """Longest time, s, that the stroboscopic poses cover: about half a swing of the paper's mechanism."""
 
 
+TIME_COLOURS = 256
+"""Number of colours along the path of the tip: `viridis` has as many."""
+
+
 def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events: list[Event]) -> None:
     """Draws every picture; `begin` returns the path of the next file to write."""
     import matplotlib
@@ -65,12 +72,12 @@ def draw_all(begin: Callable[[str], Path], scene: Scene, runs: list[Run], events
                 continue
             png = begin(f"{name}.png")
             figure = picture.draw(scene, runs, events)
-            lay_out(figure)
-            # Crop the empty bands that equal scales on both axes leave in the figure.
-            crop: dict[str, Any] = {"bbox_inches": figure.get_tightbbox().padded(0.1)} if name == "path" else {}
-            figure.savefig(png, **crop)
-            if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
-                figure.savefig(begin(f"{name}.svg"), metadata={"Date": None}, **crop)
+            with laid_out(figure):
+                # Crop the empty bands that equal scales on both axes leave in the figure.
+                crop: dict[str, Any] = {"bbox_inches": figure.get_tightbbox().padded(0.1)} if name == "path" else {}
+                figure.savefig(png, **crop)
+                if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
+                    figure.savefig(begin(f"{name}.svg"), metadata={"Date": None}, **crop)
 
 
 def path(scene: Scene, runs: list[Run], events: list[Event]) -> "Plot":
@@ -162,12 +169,14 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     top.set_title(f"{scene.name}: energies")
     legend_above(top, 5)
     scale = energy_scale(run)
+    logarithmic(bottom)
     for i, other in drawing_order(runs):
         time, residual = thinned(other.time, np.abs(other["energy.error"]))
-        bottom.semilogy(time, positive(residual), color=RUN_COLOURS[i % 5], label=run_label(other), linewidth=1.1)
+        bottom.plot(time, positive(residual), color=RUN_COLOURS[i % 5], label=run_label(other), linewidth=1.1)
     bottom.set_ylim(bottom=max(bottom.get_ylim()[0], LEAST_ENERGY))
     bottom.set_ylabel("|balance residual|  (J)")
     in_scale = bottom.secondary_yaxis("right", functions=(lambda e: e / scale, lambda e: e * scale))
+    label_decades(in_scale.yaxis)
     in_scale.set_ylabel(f"in mgL, {energy_note(run)}" if energy_note(run) else "in mgL")
     if len(runs) > 1:
         ordered_legend(bottom, len(runs))
@@ -178,9 +187,10 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     figure, (top, bottom) = panels(2, sharex=True, figsize=(10, 5.2))
     for axes, level, unit, symbol in ((top, "position", "m", r"\Phi"), (bottom, "velocity", "m/s", r"\dot{\Phi}")):
+        logarithmic(axes)
         for i, run in drawing_order(runs):
             time, norm = thinned(run.time, run[f"solver.{level}Error"])
-            axes.semilogy(time, positive(norm), color=RUN_COLOURS[i % 5], label=run_label(run), linewidth=1.0)
+            axes.plot(time, positive(norm), color=RUN_COLOURS[i % 5], label=run_label(run), linewidth=1.0)
         axes.set_ylabel(rf"max $|{symbol}|$  ({unit})")
     top.set_title(f"{scene.name}: constraint violation at position and velocity level")
     if len(runs) > 1:
@@ -199,12 +209,16 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> "Figure"
     )
     for axes, (name, symbol, unit) in zip(rows, signals):
         time, value = thinned(run.time, run[f"singular.{name}"])
-        axes.semilogy(time, positive(value), color=INK, linewidth=0.9)
+        logarithmic(axes)
+        axes.plot(time, positive(value), color=INK, linewidth=0.9)
         axes.set_ylabel(symbol + unit)
         full_decades(axes, value)
     rows[0].set_title(f"{scene.name}: smallest singular values, {sampling(run)}")
     for lane, kind in enumerate(KINDS):
         met = [event.time for event in events if event.kind == kind]
+        if not met:
+            # Marks without clipping would make room for a point in the corner of the figure.
+            continue
         # Combined and constraint singularities are rare: a thin mark would be lost in a run of 50 s.
         width = 2.5 if kind in GRAVE else 1.0
         lanes.plot(
@@ -247,12 +261,11 @@ def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
 
 def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> "Figure":
     figure, axes = panels(1, figsize=(10, 4))
+    logarithmic(axes)
     for i, other in enumerate(runs[1:], start=1):
         distance = tip_distance(runs[0], other)
         time, value = thinned(runs[0].time[: len(distance)], distance)
-        axes.semilogy(
-            time, positive(value), color=RUN_COLOURS[i % 5], label=f"{run_label(other)} against {runs[0].label}"
-        )
+        axes.plot(time, positive(value), color=RUN_COLOURS[i % 5], label=f"{run_label(other)} against {runs[0].label}")
     axes.axhline(CLOSE, color=FAINT, linewidth=1, linestyle="--")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-16))
     axes.set_ylabel("|ΔQ|  (m)")
@@ -290,11 +303,18 @@ def _path_over_time(figure: "Figure", axes: "Axes", run: Run) -> None:
     from matplotlib.collections import LineCollection
 
     stride = max(1, len(run.time) // 20000)
-    points = np.column_stack((run["tip.x"], run["tip.y"]))[::stride]
-    segments = np.stack((points[:-1], points[1:]), axis=1)
+    time, points = run.time[::stride], np.column_stack((run["tip.x"], run["tip.y"]))[::stride]
+    # One line per colour of the map, and each begins where the last one ends.
+    ends = np.unique(np.linspace(0, len(time) - 1, TIME_COLOURS + 1).astype(int))
     long = run.time[-1] > 5
-    lines = LineCollection(list(segments), cmap="viridis", linewidths=0.6 if long else 1.4, alpha=0.6 if long else 1.0)
-    lines.set_array(run.time[::stride][:-1])
+    lines = LineCollection(
+        [points[a : b + 1] for a, b in pairwise(ends)],
+        cmap="viridis",
+        linewidths=0.6 if long else 1.4,
+        alpha=0.6 if long else 1.0,
+    )
+    lines.set_array(time[ends[:-1]])
+    lines.set_clim(time[0], time[-1])
     axes.add_collection(lines, autolim=True)
     axes.autoscale_view()
     figure.colorbar(lines, ax=axes, label="time  (s)", shrink=0.8, pad=0.02).outline.set_visible(False)
