@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import pickle
 import re
 import shlex
 import shutil
@@ -177,7 +178,9 @@ def test_the_function_finds_what_the_command_finds(
     written, again = scenes_of.read(tmp_path / "out" / "calibrated.json", library.known), found.scene()
     assert again.values == written.values and again.stop_time == written.stop_time
     assert again.description == written.description.replace("a.csv", "the record")
-    assert [file.name for file in found.pictures(tmp_path / "new" / "folder")] == ["residuals.png", "unknowns.png"]
+    stored = pickle.loads(pickle.dumps(found))
+    assert stored.figures() == found.figures() and stored.scene() == again
+    assert [file.name for file in stored.pictures(tmp_path / "new" / "folder")] == ["residuals.png", "unknowns.png"]
     with pytest.raises(FrozenInstanceError):
         found.solution = None  # type: ignore[misc]
 
@@ -193,6 +196,7 @@ def test_the_function_finds_what_the_command_finds(
         ({}, {"patience": 0}, "patience is 0; more than 0 is needed"),
         ({}, {"seconds": math.nan}, "seconds is nan; more than 0 is needed"),
         ({}, {"parameters": ["mass"]}, "mass cannot be sought: "),
+        ({}, {"longest": None}, "'longest' must be a number in s, not null"),
         ({}, {"begin": 9.0}, "the record has no sample from 9 s on for 10 s"),
         (None, {}, "a record is a file, a dict of columns or a frame of pandas, not 3"),
     ],

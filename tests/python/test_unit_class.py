@@ -6,6 +6,7 @@ import logging
 import math
 import multiprocessing
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -51,6 +52,27 @@ def test_every_public_member_has_an_example() -> None:
         for name in public:
             if name not in own:
                 assert found.find(getattr(kind, name), name, globs={})[0].examples, f"{kind.__name__}.{name}"
+
+
+def test_what_is_pickled_of_another_unit_is_refused(fmu: Path, tmp_path: Path) -> None:
+    """A library is opened again by its file, or is the shipped one; blocks of variables keep their names' references."""
+    moved = tmp_path / "moved.fmu"
+    moved.write_bytes(fmu.read_bytes())
+    made = library.Library(moved)
+    block = pickle.loads(pickle.dumps(made.blocks(("tau[1]", "tau[2]"))[0]))
+    stored = pickle.dumps(made)
+    made.close()
+    moved.unlink()
+    again = pickle.loads(stored)
+    assert again.guid == made.guid
+    with Unit.of(again) as unit:
+        unit.reset(**{"tau[2]": 0.5})
+        assert list(unit.read(block)) == [0.0, 0.5]
+    made.model.guid = "{another}"
+    with pytest.raises(
+        FiveBarError, match=r"is the unit \{.*\}, and what was pickled is of \{another\} at .*moved.fmu$"
+    ):
+        pickle.loads(pickle.dumps(made))
 
 
 def test_it_is_the_unit_to_the_bit(model: ModelDescription, directory: str) -> None:

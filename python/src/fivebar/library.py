@@ -47,6 +47,23 @@ class Block:
     orders: "Array[c_int]"
     """Orders of input derivatives: 1 for each variable."""
 
+    @classmethod
+    def of(cls, kind: str, references: Sequence[int], places: Sequence[int]) -> "Block":
+        """A block of variables of an FMI type, from their value references."""
+        count = len(references)
+        return cls(
+            f"fmi2Get{kind}",
+            f"fmi2Set{kind}",
+            (fmi2.fmi2ValueReference * count)(*references),
+            places,
+            TYPES[kind] * count,
+            (c_int * count)(*([1] * count)),
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """C arrays are made again where the block is unpickled."""
+        return Block.of, (self.getter.removeprefix("fmi2Get"), list(self.references), self.places)
+
 
 class Library:
     """An extracted .fmu. Its files are removed by `close`, or when the object is no longer used.
@@ -68,6 +85,10 @@ class Library:
         self.variables: dict[str, ScalarVariable] = {v.name: v for v in self.model.modelVariables}
         self._blocks: dict[tuple[str, ...], tuple[Block, ...]] = {}
         self._reals: dict[tuple[str, ...], Block | None] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Extracted and loaded again where it is unpickled."""
+        return _again, (self.fmu, self.guid)
 
     @cached_property
     def known(self) -> Variables:
@@ -157,12 +178,10 @@ class Library:
 
     def _by_type(self, names: tuple[str, ...]) -> Iterable[Block]:
         variables = [self.variable(name) for name in names]
-        for kind, c_type in TYPES.items():
+        for kind in TYPES:
             own = [i for i, v in enumerate(variables) if v.type.replace("Enumeration", "Integer") == kind]
             if own:
-                references = (fmi2.fmi2ValueReference * len(own))(*(variables[i].valueReference for i in own))
-                orders = (c_int * len(own))(*([1] * len(own)))
-                yield Block(f"fmi2Get{kind}", f"fmi2Set{kind}", references, own, c_type * len(own), orders)
+                yield Block.of(kind, [variables[i].valueReference for i in own], own)
 
     def close(self) -> None:
         """Removes the extracted files now; open instances keep working."""
@@ -176,6 +195,14 @@ def _discard(directory: str, process: int, loaded: list[fmi2._FMU2], used: set[i
             each.freeLibrary()
     if os.getpid() == process:
         shutil.rmtree(directory, ignore_errors=True)
+
+
+def _again(fmu: Path, guid: str) -> Library:
+    """The library of a pickled object: from the same file, or the shipped one if it is the same unit."""
+    found = shared(fmu if fmu.is_file() else None)
+    if found.guid != guid:
+        raise FiveBarError(f"{found.fmu} is the unit {found.guid}, and what was pickled is of {guid} at {fmu}")
+    return found
 
 
 def shared(fmu: Path | None = None) -> Library:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -150,6 +150,10 @@ class Machine:
     def close(self) -> None:
         """Frees the unit."""
         self.unit.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the unit: a pickled fit has all that was found, and makes no further runs."""
+        return {name: value for name, value in vars(self).items() if name != "unit"}
 
 
 def late(time: Array, motion: Array, delay: float) -> Array:
