@@ -35,7 +35,24 @@ WORKING_MODES: tuple[Working, ...] = (("minus", "plus"), ("plus", "plus"), ("min
 
 
 def mode_name(working: Working) -> str:
-    """Name of a working mode, such as `minusPlus`, as in the unit's `mode.working`."""
+    """Name of a working mode, such as `minusPlus`, as in the unit's `mode.working`.
+
+    Parameters
+    ----------
+    working : tuple of str
+        `plus` or `minus` for the left and the right leg.
+
+    Returns
+    -------
+    str
+        The name.
+
+    Examples
+    --------
+    >>> from fivebar.kinematics import mode_name
+    >>> mode_name(("minus", "plus"))
+    'minusPlus'
+    """
     return working[0] + working[1].capitalize()
 
 
@@ -123,10 +140,26 @@ class Locus(NamedTuple):
 
 
 def sines(theta: ArrayLike) -> Floats:
-    """sin(theta3 - theta2), sin(theta2 - theta1), sin(theta3 - theta4), shape (..., 3).
+    """sin(theta3 - theta2), sin(theta2 - theta1) and sin(theta3 - theta4).
 
     The first sine is 0 at direct singularities, and its sign is the assembly. The others are 0 at inverse singularities of the
     left and the right leg, and their signs are the working mode.
+
+    Parameters
+    ----------
+    theta : array_like
+        Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+    Returns
+    -------
+    numpy.ndarray
+        The three sines, shape (..., 3).
+
+    Examples
+    --------
+    >>> from fivebar.kinematics import sines
+    >>> sines([2.0, 1.0, 2.0, 1.0]).round(3).tolist()
+    [0.841, -0.841, 0.841]
     """
     t1, t2, t3, t4 = np.moveaxis(np.asarray(theta, dtype=np.float64), -1, 0)
     return np.stack([np.sin(t3 - t2), np.sin(t2 - t1), np.sin(t3 - t4)], axis=-1)
@@ -162,7 +195,29 @@ class Machine:
 
     @classmethod
     def from_values(cls, values: Mapping[str, float]) -> "Machine":
-        """The machine with the lengths `base.distance` and `link[1..4].length`, m; missing ones have the unit's start values."""
+        """The machine with given lengths.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            `base.distance` and `link[1].length` to `link[4].length`, m; missing ones have the unit's start values.
+
+        Returns
+        -------
+        Machine
+            The machine.
+
+        Raises
+        ------
+        FiveBarError
+            If a name is no length, or a length is refused.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> fivebar.Machine.from_values({"base.distance": 0.0}).distance
+        0.0
+        """
         if strange := set(arguments.values("values", values)) - set(GEOMETRY):
             raise FiveBarError(f"{min(strange)} is not a length of a machine; allowed are {', '.join(GEOMETRY)}.")
         distance, l1, l2, l3, l4 = (
@@ -172,7 +227,29 @@ class Machine:
 
     @classmethod
     def from_scene(cls, scene: "str | Path | Mapping[str, Any] | Scene") -> "Machine":
-        """The machine of a scene, which is given as for `fivebar.run`."""
+        """The machine of a scene.
+
+        Parameters
+        ----------
+        scene
+            A scene as `fivebar.run` takes it.
+
+        Returns
+        -------
+        Machine
+            The machine with the scene's lengths.
+
+        Raises
+        ------
+        FiveBarError
+            If there is no such scene, or it is refused.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> fivebar.Machine.from_scene("pick_and_place").lengths
+        (0.21, 0.21, 0.21, 0.21)
+        """
         # Imported here, since reading a scene in tip coordinates needs this module.
         from fivebar import scene as scenes
 
@@ -203,10 +280,33 @@ class Machine:
     # Positions
 
     def inverse(self, tip: ArrayLike, working: Working = ("minus", "plus"), assembly: Sign | None = None) -> Posture:
-        """Inverse kinematics: postures with the tip at `tip` (..., 2), m, in a working mode.
+        """Inverse kinematics: postures with the tip at given points, in a working mode.
 
-        Tip and working mode determine the assembly. If `assembly` is given, a tip in the other assembly raises a ValueError. So does
-        a tip out of reach; the text has the leg and the missing distance.
+        Parameters
+        ----------
+        tip : array_like
+            Positions of the tip, m, shape (..., 2).
+        working : tuple of str, optional
+            `plus` or `minus` for the left and the right leg: the sign of the sine from proximal to distal link.
+        assembly : str, optional
+            `plus` or `minus`. Tip and working mode determine the assembly: a tip in the other one is refused.
+
+        Returns
+        -------
+        Posture
+            The postures.
+
+        Raises
+        ------
+        FiveBarError
+            If a point is out of reach, with the leg and the missing distance; on a motor's axis; or in the other assembly.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.inverse((0.05, 0.3)).motors.round(3).tolist()
+        [2.167, 0.975]
         """
         tip = self._finite("tip", tip, 2, "m")
         bends = self._bends(working)
@@ -232,9 +332,31 @@ class Machine:
         return posture
 
     def forward(self, theta: ArrayLike, assembly: Sign = "plus") -> Posture:
-        """Forward kinematics: postures from the motor angles (theta[1], theta[2] of the unit), rad, shape (..., 2), in an assembly.
+        """Forward kinematics: postures from the motor angles, in an assembly.
 
-        If the loop cannot be closed, a ValueError has the distance of the elbows and the distances that the distal links allow.
+        Parameters
+        ----------
+        theta : array_like
+            Motor angles, `theta[1]` and `theta[2]` of the unit, rad, shape (..., 2).
+        assembly : str, optional
+            `plus` or `minus`.
+
+        Returns
+        -------
+        Posture
+            The postures.
+
+        Raises
+        ------
+        FiveBarError
+            If the loop cannot be closed, with the distance of the elbows and the distances that the distal links allow.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.forward([2.2, 0.9]).tip.round(3).tolist()
+        [0.055, 0.28]
         """
         theta = self._finite("theta", theta, 2, "rad")
         side = _sign("assembly", assembly)
@@ -269,12 +391,48 @@ class Machine:
         return Posture(angles, left + from_left, np.stack([left, right], axis=-2))
 
     def shortfall(self, tip: ArrayLike) -> Floats:
-        """Distance by which the left and the right leg miss `tip` (..., 2), m, shape (..., 2): > 0 too far, < 0 too near, 0 in reach."""
+        """Distance by which the legs miss points.
+
+        Parameters
+        ----------
+        tip : array_like
+            Positions, m, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            For the left and the right leg, m, shape (..., 2): positive if a point is too far, negative if too near, 0 in reach.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.shortfall((0.05, 0.5)).round(3).tolist()
+        [0.082, 0.082]
+        """
         tip = self._finite("tip", tip, 2, "m")
         return np.stack([self._missing(tip, leg)[1] for leg in (0, 1)], axis=-1)
 
     def is_reachable(self, tip: ArrayLike) -> NDArray[np.bool_]:
-        """Whether both legs reach `tip` (..., 2), m; independent of the working mode."""
+        """Whether both legs reach points, in any working mode.
+
+        Parameters
+        ----------
+        tip : array_like
+            Positions, m, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray of bool
+            Shape (...).
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.is_reachable([(0.05, 0.3), (0.05, 0.5)]).tolist()
+        [True, False]
+        """
         within: NDArray[np.bool_] = np.all(self.shortfall(tip) == 0, axis=-1)
         return within
 
@@ -301,7 +459,33 @@ class Machine:
     # Velocities and forces
 
     def link_rates(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
-        """Rates of the links 1 to 4, rad/s, shape (..., 4), at postures (..., 4) from motor rates (..., 2), rad/s."""
+        """Rates of all links from motor rates.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        omega : array_like
+            Motor rates, rad/s, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Rates of the links 1 to 4, rad/s, shape (..., 4).
+
+        Raises
+        ------
+        FiveBarError
+            At a direct singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.link_rates(theta, (1.0, 0.0)).round(3).tolist()
+        [1.0, -0.338, 1.04, 0.0]
+        """
         theta, omega = self._regular(theta), self._finite("omega", omega, 2, "rad/s")
         tip = np.einsum("...ij,...j->...i", self.jacobian(theta), omega)
         l1, l2, l3, l4 = self.lengths
@@ -311,14 +495,63 @@ class Machine:
         return np.stack(np.broadcast_arrays(omega[..., 0], left, right, omega[..., 1]), axis=-1)
 
     def tip_velocity(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
-        """Velocity of the tip, m/s, shape (..., 2), at postures (..., 4) from motor rates (..., 2), rad/s."""
+        """Velocity of the tip from motor rates.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        omega : array_like
+            Motor rates, rad/s, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Velocity, m/s, shape (..., 2).
+
+        Raises
+        ------
+        FiveBarError
+            At a direct singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.tip_velocity(theta, (1.0, 0.5)).round(3).tolist()
+        [-0.197, -0.087]
+        """
         velocity: Floats = np.einsum("...ij,...j->...i", self.jacobian(theta), self._finite("omega", omega, 2, "rad/s"))
         return velocity
 
     def motor_rates(self, theta: ArrayLike, velocity: ArrayLike) -> Floats:
-        """Motor rates, rad/s, shape (..., 2), for a tip velocity (..., 2), m/s, at postures (..., 4).
+        """Motor rates from a velocity of the tip. Defined at direct singularities.
 
-        Defined at direct singularities, refused at inverse ones.
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        velocity : array_like
+            Velocity of the tip, m/s, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Motor rates, rad/s, shape (..., 2).
+
+        Raises
+        ------
+        FiveBarError
+            At an inverse singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.motor_rates(theta, (0.1, 0.0)).round(3).tolist()
+        [-0.381, -0.381]
         """
         theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
         self._refuse_singular(theta, "inverse", "no motor rate moves the tip along its leg")
@@ -326,9 +559,34 @@ class Machine:
         return rates
 
     def motor_accelerations(self, theta: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
-        """Motor accelerations, rad/s2, shape (..., 2), for a tip acceleration (..., 2), m/s2, at a tip velocity (..., 2), m/s.
+        """Motor accelerations from velocity and acceleration of the tip. Defined at direct singularities.
 
-        Defined at direct singularities, refused at inverse ones.
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        velocity : array_like
+            Velocity of the tip, m/s, shape (..., 2).
+        acceleration : array_like
+            Acceleration of the tip, m/s2, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Motor accelerations, rad/s2, shape (..., 2).
+
+        Raises
+        ------
+        FiveBarError
+            At an inverse singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.motor_accelerations(theta, (0.1, 0.0), (0.0, 1.0)).round(3).tolist()
+        [-2.944, 2.944]
         """
         theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
         acceleration, omega = self._finite("acceleration", acceleration, 2, "m/s2"), self.motor_rates(theta, velocity)
@@ -348,9 +606,34 @@ class Machine:
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def tip_force(self, theta: ArrayLike, torque: ArrayLike) -> Floats:
-        """Force of the tip on its surroundings, N, shape (..., 2), from motor torques (..., 2), N·m, without weight: F = J^-T tau.
+        """Force of the tip on its surroundings from motor torques, without weight: F = J^-T tau.
 
-        Defined at direct singularities, where no torque resists along one direction; refused at inverse ones.
+        Defined at direct singularities, where no torque resists along one direction.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        torque : array_like
+            Motor torques, N·m, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Force, N, shape (..., 2).
+
+        Raises
+        ------
+        FiveBarError
+            At an inverse singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.tip_force(theta, (0.1, 0.0)).round(3).tolist()
+        [-0.381, -0.286]
         """
         theta, torque = self._finite("theta", theta, 4, "rad"), self._finite("torque", torque, 2, "N·m")
         self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
@@ -358,19 +641,88 @@ class Machine:
         return force
 
     def motor_torques(self, theta: ArrayLike, force: ArrayLike) -> Floats:
-        """Motor torques, N·m, shape (..., 2), for a tip force on the surroundings (..., 2), N, without weight: tau = J^T F."""
+        """Motor torques for a force of the tip on its surroundings, without weight: tau = J^T F.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+        force : array_like
+            Force, N, shape (..., 2).
+
+        Returns
+        -------
+        numpy.ndarray
+            Motor torques, N·m, shape (..., 2).
+
+        Raises
+        ------
+        FiveBarError
+            At a direct singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.motor_torques(theta, (1.0, 0.0)).round(3).tolist()
+        [-0.131, -0.131]
+        """
         torques: Floats = np.einsum("...ji,...j->...i", self.jacobian(theta), self._finite("force", force, 2, "N"))
         return torques
 
     def jacobian(self, theta: ArrayLike) -> Floats:
-        """d tip / d (theta1, theta4), m/rad, shape (..., 2, 2), at postures (..., 4); refused at direct singularities."""
+        """Jacobian d tip / d (theta1, theta4).
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        numpy.ndarray
+            m/rad, shape (..., 2, 2): rows x and y, columns left and right motor.
+
+        Raises
+        ------
+        FiveBarError
+            At a direct singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.jacobian(theta).round(3).tolist()
+        [[-0.131, -0.131], [-0.175, 0.175]]
+        """
         theta = self._regular(theta)
         return self._adjugate(theta) / sines(theta)[..., 0, None, None]
 
     def loop_jacobians(self, theta: ArrayLike) -> tuple[Floats, Floats]:
-        """J_x, m, and J_q, m2, in J_x tip' = J_q (theta1', theta4'), each of shape (..., 2, 2); defined everywhere.
+        """J_x and J_q in J_x tip' = J_q (theta1', theta4'). Defined everywhere.
 
         The rows of J_x are the vectors of the distal links, so det J_x = l2 l3 sin(theta3 - theta2). J_q is diagonal.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            J_x, m, and J_q, m2, each of shape (..., 2, 2).
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> j_x, j_q = robot.loop_jacobians(theta)
+        >>> bool(abs(j_x @ robot.jacobian(theta) - j_q).max() < 1e-15)
+        True
         """
         theta = self._finite("theta", theta, 4, "rad")
         distal = np.array(self.lengths[1:3])
@@ -379,42 +731,159 @@ class Machine:
         return distal[:, None] * self._rows(theta), j_q
 
     def velocity_ellipse(self, theta: ArrayLike) -> Ellipse:
-        """Tip velocities, m/s, for motor rates on the unit circle, 1 rad/s: J J^T. Refused at direct singularities."""
+        """Tip velocities for motor rates on the unit circle, 1 rad/s: J J^T.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        Ellipse
+            Semi-axes, m/s, and angle, rad.
+
+        Raises
+        ------
+        FiveBarError
+            At a direct singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.velocity_ellipse(theta).axes.round(3).tolist()
+        [0.247, 0.186]
+        """
         theta = self._regular(theta)
         adjugate, sine = self._adjugate(theta), sines(theta)[..., 0]
         large, small, angle = _singular_values(adjugate)
         return Ellipse(np.stack([large, small], axis=-1) / np.abs(sine)[..., None], angle)
 
     def force_ellipse(self, theta: ArrayLike) -> Ellipse:
-        """Tip forces, N, for motor torques on the unit circle, 1 N·m: (J J^T)^-1. Refused at inverse singularities."""
+        """Tip forces for motor torques on the unit circle, 1 N·m: (J J^T)^-1.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        Ellipse
+            Semi-axes, N, and angle, rad.
+
+        Raises
+        ------
+        FiveBarError
+            At an inverse singularity.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> robot.force_ellipse(theta).axes.round(3).tolist()
+        [5.389, 4.052]
+        """
         theta = self._finite("theta", theta, 4, "rad")
         self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
         large, small, angle = _singular_values(np.swapaxes(self._rows(theta) / self._arms(theta)[..., None], -1, -2))
         return Ellipse(np.stack([large, small], axis=-1), angle)
 
     def condition(self, theta: ArrayLike) -> Floats:
-        """Condition number of the Jacobian (largest over smallest singular value), >= 1, shape (...); inf at singularities."""
+        """Condition number of the Jacobian: its largest over its smallest singular value.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        numpy.ndarray
+            At least 1, shape (...); infinite at direct and inverse singularities.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> round(float(robot.condition(theta)), 3)
+        1.33
+        """
         with np.errstate(divide="ignore"):
             return 1 / self.dexterity(theta)
 
     def dexterity(self, theta: ArrayLike) -> Floats:
-        """Reciprocal of the condition number, in [0, 1], shape (...); 0 at direct and inverse singularities."""
+        """Reciprocal of the condition number.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        numpy.ndarray
+            From 0 to 1, shape (...); 0 at direct and inverse singularities.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> round(float(robot.dexterity(theta)), 3)
+        0.752
+        """
         large, small, _ = _singular_values(self._adjugate(self._finite("theta", theta, 4, "rad")))
         return np.divide(small, large, out=np.zeros_like(large), where=large > 0)
 
     # Singularities
 
     def singularity(self, theta: ArrayLike) -> NDArray[np.str_]:
-        """`none`, `direct`, `inverse` or `combined`, shape (...), with the bounds of the unit's `singular.type`.
+        """Kind of singularity, with the bounds of the unit's `singular.type`.
 
         The unit's `constraint` (all links near one line through the motors) is `combined` here.
+
+        Parameters
+        ----------
+        theta : array_like
+            Postures: angles of the links 1 to 4, rad, shape (..., 4), such as `Posture.theta`.
+
+        Returns
+        -------
+        numpy.ndarray of str
+            `none`, `direct`, `inverse` or `combined`, shape (...).
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> theta = robot.inverse((0.05, 0.3)).theta
+        >>> str(robot.singularity(theta))
+        'none'
         """
         tip, left, right = np.moveaxis(sines(self._finite("theta", theta, 4, "rad")), -1, 0)
         direct, inverse = np.abs(tip) < NEAR, np.abs(left * right) < NEAR
         return np.select([direct & inverse, direct, inverse], ["combined", "direct", "inverse"], "none")
 
     def inverse_singularities(self) -> list[Circle]:
-        """The circles of the tip on which a leg is stretched or folded. A circle of radius 0 is the motor's axis."""
+        """The circles of the tip on which a leg is stretched or folded.
+
+        Returns
+        -------
+        list of Circle
+            Two for each leg. A circle of radius 0 is the motor's axis.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> [(circle.leg, circle.posture, circle.radius) for circle in robot.inverse_singularities()]
+        [(0, 'stretched', 0.42), (0, 'folded', 0.0), (1, 'stretched', 0.42), (1, 'folded', 0.0)]
+        """
         rims: tuple[tuple[int, Line], ...] = ((1, "stretched"), (0, "folded"))
         return [
             Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side]))
@@ -423,11 +892,33 @@ class Machine:
         ]
 
     def direct_singularities(self, points: int = 2000) -> list[Locus]:
-        """The closed curves of the tip on which the distal links are in line: coupler curves of four-bars, `points` points each.
+        """The closed curves of the tip on which the distal links are in line: coupler curves of four-bars.
 
         Folded distal links of equal length have both elbows at the same point, so their curves are circles. If the motors are also
         coaxial and the proximal links equal, every posture in the working modes `plus`, `plus` and `minus`, `minus` is singular:
         then there is no curve, see `is_degenerate`.
+
+        Parameters
+        ----------
+        points : int, optional
+            Number of points on each curve.
+
+        Returns
+        -------
+        list of Locus
+            The curves.
+
+        Raises
+        ------
+        FiveBarError
+            If `points` is not a whole number of at least 1.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> [(locus.posture, locus.tip.shape) for locus in robot.direct_singularities(points=100)]
+        [('stretched', (100, 2)), ('folded', (100, 2)), ('folded', (100, 2))]
         """
         points = arguments.count("points", points)
         return [
@@ -435,9 +926,31 @@ class Machine:
         ]
 
     def direct_at(self, theta1: float) -> list[tuple[Line, Posture]]:
-        """Postures with the left motor at `theta1`, rad, and the distal links in line; empty if the elbows cannot have that distance.
+        """Postures with a given angle of the left motor and the distal links in line.
 
         Folded links of equal length are left out: both elbows are at the same point, and the tip may be anywhere around it.
+
+        Parameters
+        ----------
+        theta1 : float
+            Angle of the left motor, rad.
+
+        Returns
+        -------
+        list of tuple
+            `stretched` or `folded`, and the posture; empty if the elbows cannot have that distance.
+
+        Raises
+        ------
+        FiveBarError
+            If the angle is no number.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> [(kind, posture.motors.round(3).tolist()) for kind, posture in robot.direct_at(2.9)]
+        [('stretched', [2.9, -1.441]), ('stretched', [2.9, 1.114])]
         """
         theta1 = arguments.number("theta1", theta1, "rad")
         found: list[tuple[Line, Posture]] = []
@@ -452,9 +965,26 @@ class Machine:
         return found
 
     def is_degenerate(self, working: Working) -> bool:
-        """Whether every posture of the working mode is a direct singularity: the motors are coaxial and the legs equal and congruent.
+        """Whether every posture of a working mode is a direct singularity: the motors are coaxial and the legs equal and congruent.
 
         Lengths below `LEAST_SINE` times the machine's size count as 0.
+
+        Parameters
+        ----------
+        working : tuple of str
+            `plus` or `minus` for the left and the right leg.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.is_degenerate(("plus", "plus"))
+        False
         """
         (l1, l2), (l4, l3) = self.legs
         return max(self.distance, abs(l1 - l4), abs(l2 - l3)) <= LEAST_SINE * self.size and working[0] == working[1]
@@ -462,7 +992,27 @@ class Machine:
     # Parts
 
     def field(self, tip: ArrayLike, working: Working) -> tuple[Posture, NDArray[np.bool_]]:
-        """Postures for an array of points (..., 2), m, and whether each is reached; the postures of other points are meaningless."""
+        """Postures for an array of points, some of which may be out of reach.
+
+        Parameters
+        ----------
+        tip : array_like
+            Positions, m, shape (..., 2).
+        working : tuple of str
+            `plus` or `minus` for the left and the right leg.
+
+        Returns
+        -------
+        tuple of Posture and numpy.ndarray of bool
+            The postures, and whether each point is reached, shape (...); the postures of other points are meaningless.
+
+        Examples
+        --------
+        >>> import fivebar
+        >>> robot = fivebar.Machine.from_scene("pick_and_place")
+        >>> robot.field([(0.05, 0.3), (0.05, 0.5)], ("minus", "plus"))[1].tolist()
+        [True, False]
+        """
         tip = self._finite("tip", tip, 2, "m")
         legs = [self._leg(tip, leg, bend) for leg, bend in enumerate(self._bends(working))]
         return self._posture(legs, tip), (legs[0][2] == 0) & (legs[1][2] == 0)
