@@ -4,7 +4,7 @@ The board sends `SEQ MICROS LEFT RIGHT*CHECK` for each sample: a count of sample
 both encoders (16 bits), which are 0 at the stops. CHECK is the exclusive or of all bytes before `*`, in hexadecimal digits. A command on
 the topic `bench/command`, such as {"servo.theta[1]": 2.2, "servo.theta[2]": 0.9}, becomes the line `LEFT RIGHT*CHECK` in counts.
 
-docs/pipeline.md describes the messages. It needs pyserial and fivebar[twin]: python examples/serial_bridge.py PORT HOST PORT
+docs/hardware.md explains the figures of `AXES`. It needs pyserial and fivebar[twin]: python examples/serial_bridge.py PORT HOST PORT
 """
 
 import argparse

@@ -14,7 +14,7 @@ from conftest import REPOSITORY
 DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving", "automatic")
 """The pages of docs/ that derive the mathematics, in the order of their equation numbers."""
 
-ELSEWHERE = {"license.md", "LICENSE-MIT.md"}
+ELSEWHERE = {"license.md", "LICENSE-MIT.md", "dual-encoders.md"}
 """Papers that other projects have, and the packer looks for."""
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import random
+import re
 import select
 import subprocess
 import sys
@@ -20,6 +21,8 @@ import pytest
 from conftest import PATIENCE, REPOSITORY, wait_until
 from fivebar.twin import config as configuration
 from fivebar.twin.config import Broker, Config
+from fivebar.twin.importing import maps
+from fivebar.twin.intake import Intake
 from fivebar.twin.messages import Message, decode
 from fivebar.twin.starter import free_port
 
@@ -68,9 +71,14 @@ class Board:
         self.seq, self.micros, self.phase = 0, 900_000, 0
 
 
+def admitted(intake: Intake, message: dict[str, Any], now: int) -> str:
+    """Whether the twin takes a message that arrives now."""
+    return intake.admit(decode("fivebar/bench/meas", json.dumps(message).encode()), now)
+
+
 def test_overflows_noise_and_lost_lines_change_no_value(bridge: Any) -> None:
-    """Times and counts of samples are the board's, whenever the lines arrive; a changed line is left out."""
-    board, found, chance = Board(), bridge.Bridge(), random.Random(1)
+    """Times and counts of samples are the board's, whenever the lines arrive; a changed line is left out. The twin takes every sample."""
+    board, found, chance, intake = Board(), bridge.Bridge(), random.Random(1), Intake(Config.period)
     first = board.micros
     left_out = begin = 0
     for k in range(2000):
@@ -83,36 +91,50 @@ def test_overflows_noise_and_lost_lines_change_no_value(bridge: Any) -> None:
         if kind < 0.1:
             place = chance.randrange(len(text) - 1)
             noisy = text[:place] + bytes([text[place] ^ chance.randrange(1, 256)]) + text[place + 1 :]
-            # Another case of a digit of the check is the same number, and the line is whole.
             assert found.sample(noisy, now) is None
             left_out += 1
             continue
         message = found.sample(text, now)
+        assert admitted(intake, message, now) == ("new" if k else "series")
         assert message["seq"] == k and message["time"] == begin + 1000 * (micros - first)
         fields = message["fields"]
         assert (fields["measured.theta[1]"], fields["measured.theta[2]"]) == pytest.approx(angles, abs=1e-12)
     assert left_out > 50 and board.micros > 2**32
 
 
-@pytest.mark.parametrize("samples", [3, 400, 20_000])
+@pytest.mark.parametrize("samples", [3, 400, 40_000])
 def test_a_board_that_begins_again_continues_the_count(bridge: Any, samples: int) -> None:
-    """After little time the board's clock is further than before, after much time its count is."""
-    board, found = Board(), bridge.Bridge()
+    """After 15 ms its clock is further than before and its count has fallen back; after 200 s the other way round, as 16 bits see it."""
+    board, found, intake = Board(), bridge.Bridge(), Intake(Config.period)
     board.micros = 0
     for _ in range(samples):
         text, micros, _ = board.next()
         last = found.sample(text, 10**18 + 1000 * micros)
+    admitted(intake, last, last["time"])
     board.reset()
     text, _, angles = board.next()
     now = 10**18 + 1000 * micros + 10**9
     message = found.sample(text, now)
-    assert message["seq"] == last["seq"] + 1 and message["time"] == now
+    assert message["seq"] == last["seq"] + 1 and message["time"] == now and admitted(intake, message, now) == "new"
     assert message["fields"]["measured.theta[1]"] == pytest.approx(angles[0], abs=1e-12)
 
 
 @pytest.mark.parametrize("text", [b"", b"\n", b"*00\n", b"ready\n", b"1 2 3*30\n", b"\xff\xfe*01\n", b"00"])
 def test_what_is_no_sample_is_left_out(bridge: Any, text: bytes) -> None:
     assert bridge.Bridge().sample(text, 10**18) is None
+
+
+def test_the_page_has_the_figures_of_the_example(bridge: Any) -> None:
+    """Its code prints what it says, its map is a map, and both have the axes of the example."""
+    page = (REPOSITORY / "docs" / "hardware.md").read_text(encoding="utf-8")
+    [code] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert code.rstrip().endswith("# " + done.stdout.rstrip())
+    [text] = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    entries = maps.parse(json.loads(text)).entries
+    for name, axis in bridge.AXES.items():
+        entry = entries[f"measured.{name}"]
+        assert (entry.steps, entry.sign, entry.offset) == (axis.steps, axis.sign, axis.stop)
 
 
 @pytest.fixture
