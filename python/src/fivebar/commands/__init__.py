@@ -18,6 +18,7 @@ from fivebar.commands import (
     calibrate,
     check,
     ensemble,
+    export,
     import_,
     load,
     map,
@@ -49,6 +50,7 @@ COMMANDS = (
     calibrate.calibrate,
     ensemble.ensemble,
     what_if.what_if,
+    export.export,
     soak.soak,
     load.load,
 )
